@@ -1,0 +1,1 @@
+"""Speed and exploration, measured. `make bench` writes JSON and prints tables."""

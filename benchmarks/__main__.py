@@ -1,0 +1,76 @@
+"""`python -m benchmarks`: measure, print tables, write JSON."""
+
+import argparse
+import json
+import os
+import platform
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import jax
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks import control_step, exploration
+from jaxplore import __version__
+
+
+def main() -> None:
+    """Run the benchmarks."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("--seeds", type=int, default=5, help="runs on each map [default: 5]")
+    parser.add_argument("--steps", type=int, default=2000, help="steps timed [default: 2000]")
+    parser.add_argument("--out", type=Path, default=Path("benchmarks/results.json"))
+    arguments = parser.parse_args()
+    console = Console()
+    step = control_step.measure(arguments.steps)
+    console.print(_step_table(step))
+    rows = exploration.measure(arguments.seeds)
+    summary = exploration.summarise(rows)
+    console.print(_table("Exploration, medians over seeds", summary))
+    results = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "jaxplore": __version__,
+        "jax": jax.__version__,
+        "python": platform.python_version(),
+        "device": jax.devices()[0].device_kind,
+        "cpu_count": os.cpu_count(),
+        "control_step": step,
+        "exploration": summary,
+        "runs": rows,
+    }
+    arguments.out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+    console.print(f"Written to {arguments.out}")
+
+
+def _step_table(step: dict[str, Any]) -> Table:
+    rows = [
+        {"": "closed-loop step, one at a time", "p50 ms": step["p50_ms"], "p99 ms": step["p99_ms"]},
+        {"": "the same in chunks, mean", "p50 ms": step["loop_mean_ms"], "p99 ms": None},
+        *(
+            {"": f"  {name}", "p50 ms": part["p50_ms"], "p99 ms": part["p99_ms"]}
+            for name, part in step["parts"].items()
+        ),
+    ]
+    sizes = f"K = {step['samples']}, T = {step['horizon']}, {step['cells']} cells"
+    return _table(f"{step['map']}: {sizes}; compiled in {step['compile_seconds']:.1f} s", rows)
+
+
+def _table(title: str, rows: list[dict[str, Any]]) -> Table:
+    table = Table(title=title)
+    for name in rows[0]:
+        table.add_column(name.replace("_", " "))
+    for row in rows:
+        table.add_row(*(_text(value) for value in row.values()))
+    return table
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+if __name__ == "__main__":
+    main()

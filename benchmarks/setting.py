@@ -1,0 +1,40 @@
+"""The problem that the benchmarks run: a 0.4 m robot at 1 m/s with a 360-beam 5 m lidar."""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxplore.settings import Experiment, build, make_settings
+
+MAPS = Path(
+    os.environ.get("JAXPLORE_MAPS", Path(__file__).resolve().parents[2] / "shared" / "maps")
+)
+
+
+class Site(NamedTuple):
+    """A map and an open spot on it."""
+
+    name: str
+    path: str
+    start: tuple[float, float, float] | None
+
+
+SITES = (
+    Site("nav2_depot", "nav2_depot/depot.yaml", (4.62, 7.73, 0.0)),
+    Site("aws_small_house", "aws_small_house/map.yaml", (4.68, -1.97, 0.0)),
+    Site("aws_small_warehouse_005", "aws_small_warehouse_005/map.yaml", (-0.92, -2.47, 0.0)),
+)
+OFFICE = Site("office", "office", None)
+
+
+def available_sites() -> tuple[Site, ...]:
+    """Return the real maps where they are, the generated office otherwise."""
+    found = tuple(site for site in SITES if (MAPS / site.path).exists())
+    return found or (OFFICE,)
+
+
+def experiment(site: Site, seed: int = 0, **changes: object) -> Experiment:
+    """Return the default explorer on a site."""
+    path = site.path if site is OFFICE else str(MAPS / site.path)
+    entries = {"map": path, "start": site.start, "seed": seed, "time_limit": 400.0, **changes}
+    return build(make_settings(entries))

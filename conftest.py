@@ -1,0 +1,51 @@
+"""Runs the Python blocks of README.md and docs/: what the documents show is what works.
+
+One document is one test, because its blocks build on each other: they share a namespace and an
+empty working directory, and no test runner can spread them over several workers.
+"""
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from sybil import Sybil
+from sybil.parsers.markdown import PythonCodeBlockParser
+
+documents = Sybil(
+    parsers=[PythonCodeBlockParser()],
+    patterns=["README.md", "docs/*.md"],
+    path=str(Path(__file__).parent),
+)
+
+
+class DocumentItem(pytest.Item):
+    """All blocks of one document, in order."""
+
+    def runtest(self) -> None:
+        """Run them in an empty folder."""
+        document = documents.parse(self.path)
+        with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+            for example in document.examples():
+                example.evaluate()
+
+    def reportinfo(self) -> tuple[Path, int, str]:
+        """Return where the document is."""
+        return self.path, 0, self.name
+
+
+class DocumentFile(pytest.File):
+    """A Markdown file with at least one Python block."""
+
+    def collect(self) -> Iterator[DocumentItem]:
+        """Yield the document as one test."""
+        if any(documents.parse(self.path).examples()):
+            yield DocumentItem.from_parent(self, name="python blocks")
+
+
+def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> DocumentFile | None:
+    """Collect the documents."""
+    if documents.should_parse(file_path):
+        return DocumentFile.from_parent(parent, path=file_path)
+    return None

@@ -1,0 +1,94 @@
+"""Checks of arguments: each raises a `ValueError` that names the argument, its value and what is
+accepted. They run where objects are built; traced values pass, since nothing raises in a trace."""
+
+import math
+import operator
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+
+def positive_int(name: str, value: object) -> int:
+    """Return `value` as an int >= 1."""
+    try:
+        number = operator.index(value)  # type: ignore[arg-type]
+    except TypeError:
+        raise ValueError(f"{name} is {value!r}; accepted: a whole number >= 1") from None
+    if isinstance(value, bool) or number < 1:
+        raise ValueError(f"{name} is {value!r}; accepted: a whole number >= 1")
+    return number
+
+
+def number(
+    name: str,
+    value: object,
+    *,
+    above: float | None = None,
+    below: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+) -> float:
+    """Return `value` as a finite Python float within the bounds given."""
+    bounds = [
+        text
+        for text, bound in (
+            (f"> {above}", above),
+            (f"< {below}", below),
+            (f">= {at_least}", at_least),
+            (f"<= {at_most}", at_most),
+        )
+        if bound is not None
+    ]
+    accepted = "a finite number" + (" " + " and ".join(bounds) if bounds else "")
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+    if (
+        isinstance(value, bool)
+        or not math.isfinite(result)
+        or (above is not None and result <= above)
+        or (below is not None and result >= below)
+        or (at_least is not None and result < at_least)
+        or (at_most is not None and result > at_most)
+    ):
+        raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
+    return result
+
+
+def scalar(
+    name: str,
+    value: ArrayLike,
+    *,
+    above: float | None = None,
+    below: float | None = None,
+    at_least: float | None = None,
+    at_most: float | None = None,
+) -> Array:
+    """Return `value` as a float32 scalar array (a leaf: changing it never recompiles)."""
+    if isinstance(value, jax.core.Tracer):
+        return value
+    if not isinstance(value, (bool, int, float)):
+        flat = np.asarray(value)
+        if flat.shape != ():
+            raise ValueError(f"{name} has shape {flat.shape}; accepted: one number")
+        value = flat.item()
+    checked = number(name, value, above=above, below=below, at_least=at_least, at_most=at_most)
+    return jnp.asarray(checked, jnp.float32)
+
+
+def vector(name: str, value: object, size: int) -> Array:
+    """Return `value` as a finite float32 array of shape (size,)."""
+    if isinstance(value, jax.core.Tracer):
+        return value
+    accepted = f"{size} finite numbers"
+    try:
+        array = np.asarray(value, np.float32)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+    if array.shape != (size,) or not np.isfinite(array).all():
+        raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
+    return jnp.asarray(array)

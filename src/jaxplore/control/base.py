@@ -1,0 +1,77 @@
+"""What every controller does."""
+
+import abc
+from typing import Any, NamedTuple
+
+import equinox as eqx
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
+from jaxplore.control.rollout import Trajectory
+from jaxplore.information.belief import Belief
+
+
+class Info(NamedTuple):
+    """What a controller says about a step.
+
+    Args:
+        weights: (K,) weight of each rollout; adds up to 1, or to 0 if none was finite.
+        costs: (K,) cost of each rollout; infinite where it was not finite.
+        effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite.
+        is_finite: whether any rollout was finite. If not, the control is that of the shifted
+            nominal.
+    """
+
+    weights: Float[Array, " K"]
+    costs: Float[Array, " K"]
+    effective_sample_size: Scalar
+    is_finite: Flag
+
+
+class SampledPlan(NamedTuple):
+    """A look into one step, for drawing and for finding out why.
+
+    Args:
+        nominal: what the plan leads to, and its cost by term.
+        samples: (N, T + 1, nx) states of some rollouts.
+        weights: (N,) their weights.
+    """
+
+    nominal: Trajectory
+    samples: Float[Array, "N T+1 nx"]
+    weights: Float[Array, " N"]
+
+
+class Controller(eqx.Module):
+    """A feedback law with a state of its own.
+
+    `init` makes that state, `step` maps an observed robot state and a belief to a control. All
+    controllers are used alike, so they nest and compare.
+    """
+
+    @abc.abstractmethod
+    def init(self) -> Any:
+        """Return the state before the first step."""
+
+    @abc.abstractmethod
+    def step(
+        self, state: Any, observation: StateVector, belief: Belief, *, key: Key
+    ) -> tuple[ControlVector, Any, Info]:
+        """Return the control (nu,), the controller's new state and what it says about the step."""
+
+    @abc.abstractmethod
+    def inspect(
+        self,
+        state: Any,
+        observation: StateVector,
+        belief: Belief,
+        *,
+        key: Key,
+        num_trajectories: int,
+    ) -> SampledPlan:
+        """Return what `step` sees with the same arguments: trajectories, and the cost by term."""
+
+    @abc.abstractmethod
+    def at_period(self, control_period: ArrayLike) -> "Controller":
+        """Return this controller for commands that are `control_period` seconds apart."""

@@ -1,0 +1,94 @@
+"""Costs, and how they add up."""
+
+import abc
+from collections.abc import Iterator
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.dynamics.base import State
+from jaxplore.information.belief import Belief
+
+
+class Cost(eqx.Module):
+    """What a rollout pays: `sum over t of stage(x_t, u_{t-1}, t) + terminal(x_T)`.
+
+    Written for one state; the engine maps it. The stage cost is taken at the state that a control
+    leads to. Weights are outside: `2.0 * A() + B()`.
+    """
+
+    @abc.abstractmethod
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the cost of one step.
+
+        Args:
+            state: the state reached.
+            control: (nu,) the control that led to it.
+            t: time from now at which it is reached [s].
+            belief: what the robot knows.
+        """
+
+    def terminal(self, state: State, belief: Belief) -> Scalar:
+        """Return the cost of the last state; none unless a cost says otherwise."""
+        return jnp.zeros(())
+
+    def terms(self) -> Iterator[tuple[str, "Cost"]]:
+        """Yield the terms that add up to this cost, each with its name."""
+        yield type(self).__name__, self
+
+    def __add__(self, other: "Cost") -> "SumCost":
+        return SumCost((self, other))
+
+    def __mul__(self, weight: ArrayLike) -> "WeightedCost":
+        return WeightedCost(_checks.scalar("weight", weight), self)
+
+    def __rmul__(self, weight: ArrayLike) -> "WeightedCost":
+        return self * weight
+
+
+class WeightedCost(Cost):
+    """A cost times a weight; changing the weight never recompiles."""
+
+    weight: Scalar
+    cost: Cost
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the weighted stage cost."""
+        return self.weight * self.cost.stage(state, control, t, belief)
+
+    def terminal(self, state: State, belief: Belief) -> Scalar:
+        """Return the weighted terminal cost."""
+        return self.weight * self.cost.terminal(state, belief)
+
+    def terms(self) -> Iterator[tuple[str, Cost]]:
+        """Yield the weighted terms."""
+        for name, term in self.cost.terms():
+            yield name, WeightedCost(self.weight, term)
+
+
+class SumCost(Cost):
+    """The sum of costs."""
+
+    costs: tuple[Cost, ...]
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the sum of the stage costs."""
+        total = jnp.zeros(())
+        for cost in self.costs:
+            total = total + cost.stage(state, control, t, belief)
+        return total
+
+    def terminal(self, state: State, belief: Belief) -> Scalar:
+        """Return the sum of the terminal costs."""
+        total = jnp.zeros(())
+        for cost in self.costs:
+            total = total + cost.terminal(state, belief)
+        return total
+
+    def terms(self) -> Iterator[tuple[str, Cost]]:
+        """Yield the terms of every summand."""
+        for cost in self.costs:
+            yield from cost.terms()

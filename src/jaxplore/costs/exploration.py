@@ -1,0 +1,105 @@
+"""Costs of an exploring robot: keep clear, go where there is something to learn, spare effort."""
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+from jaxplore.information.belief import Belief
+
+
+class ObstacleCost(Cost):
+    """Distance kept from whatever is not known to be free.
+
+    With d the clearance of the robot's centre on the belief, r its radius and v its speed,
+
+        ((clearance - d)_+ / clearance)^2 + collision * ([d < c] + ((c - d)_+ / c)),
+        c = r + margin + reaction_time * |v|
+
+    The faster, the more room it needs, so it slows down where it is narrow. The last term rises
+    into the obstacle, so that rollouts which cannot help touching are still ranked.
+
+    Args:
+        clearance: distance from the centre below which it costs [m].
+        collision: cost of each step in contact.
+        margin: kept beyond the radius [m].
+        reaction_time: [s].
+
+    Raises:
+        ValueError: a clearance that is not positive, another value that is negative.
+    """
+
+    clearance: Scalar
+    collision: Scalar
+    margin: Scalar
+    reaction_time: Scalar
+
+    def __init__(
+        self,
+        clearance: ArrayLike = 0.4,
+        collision: ArrayLike = 100.0,
+        margin: ArrayLike = 0.02,
+        reaction_time: ArrayLike = 0.05,
+    ) -> None:
+        self.clearance = _checks.scalar("clearance", clearance, above=0.0)
+        self.collision = _checks.scalar("collision", collision, at_least=0.0)
+        self.margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the cost of being this close."""
+        distance = belief.clearance(state.position)
+        near = jnp.maximum(self.clearance - distance, 0.0) / self.clearance
+        contact = state.dynamics.radius + self.margin + self.reaction_time * jnp.abs(state.speed)
+        depth = (contact - distance) / contact
+        touching = jnp.where(depth > 0.0, 1.0 + depth, 0.0)
+        return near * near + self.collision * touching
+
+
+class InformationCost(Cost):
+    """Reward for what a scan taken here would tell, `-I(x, y, yaw) / num_beams` [nat per beam].
+
+    The field of view is that of the sensor that the belief was made for.
+    """
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return minus the information of a scan per beam."""
+        field = belief.information
+        return -field(state.position, state.heading) / field.num_beams
+
+
+class GuidanceCost(Cost):
+    """Cost to go to the remaining information, read `lookahead` in front of the robot [m].
+
+    The point ahead turns with the robot, so turning towards where to go pays at once, also when
+    the robot cannot move sideways: the control point of feedback linearisation of a unicycle
+    (d'Andrea-Novel, Campion and Bastin 1995).
+
+    Args:
+        lookahead: distance of the point ahead of the centre [m].
+
+    Raises:
+        ValueError: a negative lookahead.
+    """
+
+    lookahead: Scalar
+
+    def __init__(self, lookahead: ArrayLike = 0.3) -> None:
+        self.lookahead = _checks.scalar("lookahead", lookahead, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the guidance at the point ahead."""
+        heading = state.heading
+        ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        return belief.guidance(state.position + self.lookahead * ahead)
+
+
+class ControlCost(Cost):
+    """Control effort, `sum_i (u_i / u_max,i)^2`: 1 per control at its bound."""
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the effort."""
+        share = control / state.dynamics.control_max
+        return jnp.sum(share * share)

@@ -1,0 +1,84 @@
+"""A robot with two driven wheels and inertia."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics
+
+
+class DifferentialDrive(Dynamics):
+    """Differential drive with acceleration controls and linear drag.
+
+    State (x, y, yaw, v, omega) [m, m, rad, m/s, rad/s], control (a, alpha) [m/s^2, rad/s^2],
+    explicit Euler step:
+
+        x'     = x + v cos(yaw) dt            v'     = clip(v + (a - c v) dt, 0, max_speed)
+        y'     = y + v sin(yaw) dt            omega' = clip(omega + (alpha - c omega) dt,
+        yaw'   = yaw + omega dt                             -max_turn_rate, max_turn_rate)
+
+    It drives forwards only, and turns on the spot.
+
+    Args:
+        max_speed: upper bound of v [m/s].
+        max_turn_rate: bound of |omega| [rad/s].
+        max_acceleration: bound of |a| [m/s^2].
+        max_angular_acceleration: bound of |alpha| [rad/s^2].
+        drag: c, share of either speed lost per second [1/s].
+        radius: radius of the disc that holds the robot [m].
+
+    Raises:
+        ValueError: a bound or radius that is not positive, a negative drag.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = ("x", "y", "yaw", "v", "omega")
+    control_names: ClassVar[tuple[str, ...]] = ("a", "alpha")
+
+    max_speed: Scalar
+    max_turn_rate: Scalar
+    control_min: ControlVector
+    control_max: ControlVector
+    drag: Scalar
+    radius: Scalar
+
+    def __init__(
+        self,
+        max_speed: ArrayLike = 2.0,
+        max_turn_rate: ArrayLike = 2.0,
+        max_acceleration: ArrayLike = 1.0,
+        max_angular_acceleration: ArrayLike = 2.0,
+        drag: ArrayLike = 0.1,
+        radius: ArrayLike = 0.2,
+    ) -> None:
+        self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
+        self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
+        self.control_max = jnp.stack(
+            [
+                _checks.scalar("max_acceleration", max_acceleration, above=0.0),
+                _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0),
+            ]
+        )
+        self.control_min = -self.control_max
+        self.drag = _checks.scalar("drag", drag, at_least=0.0)
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+
+    def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
+        """Return the state (5,) after `dt` seconds under a control (2,)."""
+        x, y, yaw, v, omega = state
+        a, alpha = control
+        return jnp.stack(
+            [
+                x + v * jnp.cos(yaw) * dt,
+                y + v * jnp.sin(yaw) * dt,
+                yaw + omega * dt,
+                jnp.clip(v + (a - self.drag * v) * dt, 0.0, self.max_speed),
+                jnp.clip(
+                    omega + (alpha - self.drag * omega) * dt,
+                    -self.max_turn_rate,
+                    self.max_turn_rate,
+                ),
+            ]
+        )

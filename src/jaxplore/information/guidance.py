@@ -1,0 +1,85 @@
+"""Where to go when nothing is left to see here: remaining information spread over known space."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxplore._types import Scalar
+
+DIAGONAL = 2.0**0.5
+
+
+def geodesic(
+    initial: Float[Array, "H W"], slowness: Float[Array, "H W"], is_open: Bool[Array, "H W"]
+) -> Float[Array, "H W"]:
+    """Return `min over s of initial(s) + length of the shortest path from s`, over open nodes.
+
+    Paths go between the 8 neighbours of a node; a step of length l into or out of a node costs
+    `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
+    by relaxing all nodes at once until none changes (Bellman-Ford), which on a grid is a minimum of
+    shifted arrays. The number of sweeps is that of the steps on the longest shortest path.
+
+    Args:
+        initial: (H, W) value at the sources [cost]; infinite elsewhere.
+        slowness: (H, W) cost per node spacing, > 0.
+        is_open: (H, W) nodes that paths may use.
+    """
+    height, width = initial.shape
+    cost = jnp.where(is_open, slowness, jnp.inf)
+    # Half of each end's slowness: leave with the neighbour's half, arrive with the own half.
+    half = 0.5 * cost
+    padded_half = jnp.pad(half, 1, constant_values=jnp.inf)
+
+    def shifted(values: Array, down: int, right: int) -> Array:
+        return values[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    def relax(value: Array) -> Array:
+        leaving, leaving_diagonally = value + padded_half, value + DIAGONAL * padded_half
+        along = [shifted(leaving, *step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+        across = [
+            shifted(leaving_diagonally, *step) for step in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        ]
+        nearest = jnp.minimum(
+            functools.reduce(jnp.minimum, along) + half,
+            functools.reduce(jnp.minimum, across) + DIAGONAL * half,
+        )
+        return jax.lax.dynamic_update_slice(
+            value, jnp.minimum(shifted(value, 0, 0), nearest), (1, 1)
+        )
+
+    def sweep(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        before, _ = carry
+        after = before
+        for _ in range(8):  # checking for the end costs as much as relaxing
+            after = relax(after)
+        return after, jnp.any(after < before)
+
+    start = jnp.pad(jnp.where(is_open, initial, jnp.inf), 1, constant_values=jnp.inf)
+    value, _ = jax.lax.while_loop(lambda carry: carry[1], sweep, (start, jnp.array(True)))
+    return shifted(value, 0, 0)
+
+
+def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:
+    """Fill nodes with an infinite value from their neighbours, so that interpolation stays finite.
+
+    Each of `num_layers` layers gets the least neighbouring value plus `step`: the filled values
+    rise into an obstacle and never lead through it. What is still infinite gets the greatest
+    finite value plus `step` per layer; a field without any finite value becomes 0.
+    """
+    height, width = value.shape
+    greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
+
+    def layer(_: Array, current: Array) -> Array:
+        padded = jnp.pad(current, 1, constant_values=jnp.inf)
+        near = jnp.full_like(current, jnp.inf)
+        for down in (0, 1, 2):
+            for right in (0, 1, 2):
+                near = jnp.minimum(near, padded[down : down + height, right : right + width])
+        return jnp.where(jnp.isfinite(current), current, near + step)
+
+    filled = jax.lax.fori_loop(0, num_layers, layer, value)
+    beyond = jnp.where(jnp.isfinite(greatest), greatest + num_layers * step, 0.0)
+    return jnp.where(jnp.isfinite(filled), filled, beyond)

@@ -1,0 +1,193 @@
+"""From scans to a belief: the map at the sensor's rate, the fields derived from it at theirs."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import Pose, Scalar
+from jaxplore.information.belief import Belief
+from jaxplore.information.field import FieldSensor, InformationField
+from jaxplore.information.guidance import extend, geodesic
+from jaxplore.maps.clearance import clearance_field
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.lidar import Lidar, Scan
+
+LEFTOVER_DETOUR = 1e3
+"""How much farther away a place with little information counts [m]."""
+LEFTOVER_SHARE = 0.1
+"""Share of the least worthwhile information below which a place is ignored."""
+
+
+class Perception(eqx.Module):
+    """Builds and maintains a `Belief`.
+
+    The guidance field is a cost to go, in metres,
+
+        U(x) = min over s of [ d(x, s) + decay_length * (dwell(s) / patience - ln I(s)) ]
+
+    over poses s of known-free space with information I(s): the geodesic spread of
+    `I exp(-d / decay_length)`, in logarithms. d is the length of the shortest path that keeps the
+    robot clear of whatever is not known to be free, longer where it is narrow. U has no local
+    minimum but at places worth going to. Where the robot stays without learning, `dwell` grows and
+    the place loses its pull (and regains it later): what cannot be seen after all is given up, not
+    waited for. Places with less than `min_information`, mostly cells near walls between which
+    noise goes to and fro, count as a kilometre farther away: they come last, whatever is near.
+
+    Args:
+        lidar: the sensor.
+        resolution: side of a map cell [m].
+        robot_radius: radius of the disc that must fit [m].
+        sensor_model: the update that a measurement makes.
+        num_directions: directions in which information is evaluated; at least 4.
+        node_spacing: distance between the nodes of the fields [m]; rounded to whole cells, and
+            kept so small that no path can jump a wall.
+        max_clearance: bound of the clearance field [m].
+        margin: room beyond the radius that a path needs [m].
+        decay_length: how far the robot goes for e times the information [m].
+        min_information: places with less are left for last [nat]; with less than a tenth, for good.
+        patience: time near a place after which its pull has faded to 1/e [s].
+        memory: time constant with which `dwell` is forgotten [s].
+
+    Raises:
+        ValueError: a size, rate or length out of its range.
+    """
+
+    lidar: Lidar
+    sensor_model: InverseSensorModel
+    field_sensor: FieldSensor
+    max_clearance: float = eqx.field(static=True)
+    required_clearance: Scalar
+    decay_length: Scalar
+    min_information: Scalar
+    patience: Scalar
+    memory: Scalar
+
+    def __init__(
+        self,
+        lidar: Lidar,
+        resolution: float,
+        robot_radius: ArrayLike,
+        *,
+        sensor_model: InverseSensorModel | None = None,
+        num_directions: int = 32,
+        node_spacing: float = 0.2,
+        max_clearance: float = 1.0,
+        margin: ArrayLike = 0.05,
+        decay_length: ArrayLike = 4.0,
+        min_information: ArrayLike = 3.0,
+        patience: ArrayLike = 3.0,
+        memory: ArrayLike = 60.0,
+    ) -> None:
+        radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
+        self.lidar = lidar
+        self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
+        if _checks.positive_int("num_directions", num_directions) < 4:
+            raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")
+        spacing = _checks.number("node_spacing", node_spacing, above=0.0)
+        self.field_sensor = FieldSensor(
+            lidar,
+            resolution,
+            num_directions,
+            safe_stride(spacing, resolution, float(radius)),
+        )
+        self.max_clearance = _checks.number("max_clearance", max_clearance, above=0.0)
+        self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
+        self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
+        self.min_information = _checks.scalar("min_information", min_information, above=0.0)
+        self.patience = _checks.scalar("patience", patience, above=0.0)
+        self.memory = _checks.scalar("memory", memory, above=0.0)
+
+    def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
+        """Return the belief of a robot that has seen nothing: free where it stands.
+
+        Args:
+            grid: what is known beforehand, all 0.5 if nothing.
+            pose: the robot's pose (x, y, yaw) [m, m, rad].
+        """
+        height, width = grid.shape
+        rows, columns = jnp.mgrid[:height, :width]
+        centres = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+        distance = jnp.linalg.norm(centres - pose[:2], axis=-1)
+        stands_on = distance <= self.required_clearance + 1.5 * grid.resolution
+        freed = self.sensor_model.update(
+            jnp.full(grid.shape, 0.5), jnp.where(stands_on, self.sensor_model.minimum, 0.0)
+        )
+        probability = jnp.where(stands_on, freed, grid.probability)
+        grid = OccupancyGrid(probability, grid.resolution, grid.frame.origin)
+        clearance = self._clearance(grid)
+        information = self.field_sensor.field(grid, self.sensor_model)
+        dwell = jnp.zeros_like(information.total)
+        guidance = self._guidance(clearance, information, dwell)
+        return Belief(grid, clearance, information, guidance, dwell)
+
+    def observe(self, belief: Belief, scan: Scan, pose: Pose) -> Belief:
+        """Return the belief after a scan: the map and the clearance."""
+        grid = self.lidar.update(belief.grid, scan, pose, self.sensor_model)
+        return Belief(
+            grid, self._clearance(grid), belief.information, belief.guidance, belief.dwell
+        )
+
+    def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
+        """Return the belief with its information and guidance brought up to date.
+
+        Args:
+            belief: after the last scan.
+            pose: where the robot is now.
+            elapsed: time since the last update [s].
+        """
+        information = self.field_sensor.field(belief.grid, self.sensor_model)
+        height, width = belief.dwell.shape
+        rows, columns = jnp.mgrid[:height, :width]
+        nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+        distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
+        stay = elapsed * jnp.exp(-0.5 * (distance / 0.5) ** 2)
+        dwell = belief.dwell * jnp.exp(-elapsed / self.memory) + stay
+        guidance = self._guidance(belief.clearance, information, dwell)
+        return Belief(belief.grid, belief.clearance, information, guidance, dwell)
+
+    def _clearance(self, grid: OccupancyGrid) -> ScalarField:
+        return clearance_field(~grid.is_free, grid.frame, self.max_clearance)
+
+    def _guidance(
+        self, clearance: ScalarField, information: InformationField, dwell: Array
+    ) -> ScalarField:
+        stride = self.field_sensor.stride
+        frame = clearance.frame.coarsen(stride, stride / 2.0)
+        rows, columns = information.total.shape
+        height, width = clearance.values.shape
+        padded = jnp.pad(
+            clearance.values, ((0, rows * stride - height), (0, columns * stride - width))
+        )
+        room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
+        is_open = room >= self.required_clearance - 1e-4
+        # Twice as long where the robot just fits, so that paths keep to the middle.
+        tightness = 1.0 - (room - self.required_clearance) / (2.0 * self.required_clearance)
+        slowness = frame.resolution * (1.0 + jnp.clip(tightness, 0.0, 1.0))
+        worth = information.total * jnp.exp(-dwell / self.patience)
+        pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
+        is_leftover = worth < self.min_information
+        detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
+        is_source = worth >= LEFTOVER_SHARE * self.min_information
+        source = jnp.where(is_source, detour - pull, jnp.inf)
+        distance = geodesic(source, slowness, is_open)
+        step = jnp.asarray(3.0 * frame.resolution)
+        return ScalarField(values=extend(distance, 4, step), frame=frame, outside=jnp.asarray(1e4))
+
+
+def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
+    """Return the largest stride <= node_spacing / resolution at which no path jumps a wall.
+
+    A node of the guidance is open if the robot fits at any cell of its block. Two such cells in
+    touching blocks are at most `sqrt(2) (2 s - 1)` cells apart; on two sides of a wall one cell
+    thick they are at least `2 radius` and a cell apart.
+    """
+    stride = max(1, round(node_spacing / resolution))
+    while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) * resolution >= 2 * radius + resolution:
+        stride -= 1
+    return stride

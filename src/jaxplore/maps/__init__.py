@@ -1,0 +1,1 @@
+"""Occupancy grids, ROS map files, clearance, generated worlds."""

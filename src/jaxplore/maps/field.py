@@ -1,0 +1,97 @@
+"""Values on the nodes of a regular lattice, looked up in between."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
+
+from jaxplore._types import Count, Flag, Position, Scalar
+from jaxplore.maps.frame import GridFrame
+
+
+class Stencil(NamedTuple):
+    """The four nodes around a point: `nodes` (4,) into the flattened lattice, `weight` (4,) adding
+    up to 1, and whether the point is on the lattice at all."""
+
+    nodes: Int[Array, "4"]
+    weight: Float[Array, "4"]
+    is_inside: Flag
+
+
+def stencil(shape: tuple[int, int], grid: Float[Array, "2"]) -> Stencil:
+    """Return the bilinear weights of the nodes around a point.
+
+    Node (row, column) is at the middle of its cell, at grid coordinates
+    `(row + 1/2, column + 1/2)`. The lattice covers its cells: up to half a cell beyond the
+    outermost nodes the edge value holds, farther out is outside, and so is a coordinate that is
+    not finite.
+
+    Args:
+        shape: rows and columns of the lattice.
+        grid: (row, column) [cells].
+    """
+    height, width = shape
+    row, column = grid[0] - 0.5, grid[1] - 0.5
+    inside = (row >= -0.5) & (row < height - 0.5) & (column >= -0.5) & (column < width - 0.5)
+    row = jnp.clip(jnp.where(inside, row, 0.0), 0.0, height - 1.0)
+    column = jnp.clip(jnp.where(inside, column, 0.0), 0.0, width - 1.0)
+    first_row = jnp.minimum(row.astype(jnp.int32), max(height - 2, 0))
+    first_column = jnp.minimum(column.astype(jnp.int32), max(width - 2, 0))
+    down, right = min(1, height - 1) * width, min(1, width - 1)
+    v = row - first_row.astype(row.dtype)
+    u = column - first_column.astype(row.dtype)
+    corner = first_row * width + first_column
+    return Stencil(
+        jnp.stack([corner, corner + right, corner + down, corner + down + right]),
+        jnp.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]),
+        inside,
+    )
+
+
+def gather(
+    values: Float[Array, "*S"], around: Stencil, outside: Scalar | float, channel: Count | int = 0
+) -> Scalar:
+    """Return the interpolated value of one channel.
+
+    Args:
+        values: (H, W) or (H, W, C) node values.
+        around: from `stencil`.
+        outside: what a point off the lattice gets.
+        channel: which of the C channels.
+    """
+    channels = values.shape[2] if values.ndim == 3 else 1
+    # One flat index: multi-dimensional gathers cost a multiplication and a bounds check each.
+    flat = values.reshape(-1)
+    total = jnp.zeros(())
+    for node in range(4):
+        index = around.nodes[node] * channels + channel
+        total = total + around.weight[node] * flat.at[index].get(mode="promise_in_bounds")
+    return jnp.where(around.is_inside, total, outside)
+
+
+def bilinear(
+    values: Float[Array, "H W"], grid: Float[Array, "2"], outside: Scalar | float
+) -> Scalar:
+    """Interpolate node values at a point: see `stencil` for the lattice and its edge."""
+    height, width = values.shape
+    return gather(values, stencil((height, width), grid), outside)
+
+
+class ScalarField(eqx.Module):
+    """A scalar on a regular lattice, read by bilinear interpolation in O(1).
+
+    Args:
+        values: (H, W) node values; node (row, column) is the centre of that cell of `frame`.
+        frame: where the lattice is.
+        outside: value off the lattice.
+    """
+
+    values: Float[Array, "H W"]
+    frame: GridFrame
+    outside: Scalar
+
+    def __call__(self, position: Position) -> Scalar:
+        """Return the value at a world position (x, y) [m]."""
+        return bilinear(self.values, self.frame.to_grid(position), self.outside)

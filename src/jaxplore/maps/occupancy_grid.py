@@ -1,0 +1,143 @@
+"""The occupancy grid: one probability per cell, and where the cells are in the world."""
+
+from os import PathLike
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
+from jaxplore.maps import resample, ros
+from jaxplore.maps.field import bilinear
+from jaxplore.maps.frame import GridFrame
+
+FREE_THRESHOLD = 0.25
+"""Below this probability a cell is known to be free (nav2's default `free_thresh`)."""
+OCCUPIED_THRESHOLD = 0.65
+"""Above this probability a cell is known to be occupied (ROS's default `occupied_thresh`)."""
+OUTSIDE = 1.0
+"""Probability off the map: nobody can drive there and nothing can be learned there."""
+
+
+class OccupancyGrid(eqx.Module):
+    """Probability of being occupied for each cell of a regular grid.
+
+    Row 0, column 0 is the cell at the origin; columns run along the grid's x axis and rows along
+    its y axis. Off the map the probability is 1, wherever a point is looked up.
+
+    Args:
+        probability: (H, W) in [0, 1]; 0.5 is unknown.
+        resolution: side of a cell [m].
+        origin: pose (x, y, yaw) of the outer corner of cell (0, 0) in the world [m, m, rad].
+
+    Raises:
+        ValueError: a probability outside [0, 1] or NaN, an array that is empty or not
+            two-dimensional, a resolution that is not positive, an origin that is not three finite
+            numbers.
+    """
+
+    probability: GridValues
+    frame: GridFrame
+
+    def __init__(
+        self,
+        probability: ArrayLike,
+        resolution: float,
+        origin: Vector = (0.0, 0.0, 0.0),
+    ) -> None:
+        if not isinstance(probability, jax.core.Tracer):
+            probability = _checked(np.asarray(probability, np.float32))
+        self.probability = jnp.asarray(probability, jnp.float32)
+        self.frame = GridFrame(resolution, origin)
+
+    @classmethod
+    def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":
+        """Return a grid of which nothing is known yet: 0.5 everywhere."""
+        return cls(jnp.full(shape, 0.5, jnp.float32), frame.resolution, frame.origin)
+
+    @classmethod
+    def from_ros(cls, path: str | PathLike[str]) -> "OccupancyGrid":
+        """Read a ROS `map_server` map (see `jaxplore.maps.ros.read_map`)."""
+        return cls(*ros.read_map(path))
+
+    def to_ros(self, path: str | PathLike[str], *, mode: str = "trinary") -> None:
+        """Write a ROS `map_server` map: the YAML at `path`, the image beside it."""
+        ros.write_map(
+            path,
+            np.asarray(self.probability),
+            self.resolution,
+            tuple(np.asarray(self.frame.origin, np.float64).tolist()),
+            mode=mode,
+        )
+
+    def resample(self, resolution: float) -> "OccupancyGrid":
+        """Return the same map at another resolution [m], without losing a wall.
+
+        See `jaxplore.maps.resample.resample`.
+        """
+        values = resample.resample(np.asarray(self.probability), self.resolution, resolution)
+        return type(self)(values, resolution, self.frame.origin)
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell [m]."""
+        return self.frame.resolution
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        height, width = self.probability.shape
+        return height, width
+
+    @property
+    def is_free(self) -> GridMask:
+        """Cells known to be free."""
+        return self.probability < FREE_THRESHOLD
+
+    @property
+    def is_occupied(self) -> GridMask:
+        """Cells known to be occupied."""
+        return self.probability > OCCUPIED_THRESHOLD
+
+    def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
+        """Say whether each cell (row, column) is on the map."""
+        height, width = self.shape
+        row, column = cell[..., 0], cell[..., 1]
+        return (row >= 0) & (row < height) & (column >= 0) & (column < width)
+
+    def at_cell(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
+        """Return the probability of each cell (row, column), 1 off the map."""
+        height, width = self.shape
+        row = jnp.clip(cell[..., 0], 0, height - 1)
+        column = jnp.clip(cell[..., 1], 0, width - 1)
+        return jnp.where(self.contains(cell), self.probability[row, column], OUTSIDE)
+
+    def at(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
+        """Return the probability of the cell that holds each world point (x, y) [m]."""
+        return self.at_cell(self.frame.to_cell(points))
+
+    def interpolate(self, position: Position) -> Scalar:
+        """Return the bilinear interpolation of the probability at a world point (x, y) [m].
+
+        Exact at cell centres; 1 off the map.
+        """
+        return bilinear(self.probability, self.frame.to_grid(position), jnp.float32(OUTSIDE))
+
+    @property
+    def entropy(self) -> GridValues:
+        """Entropy of each cell [nat]: `h(p) = -p ln p - (1 - p) ln(1 - p)`, with `0 ln 0 = 0`."""
+        p = self.probability
+        return jax.scipy.special.entr(p) + jax.scipy.special.entr(1.0 - p)
+
+
+def _checked(values: np.ndarray) -> np.ndarray:
+    if values.ndim != 2 or values.size == 0:
+        raise ValueError(f"probability has shape {values.shape}; accepted: (H, W) with H, W >= 1")
+    if not ((values >= 0) & (values <= 1)).all():
+        raise ValueError(
+            f"probability spans {values.min()} to {values.max()}; accepted: values in [0, 1]"
+        )
+    return values

@@ -1,0 +1,1 @@
+"""Controllers put together for a task."""

@@ -1,0 +1,156 @@
+"""The folder of a run: it appears complete or not at all."""
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from os import PathLike
+from pathlib import Path
+
+MARK = "metrics.json"
+"""The file by which a former run is recognised."""
+
+
+def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
+    """Find out, before a long run, whether its folder can be written.
+
+    A folder of that name is made beside the place where it will be, and removed again; nothing is
+    left, missing parents neither.
+
+    Args:
+        path: of the run folder.
+        overwrite: a former run at `path` is accepted.
+
+    Raises:
+        ValueError: an empty path, something there already (unless it is a former run and
+            `overwrite`), a place that cannot be written to.
+    """
+    target = _target(path)
+    _check_vacant(target, overwrite)
+    with _in_one_line(target):
+        created = _make_parents(target.parent)
+        trial = _hidden(target)
+        try:
+            _make(trial, target)
+        finally:
+            shutil.rmtree(trial, ignore_errors=True)
+            _remove_empty(created)
+
+
+@contextmanager
+def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
+    """Yield a hidden folder beside `path` that takes its place at the end.
+
+    After an exception, Ctrl-C included, the hidden folder is removed, and what was at `path` is
+    as before. A former run is replaced once the new one is complete.
+
+    Args:
+        path: of the run folder; missing parents are made.
+        overwrite: replace a former run.
+
+    Raises:
+        ValueError: as in `check_folder`; any `OSError` while the folder is filled, such as a full
+            disk.
+    """
+    target = _target(path)
+    _check_vacant(target, overwrite)
+    with _in_one_line(target):
+        created = _make_parents(target.parent)
+        folder = _hidden(target)
+        try:
+            _make(folder, target)
+            yield folder
+            _check_vacant(target, overwrite)
+            _put(folder, target)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            _remove_empty(created)
+            raise
+
+
+def _target(path: str | PathLike[str]) -> Path:
+    text = os.fspath(path)
+    if not text or "\0" in text:
+        raise ValueError(f"run folder is {text!r}; accepted: the path of a new folder")
+    # Resolved, so that a link keeps pointing to the run and only its target is replaced.
+    return Path(os.path.realpath(text))
+
+
+def _check_vacant(target: Path, overwrite: bool) -> None:
+    if not os.path.lexists(target):
+        return
+    is_run = os.path.isfile(target / MARK)
+    if is_run and overwrite:
+        return
+    if is_run:
+        reason, accepted = "holds a former run", "a new folder, or overwrite"
+    elif target.is_dir():
+        reason = f"exists and holds no {MARK}"
+        accepted = "a new folder, or a former run's with overwrite"
+    else:
+        reason, accepted = "exists and is not a folder", "a new folder"
+    raise ValueError(f"run folder {str(target)!r} {reason}; accepted: {accepted}")
+
+
+def _make_parents(folder: Path) -> list[Path]:
+    """Make a folder and its parents; return those that were missing, outermost first."""
+    missing = []
+    while not os.path.lexists(folder) and folder != folder.parent:
+        missing.append(folder)
+        folder = folder.parent
+    created: list[Path] = []
+    try:
+        for parent in reversed(missing):
+            parent.mkdir(exist_ok=True)
+            created.append(parent)
+    except BaseException:
+        _remove_empty(created)
+        raise
+    return created
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in reversed(folders):
+        try:
+            folder.rmdir()
+        except OSError:  # in use by now
+            return
+
+
+def _hidden(target: Path) -> Path:
+    return target.with_name(f".jaxplore-{secrets.token_hex(6)}")
+
+
+def _make(folder: Path, target: Path) -> None:
+    """Make the hidden folder, and find out whether the disk takes the name it will have."""
+    folder.mkdir()
+    (folder / target.name).mkdir()
+    (folder / target.name).rmdir()
+
+
+def _put(folder: Path, target: Path) -> None:
+    """Move the complete folder to its place; a former run goes last, or returns on failure."""
+    if not os.path.lexists(target):
+        folder.rename(target)
+        return
+    former = _hidden(target)
+    target.rename(former)
+    try:
+        folder.rename(target)
+    except BaseException:
+        former.rename(target)
+        raise
+    shutil.rmtree(former, ignore_errors=True)
+
+
+@contextmanager
+def _in_one_line(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        reason = " ".join(str(error.strerror or error).split())
+        raise ValueError(
+            f"run folder {str(target)!r} cannot be written: {reason}; accepted: a folder on a "
+            f"writable disk with space left"
+        ) from error

@@ -1,0 +1,104 @@
+"""Writes a run into its folder."""
+
+import json
+from collections.abc import Callable, Mapping
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from jaxplore.report.animation import write_animation
+from jaxplore.report.folder import MARK, run_folder
+from jaxplore.report.metrics import Metrics, progress
+from jaxplore.report.plots import coverage_figure, map_figure
+from jaxplore.simulation.recording import Recording
+
+DOTS_PER_INCH = 150
+
+
+def save_recording(
+    recording: Recording,
+    metrics: Metrics,
+    path: str | PathLike[str],
+    *,
+    settings: Mapping[str, object] | None = None,
+    animation: bool = True,
+    overwrite: bool = False,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a run folder: it appears complete or not at all.
+
+    `metrics.json`, `arrays.npz` (see `arrays`), `map.png`, `coverage.png`, with `animation`
+    `exploration.gif`, and with `settings` `settings.yaml`.
+
+    Args:
+        recording: of the run.
+        metrics: of the same run.
+        path: of the folder.
+        settings: that led to the run: plain values only.
+        animation: write it; most of the time goes into it.
+        overwrite: replace a former run.
+        on_progress: called with the share that is done, 0 to 1.
+
+    Raises:
+        ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
+    """
+    document = None if settings is None else _document(settings)
+    report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
+    with run_folder(path, overwrite=overwrite) as folder:
+        on_progress(0.0)
+        (folder / MARK).write_text(report + "\n", encoding="utf-8")
+        if document is not None:
+            (folder / "settings.yaml").write_text(document, encoding="utf-8")
+        _write_arrays(folder / "arrays.npz", recording)
+        map_figure(recording).savefig(folder / "map.png", dpi=DOTS_PER_INCH)
+        coverage_figure(recording).savefig(folder / "coverage.png", dpi=DOTS_PER_INCH)
+        before = 0.2
+        if animation:
+            on_progress(before)
+            write_animation(
+                recording,
+                folder / "exploration.gif",
+                on_progress=lambda share: on_progress(before + (1.0 - before) * share),
+            )
+    on_progress(1.0)
+
+
+def arrays(recording: Recording) -> dict[str, np.ndarray]:
+    """Return what `arrays.npz` holds: plain arrays, no pickles.
+
+    Each field of `Record` under its name, one row a step; `time` (N + 1,) [s] and `positions`
+    (N + 1, 2) [m], start included: step k leads from row k to row k + 1, and its coverage and
+    entropy were measured at `time[k]`; `world`, `belief` (H, W) probabilities and `reachable`
+    (H, W); `origin` [m, m, rad], `resolution` [m], `control_period` [s], `start` and `state_names`.
+    """
+    time, *_ = progress(recording)
+    return {
+        **{name: np.asarray(rows) for name, rows in recording.records._asdict().items()},
+        "time": time,
+        "positions": recording.positions,
+        "world": recording.world,
+        "belief": recording.belief,
+        "reachable": recording.reachable,
+        "origin": recording.origin,
+        "resolution": np.asarray(recording.resolution),
+        "control_period": np.asarray(recording.control_period),
+        "start": recording.start,
+        "state_names": np.asarray(recording.state_names, np.str_),
+    }
+
+
+def _write_arrays(path: Path, recording: Recording) -> None:
+    with path.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays(recording))
+
+
+def _document(settings: Mapping[str, object]) -> str:
+    try:
+        return str(yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True))
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(
+            f"settings cannot be written as YAML: {reason}; accepted: plain Python values"
+        ) from error

@@ -1,0 +1,125 @@
+"""Simulate, judge and save in three lines."""
+
+import dataclasses
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+
+import jax
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+
+from jaxplore._types import Key
+from jaxplore.control.base import Controller
+from jaxplore.report.metrics import Metrics, compute_metrics
+from jaxplore.report.save import save_recording
+from jaxplore.simulation import simulate as simulation
+from jaxplore.simulation.recording import Recording
+from jaxplore.simulation.scenario import Scenario
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Args:
+        recording: every step, and looks at the run.
+        metrics: what came of it.
+    """
+
+    recording: Recording
+    metrics: Metrics
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        animation: bool = True,
+        settings: Mapping[str, object] | None = None,
+        progress: bool = False,
+    ) -> None:
+        """Write a run folder: metrics.json, arrays.npz, map.png, coverage.png, exploration.gif.
+
+        The folder appears complete or not at all.
+
+        Args:
+            path: the folder.
+            overwrite: replace a run folder that is there.
+            animation: draw exploration.gif.
+            settings: written to settings.yaml, from which the command line repeats the run.
+            progress: show how far the drawing is.
+
+        Raises:
+            ValueError: the folder exists, or cannot be written.
+        """
+        with _bar("drawing", enabled=progress and animation) as advance:
+            save_recording(
+                self.recording,
+                self.metrics,
+                path,
+                settings=settings,
+                animation=animation,
+                overwrite=overwrite,
+                on_progress=lambda share: advance(share, ""),
+            )
+
+
+def simulate(
+    controller: Controller,
+    scenario: Scenario,
+    num_steps: int,
+    *,
+    key: Key,
+    progress: bool = False,
+) -> Run:
+    """Simulate until the target coverage is reached or the steps are done.
+
+    The closed loop is one compiled program, run in chunks of half a simulated second. Ctrl-C ends
+    the run after the current chunk and returns what was done.
+
+    Args:
+        controller: decides; it is told the scenario's control rate.
+        scenario: where and how.
+        num_steps: at most, in control periods of the scenario.
+        key: the same key gives the same run.
+        progress: show coverage, speed and time left.
+
+    Raises:
+        ValueError: a number of steps < 1.
+    """
+    with _bar("exploring", enabled=progress) as advance:
+
+        def show(now: simulation.Progress) -> None:
+            speed = now.time / max(now.seconds, 1e-9)
+            left = (now.time_limit - now.time) / speed
+            advance(
+                now.time / now.time_limit,
+                f"{now.time:4.0f} of {now.time_limit:.0f} s  coverage {now.coverage:6.1%}  "
+                f"{speed:4.1f} x real time  at most {left:3.0f} s left",
+            )
+
+        recording = simulation.record_run(
+            controller, scenario, num_steps, key=key, on_progress=show
+        )
+    seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
+    return Run(recording, compute_metrics(recording, seed=seed))
+
+
+@contextmanager
+def _bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
+    """Yield a function that shows a share done and a text; on a terminal as a bar."""
+    if not enabled:
+        yield lambda share, text: None
+        return
+    console = Console(stderr=True)
+    columns: list[ProgressColumn] = [
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.fields[text]}"),
+    ]
+    with Progress(*columns, console=console) as bars:
+        task = bars.add_task(label, total=1.0, text="")
+        yield lambda share, text: bars.update(task, completed=share, text=text)

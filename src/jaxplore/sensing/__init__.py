@@ -1,0 +1,1 @@
+"""Sensors: simulated scans, and what they do to a belief."""

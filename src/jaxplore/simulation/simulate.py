@@ -1,0 +1,212 @@
+"""Runs the closed loop chunk by chunk."""
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxplore import _checks
+from jaxplore._types import Key
+from jaxplore.control.base import Controller, SampledPlan
+from jaxplore.simulation.closed_loop import (
+    LoopState,
+    Record,
+    initial_loop_state,
+    robot_pose,
+    run_chunk,
+)
+from jaxplore.simulation.recording import Frame, Recording, Timing
+from jaxplore.simulation.scenario import Scenario
+
+CHUNK_SECONDS = 0.5
+"""Simulated time between returns to Python."""
+STEPWISE_CHUNKS = 10
+"""One chunk in so many is run one step at a time, by the same compiled program, to time steps."""
+MAX_FRAMES = 240
+"""Looks kept of a run; when there are more, every second one goes."""
+
+
+class Progress(NamedTuple):
+    """How far a run is: simulated `time` and `time_limit` [s], `coverage`, and wall-clock
+    `seconds` since the loop was compiled."""
+
+    time: float
+    time_limit: float
+    coverage: float
+    seconds: float
+
+
+def record_run(
+    controller: Controller,
+    scenario: Scenario,
+    num_steps: int,
+    *,
+    key: Key,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    num_trajectories: int = 60,
+) -> Recording:
+    """Simulate until the target coverage is reached or the steps are done.
+
+    Ctrl-C ends the run after the current chunk; what was done is returned.
+
+    Args:
+        controller: decides.
+        scenario: where and how.
+        num_steps: at most, in control periods.
+        key: the same key gives the same run.
+        on_progress: called after each chunk.
+        num_trajectories: rollouts in each look at the run.
+
+    Raises:
+        ValueError: a number of steps < 1.
+    """
+    limit = _checks.positive_int("num_steps", num_steps)
+    period = round(float(scenario.control_period), 7)  # 0.02, not the nearest float32
+    controller = controller.at_period(scenario.control_period)
+    state = initial_loop_state(controller, scenario)
+    initial_coverage, initial_entropy = float(state.coverage), float(state.entropy)
+    chunk = max(1, round(CHUNK_SECONDS / period))
+
+    def run(current: LoopState, steps: int) -> tuple[LoopState, Record, int, float]:
+        began = time.perf_counter()
+        count = jnp.asarray(steps, jnp.int32)
+        current, rows, done = run_chunk(controller, scenario, current, key, count, chunk)
+        filled = int(done)
+        rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:filled], rows)
+        return current, rows, filled, time.perf_counter() - began
+
+    def look(current: LoopState) -> Frame:
+        step = int(current.step)
+        return _frame(
+            _look(controller, scenario, current, key, num_trajectories), step, step * period
+        )
+
+    state, rows, _, compile_seconds = run(state, 0)
+    pieces, frames, step_seconds = [rows], [look(state)], []
+    loop_seconds, loop_steps, total, chunks, every = 0.0, 0, 0, 0, 1
+    started = time.perf_counter()
+    finished = initial_coverage >= float(scenario.target_coverage)
+    with _stop_on_interrupt() as stop_requested:
+        while total < limit and not finished and not stop_requested():
+            chunks += 1
+            steps = min(chunk, limit - total)
+            stepwise = chunks % STEPWISE_CHUNKS == 0
+            for size in [1] * steps if stepwise else [steps]:
+                state, rows, done, seconds = run(state, size)
+                pieces.append(rows)
+                total += done
+                if stepwise:
+                    step_seconds.append(seconds)
+                else:
+                    loop_seconds, loop_steps = loop_seconds + seconds, loop_steps + done
+                finished = float(state.coverage) >= float(scenario.target_coverage)
+                if finished:
+                    break
+            if chunks % every == 0:
+                frames.append(look(state))
+            if len(frames) > MAX_FRAMES:
+                frames, every = frames[::2], every * 2
+            elapsed = time.perf_counter() - started
+            on_progress(Progress(total * period, limit * period, float(state.coverage), elapsed))
+        is_interrupted = stop_requested()
+    if frames[-1].step != total:
+        frames.append(look(state))
+    belief = state.belief
+    return Recording(
+        records=jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
+        frames=tuple(frames),
+        timing=Timing(compile_seconds, loop_seconds, loop_steps, np.asarray(step_seconds)),
+        control_period=period,
+        world=np.asarray(scenario.world.probability),
+        belief=np.asarray(belief.grid.probability),
+        reachable=np.asarray(scenario.reachable),
+        origin=np.asarray(scenario.world.frame.origin),
+        resolution=scenario.world.resolution,
+        field_origin=np.asarray(belief.information.frame.origin),
+        field_resolution=belief.information.frame.resolution,
+        start=np.asarray(scenario.start),
+        initial_coverage=initial_coverage,
+        initial_entropy=initial_entropy,
+        state_names=scenario.robot.state_names,
+        robot_radius=float(scenario.robot.radius),
+        target_coverage=float(scenario.target_coverage),
+        is_interrupted=is_interrupted,
+    )
+
+
+class _Look(NamedTuple):
+    """A frame's arrays while they are still on the device."""
+
+    state: Array
+    probability: Array
+    information: Array
+    scan: Array
+    samples: Array
+    weights: Array
+    plan: Array
+    terms: dict[str, Array]
+
+
+@eqx.filter_jit
+def _look(
+    controller: Controller, scenario: Scenario, state: LoopState, key: Key, num_trajectories: int
+) -> _Look:
+    scan_key, plan_key = jax.random.split(jax.random.fold_in(key, state.step))
+    pose = robot_pose(scenario.robot, state.robot)
+    scan = scenario.lidar.scan(scenario.world, pose, key=scan_key)
+    angles = pose[2] + jnp.asarray(scenario.lidar.beam_angles)
+    ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    plan: SampledPlan = controller.inspect(
+        state.controller,
+        state.robot,
+        state.belief,
+        key=plan_key,
+        num_trajectories=num_trajectories,
+    )
+    position = jax.vmap(scenario.robot.position)
+    return _Look(
+        state=state.robot,
+        probability=jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
+        information=state.belief.information.total,
+        scan=ends,
+        samples=jax.vmap(position)(plan.samples),
+        weights=plan.weights,
+        plan=position(plan.nominal.states),
+        terms=plan.nominal.terms,
+    )
+
+
+def _frame(look: _Look, step: int, seconds: float) -> Frame:
+    arrays = look._asdict()
+    terms = {name: float(value) for name, value in arrays.pop("terms").items()}
+    kept = {name: np.asarray(value) for name, value in arrays.items()}
+    return Frame(step=step, time=seconds, terms=terms, **kept)
+
+
+@contextmanager
+def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
+    """Yield a function that says whether Ctrl-C was pressed; a second press interrupts at once."""
+    requested = threading.Event()
+
+    def request(_: int, __: FrameType | None) -> None:
+        if requested.is_set():
+            raise KeyboardInterrupt
+        requested.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield requested.is_set
+        return
+    before = signal.signal(signal.SIGINT, request)
+    try:
+        yield requested.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,64 @@
+import math
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxplore import DifferentialDrive, State
+
+ROBOT = DifferentialDrive(max_speed=1.5, max_turn_rate=1.2, drag=0.3)
+
+
+@given(
+    st.lists(st.floats(-3, 3, width=32), min_size=5, max_size=5),
+    st.lists(st.floats(-2, 2, width=32), min_size=2, max_size=2),
+    st.floats(0.0078125, 0.25, width=32),
+)
+def test_step_is_the_seed_s_formula(state, control, dt: float) -> None:
+    x, y, yaw, v, omega = state
+    a, alpha = control
+    expected = [
+        x + v * math.cos(yaw) * dt,
+        y + v * math.sin(yaw) * dt,
+        yaw + omega * dt,
+        min(max(v + (a - 0.3 * v) * dt, 0.0), 1.5),
+        min(max(omega + (alpha - 0.3 * omega) * dt, -1.2), 1.2),
+    ]
+    found = ROBOT.step(jnp.asarray(state), jnp.asarray(control), jnp.asarray(dt))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_state_is_read_by_name() -> None:
+    state = State(jnp.asarray([1.0, 2.0, 0.5, 0.7, -0.1]), ROBOT)
+    np.testing.assert_array_equal(state.position, [1.0, 2.0])
+    assert float(state.heading) == 0.5
+    assert float(state.speed) == pytest.approx(0.7)
+    assert float(state["omega"]) == pytest.approx(-0.1)
+    with pytest.raises(ValueError, match="no state component 'phi'; accepted: x, y, yaw"):
+        state["phi"]
+
+
+def test_pose_and_contact() -> None:
+    at_rest = ROBOT.at_pose(1.0, 2.0, 0.5)
+    np.testing.assert_array_equal(at_rest, [1.0, 2.0, 0.5, 0.0, 0.0])
+    blocked = ROBOT.blocked(at_rest, jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
+    np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("max_speed", 0.0),
+        ("max_speed", math.nan),
+        ("max_turn_rate", -1.0),
+        ("max_acceleration", math.inf),
+        ("max_angular_acceleration", 0.0),
+        ("drag", -0.1),
+        ("radius", 0.0),
+    ],
+)
+def test_bad_input_is_named(argument: str, value: object) -> None:
+    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
+        DifferentialDrive(**{argument: value})

@@ -1,0 +1,138 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from jaxplore.report.metrics import compute_metrics, progress
+
+
+def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recording):
+    metrics = compute_metrics(recording)
+    assert metrics.time_to == {"50": 1.5, "90": 3.0, "95": 3.5, "99": 4.5}
+    assert metrics.path_to == pytest.approx({"50": 0.6, "90": 1.2, "95": 1.4, "99": 1.8})
+    assert metrics.duration == 5.0
+    assert metrics.num_steps == 10
+    assert metrics.path_length == pytest.approx(2.0)
+    assert metrics.coverage == pytest.approx(0.99)
+    assert metrics.is_finished
+    assert metrics.initial_entropy == 100.0
+    assert metrics.final_entropy == 10.0
+    assert metrics.reachable_area == pytest.approx(18 * 28 * 0.01)
+
+
+def test_levels_never_reached_are_none(make_recording):
+    metrics = compute_metrics(make_recording([(1.0, 1.0)] * 4, [0.2, 0.6, 0.6]))
+    assert metrics.time_to == {"50": 0.5, "90": None, "95": None, "99": None}
+    assert metrics.path_to == {"50": 0.0, "90": None, "95": None, "99": None}
+    assert not metrics.is_finished
+
+
+def test_contacts_are_runs_of_steps(recording):
+    contact = np.array([1, 1, 0, 0, 1, 0, 1, 1, 1, 0], bool)
+    records = recording.records._replace(is_collision=contact)
+    metrics = compute_metrics(dataclasses.replace(recording, records=records))
+    assert (metrics.collisions, metrics.collision_steps) == (3, 6)
+
+
+@pytest.mark.parametrize(
+    ("positions", "coverage", "seconds"),
+    [
+        # It stands still for four periods, and the map does not grow.
+        ([0, 1, 1, 1, 1, 1, 2], [0.1, 0.2, 0.2, 0.2, 0.2, 0.2], 2.0),
+        # The map grows in the middle of it: two instants before, three from then on.
+        ([0, 1, 1, 1, 1, 1, 2], [0.1, 0.2, 0.2, 0.3, 0.3, 0.3], 1.0),
+        # A loss of coverage and its return are no progress.
+        ([0, 1, 1, 1, 1, 1, 2], [0.1, 0.2, 0.1, 0.2, 0.15, 0.2], 2.0),
+        # To and fro within half a metre counts, one centimetre more does not.
+        ([0.0, 0.5, 0.0, 0.5, 0.0], [0.2] * 4, 2.0),
+        ([0.0, 0.51, 0.0, 0.51, 0.0], [0.2] * 4, 0.0),
+        # Slow drift: three steps of 0.2 m are too many.
+        ([0.0, 0.2, 0.4, 0.6, 0.8], [0.2] * 4, 1.0),
+    ],
+)
+@pytest.mark.parametrize("axis", [0, 1])
+def test_longest_stall(make_recording, positions, coverage, seconds, axis):
+    route = [(x, 0.0) if axis == 0 else (0.0, x) for x in positions]
+    assert compute_metrics(make_recording(route, coverage)).longest_stall == seconds
+
+
+def test_longest_stall_equals_that_of_an_exhaustive_search(make_recording):
+    rng = np.random.default_rng(0)
+    route = np.cumsum(rng.normal(0.0, 0.08, (120, 2)), axis=0).astype(np.float32)
+    coverage = np.round(np.sort(rng.uniform(0.0, 1.0, 119)), 1)
+    recording = make_recording(route.tolist(), coverage.tolist())
+    best = np.maximum.accumulate(progress(recording)[1])
+    positions = recording.positions.astype(float)
+    expected = max(
+        last - first
+        for first in range(120)
+        for last in range(first, 120)
+        if best[first] == best[last] and (np.ptp(positions[first : last + 1], axis=0) <= 0.5).all()
+    )
+    assert compute_metrics(recording).longest_stall == expected * 0.5
+    assert expected > 3
+
+
+def test_compute(recording):
+    compute = compute_metrics(recording).compute
+    assert compute.step_ms_p50 == pytest.approx(20.0)
+    assert compute.step_ms_p99 == pytest.approx(29.8)
+    assert compute.loop_step_ms == pytest.approx(10.0)
+    assert compute.steps_per_second == pytest.approx(100.0)
+    assert compute.real_time_factor == pytest.approx(50.0)
+    assert compute.compile_seconds == 2.0
+
+
+def test_without_a_step(no_step):
+    timing = dataclasses.replace(
+        no_step.timing, loop_seconds=0.0, loop_steps=0, step_seconds=np.zeros(0)
+    )
+    metrics = compute_metrics(dataclasses.replace(no_step, timing=timing))
+    assert (metrics.duration, metrics.num_steps, metrics.path_length) == (0.0, 0, 0.0)
+    assert metrics.coverage == pytest.approx(0.01)
+    assert metrics.final_entropy == metrics.initial_entropy == 100.0
+    assert metrics.minimum_clearance is None
+    assert metrics.mean_effective_sample_size is None
+    assert metrics.compute.step_ms_p50 is metrics.compute.loop_step_ms is None
+    assert metrics.coverage_curve["time"] == [0.0]
+    assert "coverage" in str(metrics)
+    json.dumps(metrics.as_dict(), allow_nan=False)
+
+
+def test_values_that_are_not_finite_become_none_or_are_left_out(recording):
+    sizes = np.array([np.nan, 4.0, 6.0] + [np.inf] * 7, np.float32)
+    records = recording.records._replace(
+        effective_sample_size=sizes,
+        clearance=np.full(10, np.nan, np.float32),
+        is_finite=np.arange(10) > 2,
+        entropy=np.full(10, np.nan, np.float32),
+    )
+    metrics = compute_metrics(dataclasses.replace(recording, records=records))
+    assert metrics.mean_effective_sample_size == 5.0
+    assert metrics.minimum_effective_sample_size == 4.0
+    assert metrics.minimum_clearance is None
+    assert metrics.final_entropy is None
+    assert metrics.non_finite_steps == 3
+    json.dumps(metrics.as_dict(), allow_nan=False)
+    str(metrics)
+
+
+def test_curve_has_a_point_every_half_second_and_the_end(make_recording):
+    route = [(0.1 * k, 0.0) for k in range(8)]
+    recording = make_recording(route, [0.1 * k for k in range(7)], control_period=0.2)
+    curve = compute_metrics(recording).coverage_curve
+    assert curve["time"] == pytest.approx([0.0, 0.4, 0.8, 1.2, 1.4])
+    assert curve["coverage"] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.6], abs=1e-5)
+    assert curve["path"] == pytest.approx([0.0, 0.2, 0.4, 0.6, 0.7], abs=1e-5)
+
+
+def test_text_is_aligned_and_names_the_run(recording):
+    metrics = compute_metrics(recording, seed=7)
+    lines = str(metrics).splitlines()
+    column = lines[0].index("99.0")
+    assert all(line[column - 1] == " " != line[column] for line in lines)
+    assert metrics.seed == 7
+    assert metrics.versions["device"]
+    interrupted = compute_metrics(dataclasses.replace(recording, is_interrupted=True))
+    assert "interrupted" in str(interrupted)

@@ -1,0 +1,126 @@
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxplore.report.plots import (
+    MISSED,
+    UNKNOWN,
+    Window,
+    belief_colours,
+    coverage_figure,
+    map_figure,
+)
+
+POSE = (3.0, -2.0, 0.7)
+
+
+def pixels(figure) -> np.ndarray:
+    figure.canvas.draw()
+    return np.asarray(figure.canvas.buffer_rgba())
+
+
+def test_window_is_the_box_of_the_reachable_cells_and_a_metre(make_recording):
+    reachable = np.zeros((50, 60), bool)
+    reachable[20, 30:41] = True
+    recording = make_recording([(3.0, 2.0)] * 2, [0.5], shape=(50, 60), reachable=reachable)
+    window = Window.around_reachable(recording)
+    assert (window.first, window.shape) == ((10, 20), (21, 31))
+    assert window.size == pytest.approx((3.1, 2.1))
+    assert window.corner == pytest.approx((2.0, 1.0))
+    assert window.crop(reachable, False).sum() == 11
+
+
+def test_window_beyond_the_grid_is_filled(recording):
+    window = Window.around_reachable(recording)
+    assert window.first == (-9, -9)
+    cropped = window.crop(recording.world, 0.5)
+    assert (cropped[:9] == 0.5).all()
+    assert (cropped[9:-9, 9:-9] == recording.world).all()
+
+
+def test_without_reachable_cells_the_grid_is_drawn(recording):
+    empty = dataclasses.replace(recording, reachable=np.zeros_like(recording.reachable))
+    assert Window.around_reachable(empty).shape == (40, 50)
+    pixels(map_figure(empty))
+
+
+def test_a_turned_grid_is_drawn_along_its_own_axes(make_recording):
+    route = [(0.5, 1.0), (1.0, 1.2), (1.5, 0.7)]
+    straight, turned = (
+        make_recording(route, [0.2, 0.4], origin=origin) for origin in ((0.0, 0.0, 0.0), POSE)
+    )
+    placed = [Window.around_reachable(each).place(each.positions) for each in (straight, turned)]
+    assert placed[0] == pytest.approx(np.array(route) + 0.9, abs=1e-5)
+    assert placed[1] == pytest.approx(placed[0], abs=1e-5)
+    figures = [map_figure(each) for each in (straight, turned)]
+    assert figures[0].axes[0].get_xlabel() == "x [m]"
+    assert figures[1].axes[0].get_xlabel() == "grid x [m]"
+    tracks = [figure.axes[0].collections[0].get_segments() for figure in figures]
+    assert np.asarray(tracks[1]) == pytest.approx(np.asarray(tracks[0]), abs=1e-5)
+
+
+def test_the_belief_and_the_track_are_where_they_belong(recording):
+    figure = map_figure(recording)
+    axes = figure.axes[0]
+    assert axes.images[0].get_extent() == pytest.approx([-0.9, 3.9, -0.9, 2.9])
+    track = axes.collections[0].get_segments()
+    assert track[0][0] == pytest.approx([0.5, 1.0])
+    assert track[-1][1] == pytest.approx([2.5, 1.0])
+    assert "99.0 % covered, 5.0 s, 2.0 m" in figure.get_suptitle()
+
+
+def test_walls_that_were_not_seen_are_marked(recording):
+    belief = recording.belief.copy()
+    belief[0, 5:9] = 0.5
+    colours = map_figure(dataclasses.replace(recording, belief=belief)).axes[0].images[0]
+    marked = (np.asarray(colours.get_array()) == MISSED).all(axis=-1)
+    expected = np.zeros_like(marked)
+    expected[9, 14:18] = True
+    assert (marked == expected).all()
+
+
+def test_the_colours_of_a_belief_run_from_free_over_unknown_to_occupied():
+    colours = belief_colours().astype(int)
+    assert (np.diff(colours.sum(axis=1)) <= 0).all()
+    assert np.abs(colours[128] - UNKNOWN).max() <= 1
+
+
+@pytest.mark.parametrize(
+    ("shape", "position"), [((1, 40), (1.0, 0.05)), ((40, 1), (0.05, 1.0)), ((1, 1), (0.05, 0.05))]
+)
+def test_thin_maps(make_recording, shape, position):
+    recording = make_recording([position] * 3, [0.5, 0.5], shape=shape)
+    pixels(map_figure(recording))
+    pixels(coverage_figure(recording))
+
+
+@pytest.mark.parametrize("draw", [map_figure, coverage_figure])
+@pytest.mark.parametrize("name", ["recording", "no_step"])
+def test_everything_is_inside_the_picture(draw, name, request, tmp_path):
+    figure = draw(request.getfixturevalue(name))
+    figure.savefig(tmp_path / "picture.png", dpi=60)
+    with Image.open(tmp_path / "picture.png") as image:
+        picture = np.asarray(image.convert("L"))
+    assert min(picture.shape) > 100
+    for edge in (picture[0], picture[-1], picture[:, 0], picture[:, -1]):
+        assert (edge == 255).all()
+
+
+def test_the_curve_names_the_levels(recording, make_recording):
+    texts = [text.get_text() for text in coverage_figure(recording).axes[0].get_legend().texts]
+    assert texts[0] == "50 %: 1.5 s, 0.6 m"
+    never = make_recording([(1.0, 1.0)] * 3, [0.1, 0.2])
+    texts = [text.get_text() for text in coverage_figure(never).axes[0].get_legend().texts]
+    assert texts == [f"{level} %: not reached" for level in (50, 90, 95, 99)]
+
+
+def test_importing_is_light():
+    program = (
+        "import sys, jaxplore.report.save; "
+        "assert not any(name.startswith('matplotlib') for name in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

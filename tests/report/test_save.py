@@ -1,0 +1,110 @@
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from jaxplore.report.metrics import compute_metrics
+from jaxplore.report.save import save_recording
+
+FILES = ["arrays.npz", "coverage.png", "exploration.gif", "map.png", "metrics.json"]
+
+
+def names(path) -> list[str]:
+    return sorted(each.name for each in path.iterdir())
+
+
+def test_a_run_folder_holds_everything(recording, tmp_path):
+    metrics, shares = compute_metrics(recording, seed=3), []
+    settings = {"world": "depot", "lidar": {"num_beams": 360, "max_range": 8.0}, "seed": 3}
+    save_recording(
+        recording, metrics, tmp_path / "run", settings=settings, on_progress=shares.append
+    )
+    assert names(tmp_path / "run") == [*FILES, "settings.yaml"]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    text = (tmp_path / "run" / "metrics.json").read_text()
+    assert json.loads(text, parse_constant=refuse) == metrics.as_dict()
+    text = (tmp_path / "run" / "settings.yaml").read_text()
+    assert yaml.safe_load(text) == settings
+    assert list(yaml.safe_load(text)) == list(settings)
+    for name in ("map.png", "coverage.png"):
+        with Image.open(tmp_path / "run" / name) as image:
+            image.load()
+            assert image.format == "PNG"
+            assert min(image.size) > 300
+    with Image.open(tmp_path / "run" / "exploration.gif") as image:
+        assert image.n_frames == 4
+
+
+def test_arrays_hold_the_run(recording, tmp_path):
+    save_recording(recording, compute_metrics(recording), tmp_path / "run", animation=False)
+    assert "exploration.gif" not in names(tmp_path / "run")
+    with np.load(tmp_path / "run" / "arrays.npz", allow_pickle=False) as arrays:
+        for name, rows in recording.records._asdict().items():
+            np.testing.assert_array_equal(arrays[name], rows)
+        for name in ("positions", "world", "belief", "reachable", "origin", "start"):
+            np.testing.assert_array_equal(arrays[name], getattr(recording, name))
+        np.testing.assert_allclose(arrays["time"], np.arange(11) * 0.5)
+        assert arrays["resolution"] == 0.1
+        assert arrays["control_period"] == 0.5
+        assert tuple(arrays["state_names"]) == recording.state_names
+
+
+@pytest.mark.parametrize("animation", [False, True])
+def test_a_run_without_a_step_can_be_saved(no_step, tmp_path, animation):
+    save_recording(no_step, compute_metrics(no_step), tmp_path / "run", animation=animation)
+    assert names(tmp_path / "run") == [name for name in FILES if animation or "gif" not in name]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_a_disk_that_fills_leaves_what_was_there(recording, tmp_path, monkeypatch, overwrite):
+    metrics = compute_metrics(recording)
+    if overwrite:
+        save_recording(recording, metrics, tmp_path / "run", animation=False)
+    before = sorted(tmp_path.rglob("*"))
+
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez_compressed", fail)
+    with pytest.raises(ValueError, match=r"run' cannot be written: No space left"):
+        save_recording(recording, metrics, tmp_path / "run", overwrite=overwrite)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_interrupted_animation_leaves_nothing(recording, tmp_path):
+    def interrupt(share):
+        if share > 0.5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        save_recording(
+            recording, compute_metrics(recording), tmp_path / "run", on_progress=interrupt
+        )
+    assert not list(tmp_path.iterdir())
+
+
+def test_overwrite(recording, tmp_path):
+    metrics = compute_metrics(recording)
+    save_recording(recording, metrics, tmp_path / "run", settings={"a": 1}, animation=False)
+    with pytest.raises(ValueError, match="former run"):
+        save_recording(recording, metrics, tmp_path / "run", animation=False)
+    save_recording(recording, metrics, tmp_path / "run", animation=False, overwrite=True)
+    assert "settings.yaml" not in names(tmp_path / "run")
+
+
+def test_settings_that_are_not_plain_are_refused_before_anything_is_written(recording, tmp_path):
+    with pytest.raises(ValueError, match="settings cannot be written as YAML") as caught:
+        save_recording(
+            recording, compute_metrics(recording), tmp_path / "run", settings={"a": np.ones(2)}
+        )
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.iterdir())

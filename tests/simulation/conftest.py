@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
+
+SIZE = (40, 60)
+
+
+def u_shaped_world(seed: int | None = None) -> OccupancyGrid:
+    """6 x 4 m with a U-shaped wall that opens away from what is to be found; or random pillars."""
+    world = np.zeros(SIZE, np.float32)
+    world[0], world[-1], world[:, 0], world[:, -1] = 1.0, 1.0, 1.0, 1.0
+    if seed is None:
+        world[8:32, 40] = world[8, 22:41] = world[31, 22:41] = 1.0
+    else:
+        rng = np.random.default_rng(seed)
+        for row, column in rng.integers((12, 25), (36, 56), (5, 2)):
+            world[row : row + 2, column : column + 2] = 1.0
+    return OccupancyGrid(world, 0.1)
+
+
+@pytest.fixture(scope="session")
+def u_shaped():
+    return u_shaped_world()
+
+
+@pytest.fixture(scope="session")
+def other_world():
+    return u_shaped_world(seed=1)
+
+
+@pytest.fixture(scope="session")
+def make():
+    """Return a maker of small experiments that all share one compiled loop."""
+    robot = DifferentialDrive(max_speed=1.0)
+    lidar = Lidar(num_beams=72, max_range=1.5, range_noise=0.01)
+
+    def make(world=None, start=(3.0, 2.0, 0.0), *, rates=None, target=0.97, **costs):
+        world = u_shaped_world() if world is None else world
+        perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05)
+        scenario = Scenario(
+            world,
+            robot,
+            lidar,
+            start,
+            perception=perception,
+            target_coverage=target,
+            **({} if rates is None else rates),
+        )
+        return explorer(robot, horizon=30, num_samples=128, **costs), scenario
+
+    return make
