@@ -1,7 +1,9 @@
-"""Runs the Python blocks of README.md and docs/: what the documents show is what works.
+"""Strict from day one: shapes and types of the whole package are checked at run time, implicit
+dtype promotion is an error, and so is every warning (pyproject.toml).
 
-One document is one test, because its blocks build on each other: they share a namespace and an
-empty working directory, and no test runner can spread them over several workers.
+Also runs the Python blocks of README.md and docs/: what the documents show is what works. One
+document is one test, because its blocks build on each other: they share a namespace and an empty
+working directory, and no test runner can spread them over several workers.
 """
 
 import contextlib
@@ -9,9 +11,16 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+import jax
 import pytest
+from jaxtyping import install_import_hook
 from sybil import Sybil
 from sybil.parsers.markdown import PythonCodeBlockParser
+
+jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+with install_import_hook("jaxplore", "beartype.beartype"):
+    import jaxplore  # noqa: F401
 
 documents = Sybil(
     parsers=[PythonCodeBlockParser()],

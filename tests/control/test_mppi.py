@@ -312,6 +312,12 @@ def test_bad_input_is_named(changes, culprit: str) -> None:
         make(**changes)
 
 
+def test_bounds_must_fit_the_names() -> None:
+    narrow = eqx.tree_at(lambda robot: robot.control_min, ROBOT, jnp.zeros(1))
+    with pytest.raises(ValueError, match=r"control_min of DifferentialDrive has shape \(1,\)"):
+        MPPI(narrow, ToPoint(), noise_std=[1.0, 1.0])
+
+
 def test_noise_must_fit_the_model() -> None:
     with pytest.raises(ValueError, match=r"accepted: \(3,\), one per control of Push"):
         MPPI(Push(), ToPoint(), noise_std=[1.0, 1.0])

@@ -30,7 +30,7 @@ BELIEF = Belief(
     grid=OccupancyGrid(np.zeros((9, 9)), 1.0),
     clearance=ScalarField(jnp.asarray(0.1 * (COLUMNS + 0.5)), FRAME, jnp.zeros(())),
     information=InformationField(
-        cumulative=jnp.asarray(np.stack([0 * ROWS, ROWS, 3 * ROWS], axis=-1)),
+        cumulative=jnp.asarray(np.stack([0 * ROWS, ROWS, 3 * ROWS])),
         total=jnp.asarray(3 * ROWS),
         frame=FRAME,
         field_of_view=2 * math.pi,

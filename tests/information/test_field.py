@@ -66,7 +66,10 @@ def test_field_is_ray_casting_at_its_nodes(seed: int) -> None:
             for angle in angles
         ]
         np.testing.assert_allclose(
-            found.cumulative[i, j], np.concatenate([[0.0], np.cumsum(values)]), rtol=2e-4, atol=2e-5
+            found.cumulative[:, i, j],
+            np.concatenate([[0.0], np.cumsum(values)]),
+            rtol=2e-4,
+            atol=2e-5,
         )
         assert float(found.total[i, j]) == pytest.approx(sum(values), rel=2e-4, abs=2e-5)
 
@@ -87,7 +90,7 @@ def test_nodes_are_where_the_frame_says() -> None:
 def test_any_field_of_view_is_the_sum_of_its_sectors(yaw: float, view: float) -> None:
     found = field_jit(OccupancyGrid(random_belief(2), RESOLUTION, (0.0, 0.0, 0.5)))
     node = found.frame.cell_centre(jnp.asarray([5, 6]))
-    sectors = np.diff(np.asarray(found.cumulative[5, 6], float))
+    sectors = np.diff(np.asarray(found.cumulative[:, 5, 6], float))
     width = 2 * math.pi / DIRECTIONS
     expected = 0.0
     for index, value in enumerate(sectors):

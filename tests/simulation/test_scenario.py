@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Scenario
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario
 from jaxplore.simulation.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.reachability import open_spot, reachable_cells
 
@@ -126,3 +126,10 @@ def test_off_the_map_hint_follows_a_turned_map() -> None:
     grid = OccupancyGrid(np.zeros((10, 20)), 1.0, (0.0, 0.0, math.pi / 2))
     with pytest.raises(ValueError, match=r"x -10 to .*, y .* to 20"):
         reachable_cells(grid, np.array([5.0, 5.0]), 0.2)
+
+
+def test_a_perception_must_fit_the_scenario() -> None:
+    grid = OccupancyGrid(WORLD, 0.1)
+    for perception in (Perception(LIDAR, 0.2, 0.2), Perception(Lidar(16, 2.0), 0.1, 0.2)):
+        with pytest.raises(ValueError, match=r"perception is for .*; accepted: .* 1 m and 0.1 m"):
+            Scenario(grid, ROBOT, LIDAR, (1.5, 0.5, 0.0), perception=perception)

@@ -57,7 +57,7 @@ class MPPI(Controller):
 
     Raises:
         ValueError: horizon or samples < 1, a step, period or temperature that is not positive, a
-            `noise_std` that does not fit the controls, both or neither of two alternatives.
+            `noise_std` or bounds that do not fit the controls, both or neither of two alternatives.
     """
 
     dynamics: Dynamics
@@ -96,6 +96,13 @@ class MPPI(Controller):
         if proposal is None:
             proposal = GaussianProposal(jnp.asarray(noise_std, jnp.float32))
         size = dynamics.control_size
+        for name in ("control_min", "control_max"):
+            bound = getattr(dynamics, name)
+            if jnp.shape(bound) != (size,):
+                raise ValueError(
+                    f"{name} of {type(dynamics).__name__} has shape {jnp.shape(bound)}; "
+                    f"accepted: ({size},), one per name in control_names"
+                )
         if isinstance(proposal, GaussianProposal) and proposal.noise_std.shape != (size,):
             raise ValueError(
                 f"noise_std has shape {proposal.noise_std.shape}; "

@@ -22,7 +22,7 @@ from jaxplore.sensing.lidar import Lidar
 class InformationField(eqx.Module):
     """Expected information of a scan at any position, heading and field of view, in O(1).
 
-    `cumulative[row, column, d]` is the information of the beams in the first d of D equal sectors
+    `cumulative[d, row, column]` is the information of the beams in the first d of D equal sectors
     of the circle at a node, so that with linear interpolation over direction
 
         I(x, y, yaw, fov) = S(yaw + fov / 2) - S(yaw - fov / 2)                          [nat]
@@ -31,7 +31,7 @@ class InformationField(eqx.Module):
     Bilinear between nodes, 0 off the map.
     """
 
-    cumulative: Float[Array, "H W D"]
+    cumulative: Float[Array, "D H W"]
     total: Float[Array, "H W"]
     frame: GridFrame
     field_of_view: float = eqx.field(static=True)
@@ -58,7 +58,7 @@ class InformationField(eqx.Module):
 
     def _until(self, nodes: Stencil, angle: Scalar) -> Scalar:
         """Return S(angle), continued over full turns: `S(angle + 2 pi) = S(angle) + total`."""
-        sectors = self.cumulative.shape[-1] - 1
+        sectors = self.cumulative.shape[0] - 1
         sector = angle * (sectors / (2.0 * math.pi))
         turns = jnp.floor(sector / sectors)
         within = jnp.clip(sector - turns * sectors, 0.0, float(sectors))
@@ -123,10 +123,13 @@ class FieldSensor(eqx.Module):
             for count, size in ((rows, height), (columns, width))
         ]
         passing = self._phases(1.0 - belief.probability, padding)
-        gain = self._phases(expected_gain(belief.probability, model), padding)
+        # Materialised once: fused into the padding, its logarithms would be evaluated many times.
+        per_cell = expected_gain(belief.probability, model)
+        per_cell = jax.lax.optimization_barrier(per_cell)  # type: ignore[no-untyped-call]
+        gain = self._phases(per_cell, padding)
         both = jnp.stack([passing, gain])
 
-        def direction(ray: tuple[Array, Array]) -> Array:
+        def add_direction(so_far: Array, ray: tuple[Array, Array]) -> tuple[Array, Array]:
             offset, weight = ray
             last = weight.shape[0] - 1
 
@@ -138,16 +141,15 @@ class FieldSensor(eqx.Module):
                 cell = jax.lax.dynamic_slice(both, start, (2, 1, rows, columns))
                 return weight[index] * cell[1, 0] + cell[0, 0] * value
 
-            nothing = jnp.zeros((rows, columns))
-            information: Array = jax.lax.fori_loop(0, last + 1, nearer, nothing)
-            return information
+            value = jax.lax.fori_loop(0, last + 1, nearer, jnp.zeros((rows, columns)))
+            return so_far + value, so_far
 
-        value = jax.lax.map(direction, (self.offset, self.weight))
-        cumulative = jnp.cumsum(value, axis=0)
-        cumulative = jnp.concatenate([jnp.zeros((1, rows, columns)), cumulative])
+        total, before = jax.lax.scan(
+            add_direction, jnp.zeros((rows, columns)), (self.offset, self.weight)
+        )
         return InformationField(
-            cumulative=jnp.moveaxis(cumulative, 0, -1),
-            total=cumulative[-1],
+            cumulative=jnp.concatenate([before, total[None]]),
+            total=total,
             frame=belief.frame.coarsen(self.stride, centre + 0.5),
             field_of_view=self.field_of_view,
             num_beams=self.num_beams,
@@ -157,9 +159,10 @@ class FieldSensor(eqx.Module):
         """Split a padded map by `index % stride`: every strided read becomes a plain slice."""
         padded = jnp.pad(values, padding)
         height, width = (size // self.stride * self.stride for size in padded.shape)
-        split = padded[:height, :width].reshape(
-            height // self.stride, self.stride, width // self.stride, self.stride
-        )
-        return split.transpose(1, 3, 0, 2).reshape(
-            self.stride**2, height // self.stride, width // self.stride
+        return jnp.stack(
+            [
+                padded[row : height : self.stride, column : width : self.stride]
+                for row in range(self.stride)
+                for column in range(self.stride)
+            ]
         )

@@ -29,15 +29,18 @@ class Perception(eqx.Module):
 
     The guidance field is a cost to go, in metres,
 
-        U(x) = min over s of [ d(x, s) + decay_length * (dwell(s) / patience - ln I(s)) ]
+        U(x) = min over s of [ d(x, s) - decay_length * ln W(s) ],
+        W(s) = I(s) exp(-dwell(s) / patience)
 
-    over poses s of known-free space with information I(s): the geodesic spread of
-    `I exp(-d / decay_length)`, in logarithms. d is the length of the shortest path that keeps the
-    robot clear of whatever is not known to be free, longer where it is narrow. U has no local
-    minimum but at places worth going to. Where the robot stays without learning, `dwell` grows and
-    the place loses its pull (and regains it later): what cannot be seen after all is given up, not
-    waited for. Places with less than `min_information`, mostly cells near walls between which
-    noise goes to and fro, count as a kilometre farther away: they come last, whatever is near.
+    over poses s of known-free space, with I(s) the information of a full turn of beams: the
+    geodesic spread of `W exp(-d / decay_length)`, in logarithms. d is the length of the shortest
+    path that keeps the robot clear of whatever is not known to be free, up to double where it just
+    fits. U has no local minimum but at places worth going to.
+
+    `dwell` is the time recently spent near a place, so a place where the robot stays loses its pull
+    and regains it later: what cannot be seen after all is given up, not waited for. Places with
+    W below `min_information`, mostly cells near walls between which noise goes to and fro, count
+    as a kilometre farther away: they come last, whatever is near.
 
     Args:
         lidar: the sensor.
@@ -61,6 +64,7 @@ class Perception(eqx.Module):
     lidar: Lidar
     sensor_model: InverseSensorModel
     field_sensor: FieldSensor
+    resolution: float = eqx.field(static=True)
     max_clearance: float = eqx.field(static=True)
     required_clearance: Scalar
     decay_length: Scalar
@@ -86,6 +90,7 @@ class Perception(eqx.Module):
     ) -> None:
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.lidar = lidar
+        self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
         if _checks.positive_int("num_directions", num_directions) < 4:
             raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")

@@ -56,17 +56,17 @@ def gather(
     """Return the interpolated value of one channel.
 
     Args:
-        values: (H, W) or (H, W, C) node values.
+        values: (H, W) or (C, H, W) node values.
         around: from `stencil`.
         outside: what a point off the lattice gets.
         channel: which of the C channels.
     """
-    channels = values.shape[2] if values.ndim == 3 else 1
+    height, width = values.shape[-2:]
     # One flat index: multi-dimensional gathers cost a multiplication and a bounds check each.
     flat = values.reshape(-1)
     total = jnp.zeros(())
     for node in range(4):
-        index = around.nodes[node] * channels + channel
+        index = channel * (height * width) + around.nodes[node]
         total = total + around.weight[node] * flat.at[index].get(mode="promise_in_bounds")
     return jnp.where(around.is_inside, total, outside)
 

@@ -33,7 +33,7 @@ def explorer(
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
         temperature: of the softmax.
-        noise_std: (nu,) of the controls; their upper bounds when absent.
+        noise_std: (nu,) of the controls; half the range between their bounds when absent.
         dt: model step [s].
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
         obstacle_weight: of `ObstacleCost`.
@@ -44,6 +44,8 @@ def explorer(
     Raises:
         ValueError: a value that a part does not accept.
     """
+    if noise_std is None:
+        noise_std = 0.5 * (robot.control_max - robot.control_min)
     cost = (
         obstacle_weight * ObstacleCost(clearance)
         + information_weight * InformationCost()
@@ -56,6 +58,6 @@ def explorer(
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
-        noise_std=robot.control_max if noise_std is None else noise_std,
+        noise_std=noise_std,
         dt=dt,
     )

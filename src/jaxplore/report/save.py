@@ -1,5 +1,6 @@
 """Writes a run into its folder."""
 
+import contextlib
 import json
 from collections.abc import Callable, Mapping
 from os import PathLike
@@ -37,7 +38,7 @@ def save_recording(
         metrics: of the same run.
         path: of the folder.
         settings: that led to the run: plain values only.
-        animation: write it; most of the time goes into it.
+        animation: write it; most of the time goes into it, and Ctrl-C leaves it out.
         overwrite: replace a former run.
         on_progress: called with the share that is done, 0 to 1.
 
@@ -57,11 +58,14 @@ def save_recording(
         before = 0.2
         if animation:
             on_progress(before)
-            write_animation(
-                recording,
-                folder / "exploration.gif",
-                on_progress=lambda share: on_progress(before + (1.0 - before) * share),
-            )
+            # Drawing takes longest and can be done without: Ctrl-C leaves out the animation, not
+            # the run.
+            with contextlib.suppress(KeyboardInterrupt):
+                write_animation(
+                    recording,
+                    folder / "exploration.gif",
+                    on_progress=lambda share: on_progress(before + (1.0 - before) * share),
+                )
     on_progress(1.0)
 
 

@@ -35,9 +35,9 @@ class Scenario(eqx.Module):
         target_coverage: share of the reachable cells at which exploration is finished.
 
     Raises:
-        ValueError: a start that is off the map, in a wall, in unknown space, or so close to either
-            that the robot touches it; a rate that is not positive or above the control rate; a
-            target outside (0, 1].
+        ValueError: a perception made for another range or resolution; a start that is off the map,
+            in a wall, in unknown space, or so close to either that the robot touches it; a rate
+            that is not positive or above the control rate; a target outside (0, 1].
     """
 
     world: OccupancyGrid
@@ -70,6 +70,14 @@ class Scenario(eqx.Module):
         self.perception = (
             Perception(lidar, world.resolution, robot.radius) if perception is None else perception
         )
+        if self.perception.lidar.max_range != lidar.max_range or (
+            self.perception.resolution != world.resolution
+        ):
+            raise ValueError(
+                f"perception is for a range of {self.perception.lidar.max_range:g} m and cells of "
+                f"{self.perception.resolution:g} m; accepted: those of the scenario, "
+                f"{lidar.max_range:g} m and {world.resolution:g} m"
+            )
         self.start = robot.at_pose(*(float(value) for value in pose))
         self.reachable = jnp.asarray(reachable_cells(world, pose, float(robot.radius)))
         self.clearance_reach = clearance_reach(float(robot.radius), world.resolution)
