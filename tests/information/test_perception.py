@@ -109,7 +109,7 @@ def test_numbers_are_leaves_and_do_not_recompile() -> None:
     before = update_fields._cached._cache_size()
     for perception in (
         Perception(LIDAR, 0.1, 0.2, num_directions=16, decay_length=1.0, patience=9.0),
-        Perception(LIDAR, 0.1, 0.25, num_directions=16, margin=0.1, memory=5.0),
+        Perception(LIDAR, 0.1, 0.25, num_directions=16, margin=0.05, memory=5.0),
         Perception(LIDAR, 0.1, 0.2, num_directions=16, sensor_model=InverseSensorModel(0.85, -0.4)),
     ):
         fields(room(), (2.0, 1.5, 0.0), perception)

@@ -20,6 +20,8 @@ from jaxplore.sensing.lidar import Lidar, Scan
 
 LEFTOVER_DETOUR = 1e3
 """How much farther away a place with little information counts [m]."""
+ROOMY = 3.0
+"""Clearance, in units of the required one, beyond which more room makes no path shorter."""
 LEFTOVER_SHARE = 0.1
 """Share of the least worthwhile information below which a place is ignored."""
 
@@ -50,7 +52,7 @@ class Perception(eqx.Module):
         num_directions: directions in which information is evaluated; at least 4.
         node_spacing: distance between the nodes of the fields [m]; rounded to whole cells, and
             kept so small that no path can jump a wall.
-        max_clearance: bound of the clearance field [m].
+        max_clearance: bound of the clearance field [m]; raised for robots that need more.
         margin: room beyond the radius that a path needs [m].
         decay_length: how far the robot goes for e times the information [m].
         min_information: places with less are left for last [nat]; with less than a tenth, for good.
@@ -101,8 +103,11 @@ class Perception(eqx.Module):
             num_directions,
             safe_stride(spacing, resolution, float(radius)),
         )
-        self.max_clearance = _checks.number("max_clearance", max_clearance, above=0.0)
         self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
+        self.max_clearance = max(
+            _checks.number("max_clearance", max_clearance, above=0.0),
+            float(math.ceil(ROOMY * float(self.required_clearance))),
+        )
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.patience = _checks.scalar("patience", patience, above=0.0)
@@ -172,7 +177,8 @@ class Perception(eqx.Module):
         room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
         is_open = room >= self.required_clearance - 1e-4
         # Twice as long where the robot just fits, so that paths keep to the middle.
-        tightness = 1.0 - (room - self.required_clearance) / (2.0 * self.required_clearance)
+        spare = (room - self.required_clearance) / self.required_clearance
+        tightness = 1.0 - spare / (ROOMY - 1.0)
         slowness = frame.resolution * (1.0 + jnp.clip(tightness, 0.0, 1.0))
         worth = information.total * jnp.exp(-dwell / self.patience)
         pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))

@@ -56,6 +56,7 @@ class Record(NamedTuple):
     is_finite: Flag
 
 
+@eqx.filter_jit
 def initial_loop_state(controller: Controller, scenario: Scenario) -> LoopState:
     """Return the state before the first step: nothing known but that the robot stands free."""
     belief = scenario.perception.init(

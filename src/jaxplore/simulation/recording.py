@@ -41,7 +41,8 @@ class Timing:
     """Wall-clock times.
 
     Args:
-        compile_seconds: of the loop, first call included; near 0 if it was compiled before.
+        compile_seconds: until the loop is ready for its first step; near 0 if it was compiled
+            before.
         loop_seconds: spent in the loop's chunks, compilation apart.
         loop_steps: steps done in them.
         step_seconds: (N,) of single steps that were timed one at a time, spread over the run.
