@@ -91,7 +91,7 @@ class ControllerSettings(_Section):
 
     horizon: Count = 40
     num_samples: Count = 1000
-    temperature: Positive = 0.1
+    temperature: Positive = 0.3
     noise_std: tuple[Positive, Positive] | None = None
     dt: Positive = 0.05
     clearance: Positive = 0.4

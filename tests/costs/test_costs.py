@@ -55,9 +55,9 @@ def test_obstacle_cost(x: float, v: float) -> None:
     d, contact = 0.1 * x, 0.2 + 0.05 + 0.1 * v
     expected = max(0.5 - d, 0.0) ** 2 / 0.25
     if d < contact:
-        expected += 7.0 * (1.0 + (contact - d) / contact)
+        expected += 7.0 * ((contact - d) / 0.05) ** 2
     cost = ObstacleCost(clearance=0.5, collision=7.0, margin=0.05, reaction_time=0.1)
-    assert stage(cost, at(x, 4.0, v=v)) == pytest.approx(expected, abs=1e-5)
+    assert stage(cost, at(x, 4.0, v=v)) == pytest.approx(expected, rel=1e-4, abs=1e-5)
 
 
 def test_obstacle_cost_rises_into_the_obstacle_and_off_the_map() -> None:
@@ -71,11 +71,13 @@ def test_information_cost_is_per_beam() -> None:
     assert stage(InformationCost(), at(-4.0, 3.5)) == 0.0
 
 
-def test_guidance_cost_is_read_ahead() -> None:
+def test_guidance_cost_is_read_ahead_as_far_as_it_is_free() -> None:
     for yaw in (0.0, 1.0, math.pi):
-        x, y = 4.0 + 0.5 * math.cos(yaw) - 0.5, 3.0 + 0.5 * math.sin(yaw) - 0.5
-        found = stage(GuidanceCost(lookahead=0.5), at(4.0, 3.0, yaw))
-        assert found == pytest.approx(2.0 * x - y, abs=1e-4)
+        for lookahead in (0.3, 2.0):
+            ahead = min(lookahead, 0.1 * 4.0)  # the clearance at x = 4
+            x, y = 4.0 + ahead * math.cos(yaw) - 0.5, 3.0 + ahead * math.sin(yaw) - 0.5
+            found = stage(GuidanceCost(lookahead=lookahead), at(4.0, 3.0, yaw))
+            assert found == pytest.approx(2.0 * x - y, abs=1e-4)
 
 
 def test_control_cost_is_relative_to_the_bounds() -> None:

@@ -80,13 +80,15 @@ def test_without_sources_everything_is_flat_and_finite() -> None:
     np.testing.assert_array_equal(extend(value, 3, jnp.float32(1.0)), 0.0)
 
 
-def test_extension_rises_into_obstacles_and_leaves_the_rest() -> None:
+def test_extension_makes_a_ridge_of_an_obstacle_and_leaves_the_rest() -> None:
     value = jnp.asarray([[1.0, 2.0, jnp.inf, jnp.inf, jnp.inf, jnp.inf, 9.0]])
     found = extend(value, 2, jnp.float32(0.5))
     # Two layers from the left, two from the right.
     np.testing.assert_allclose(found[0], [1.0, 2.0, 2.5, 3.0, 10.0, 9.5, 9.0])
     far = extend(jnp.asarray([[1.0, jnp.inf, jnp.inf, jnp.inf]]), 2, jnp.float32(0.5))
     np.testing.assert_allclose(far[0], [1.0, 1.5, 2.0, 2.0])
+    thin = extend(jnp.asarray([[-4.0, jnp.inf, -12.0]]), 2, jnp.float32(0.5))
+    np.testing.assert_allclose(thin[0], [-4.0, -3.5, -12.0])
 
 
 @given(st.floats(0, math.pi), st.floats(-1, 1), st.sampled_from([0.05, 0.1]), st.floats(0.15, 0.5))

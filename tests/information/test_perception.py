@@ -6,7 +6,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import InverseSensorModel, Lidar, OccupancyGrid, Perception
+from jaxplore import (
+    DifferentialDrive,
+    GuidanceCost,
+    InverseSensorModel,
+    Lidar,
+    OccupancyGrid,
+    Perception,
+    State,
+)
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
@@ -61,6 +69,25 @@ def test_guidance_does_not_lead_through_a_wall() -> None:
     into_wall = [float(belief.guidance(jnp.asarray([x, 0.55]))) for x in (2.65, 2.75, 2.85)]
     assert np.isfinite(into_wall).all()
     assert into_wall[0] < into_wall[1] < into_wall[2]
+
+
+@pytest.mark.parametrize("thickness", [1, 2, 3])
+def test_facing_a_wall_never_pays_for_what_is_behind_it(thickness: int) -> None:
+    """The other side is metres closer to what is unknown; the way there leads round the wall."""
+    world = room((30, 60))
+    world[1:24, 30 : 30 + thickness] = 0.993
+    world[1:12, 30 + thickness : 45] = 0.5
+    belief = fields(world, (2.0, 0.5, 0.0))
+    robot = DifferentialDrive(radius=0.2)
+    cost = GuidanceCost(lookahead=0.5)
+
+    def price(x: float, yaw: float) -> float:
+        state = State(robot.at_pose(x, 1.0, yaw), robot)
+        return float(cost.stage(state, jnp.zeros(2), jnp.zeros(()), belief))
+
+    assert float(belief.guidance(jnp.asarray([3.6, 1.0]))) < price(2.75, math.pi / 2) - 1.0
+    for x in (2.6, 2.7, 2.75, 2.8):
+        assert price(x, 0.0) > price(x, math.pi / 2)
 
 
 def test_a_place_watched_in_vain_loses_its_pull_and_regains_it() -> None:

@@ -110,22 +110,23 @@ def test_update_is_the_inverse_sensor_model_once_per_cell(seed: int) -> None:
         Scan(jnp.asarray(ranges), jnp.asarray(is_return)),
         jnp.asarray(pose, jnp.float32),
     )
-    hit, passed, unsure = (np.zeros(world.shape, bool) for _ in range(3))
+    hits, passes, unsure = (np.zeros(world.shape, int) for _ in range(3))
     for angle, reading, returned in zip(LIDAR.beam_angles, ranges, is_return, strict=True):
         for row, column, entry, leave in walk(world, pose, float(angle), 3.0):
             if not (0 <= row < world.shape[0] and 0 <= column < world.shape[1]):
                 continue
             edge = min(abs(entry - reading), abs(leave - reading)) < 2e-3
             if leave - entry < 1e-3 or edge:
-                unsure[row, column] = True
+                unsure[row, column] = 1
             elif returned and entry <= reading < leave:
-                hit[row, column] = True
+                hits[row, column] += 1
             elif leave <= reading:
-                passed[row, column] = True
-    change = np.where(hit, 2.0, np.where(passed, -2.0, 0.0))
+                passes[row, column] += 1
+    occupied = (hits > 0) & (3 * hits >= hits + passes)
+    change = np.where(occupied, 2.0, np.where(passes > 0, -2.0, 0.0))
     log_odds = np.log(prior / (1 - prior.astype(float)))
     expected = 1 / (1 + np.exp(-np.clip(log_odds + change, -7.0, 5.0)))
-    sure = ~unsure
+    sure = unsure == 0
     np.testing.assert_allclose(np.asarray(belief.probability)[sure], expected[sure], atol=1e-5)
 
 
@@ -140,6 +141,30 @@ def test_repeated_scans_saturate_at_the_clamp() -> None:
     assert float(belief.at(jnp.asarray([3.5, 3.0]))) == pytest.approx(1 / (1 + math.exp(7)))
     assert float(belief.at(jnp.asarray([4.1, 3.0]))) == pytest.approx(1 / (1 + math.exp(-5)))
     assert float(belief.at(jnp.asarray([5.0, 3.0]))) == 0.5  # behind the wall
+
+
+def test_noise_does_not_thicken_a_wall_that_beams_graze() -> None:
+    world = np.zeros((40, 60), np.float32)
+    world[25] = 1.0
+    grid = OccupancyGrid(world, 0.1)
+    lidar = Lidar(num_beams=360, max_range=3.0, range_noise=0.03)
+
+    @jax.jit
+    def drive(key: jax.Array) -> jax.Array:
+        def look(belief: OccupancyGrid, inputs: tuple[jax.Array, jax.Array]):
+            key, x = inputs
+            pose = jnp.stack([x, jnp.asarray(2.2), jnp.zeros(())])
+            belief = lidar.update(belief, lidar.scan(grid, pose, key=key), pose, MODEL)
+            return belief, belief.probability
+
+        keys = jax.random.split(key, 60)
+        start = OccupancyGrid.unknown((40, 60), grid.frame)
+        return jax.lax.scan(look, start, (keys, jnp.linspace(2.0, 4.0, 60)))[1]
+
+    seen = np.asarray(drive(jax.random.key(0)))[10:, :, 20:40]
+    assert (seen[:, 25] > 0.65).mean() > 0.99  # the wall stays
+    assert (seen[:, 23] < 0.25).all()
+    assert (seen[:, 24] < 0.25).mean() > 0.99  # and so does the row of cells in front of it
 
 
 def test_beams_cover_the_field_of_view_and_none_comes_twice() -> None:

@@ -15,15 +15,16 @@ class ObstacleCost(Cost):
 
     With d the clearance of the robot's centre on the belief, r its radius and v its speed,
 
-        ((clearance - d)_+ / clearance)^2 + collision * ([d < c] + ((c - d)_+ / c)),
+        ((clearance - d)_+ / clearance)^2 + collision * ((c - d)_+ / 0.05 m)^2,
         c = r + margin + reaction_time * |v|
 
-    The faster, the more room it needs, so it slows down where it is narrow. The last term rises
-    into the obstacle, so that rollouts which cannot help touching are still ranked.
+    The faster, the more room it needs, so it slows down where it is narrow. The second term has no
+    step: what matters is how deep. A robot that finds itself too close, because the map changed
+    under it, does not take all ways for equally bad and push on.
 
     Args:
         clearance: distance from the centre below which it costs [m].
-        collision: cost of each step in contact.
+        collision: cost of each step that is 5 cm too close.
         margin: kept beyond the radius [m].
         reaction_time: [s].
 
@@ -53,9 +54,8 @@ class ObstacleCost(Cost):
         distance = belief.clearance(state.position)
         near = jnp.maximum(self.clearance - distance, 0.0) / self.clearance
         contact = state.dynamics.radius + self.margin + self.reaction_time * jnp.abs(state.speed)
-        depth = (contact - distance) / contact
-        touching = jnp.where(depth > 0.0, 1.0 + depth, 0.0)
-        return near * near + self.collision * touching
+        depth = jnp.maximum(contact - distance, 0.0) / 0.05
+        return near * near + self.collision * depth * depth
 
 
 class InformationCost(Cost):
@@ -71,14 +71,16 @@ class InformationCost(Cost):
 
 
 class GuidanceCost(Cost):
-    """Cost to go to the remaining information, read `lookahead` in front of the robot [m].
+    """Cost to go to the remaining information, read ahead of the robot [m].
 
     The point ahead turns with the robot, so turning towards where to go pays at once, also when
     the robot cannot move sideways: the control point of feedback linearisation of a unicycle
-    (d'Andrea-Novel, Campion and Bastin 1995).
+    (d'Andrea-Novel, Campion and Bastin 1995). It is `min(lookahead, clearance)` ahead, within the
+    disc around the robot that is known to be free: farther on it could lie behind a wall, in a room
+    to which the way is long, and the robot would stand facing that wall.
 
     Args:
-        lookahead: distance of the point ahead of the centre [m].
+        lookahead: greatest distance of the point ahead of the centre [m].
 
     Raises:
         ValueError: a negative lookahead.
@@ -91,9 +93,10 @@ class GuidanceCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the guidance at the point ahead."""
-        heading = state.heading
-        ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
-        return belief.guidance(state.position + self.lookahead * ahead)
+        position, heading = state.position, state.heading
+        ahead = jnp.minimum(self.lookahead, belief.clearance(position))
+        direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        return belief.guidance(position + ahead * direction)
 
 
 class ControlCost(Cost):

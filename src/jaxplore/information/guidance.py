@@ -65,20 +65,23 @@ def geodesic(
 def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:
     """Fill nodes with an infinite value from their neighbours, so that interpolation stays finite.
 
-    Each of `num_layers` layers gets the least neighbouring value plus `step`: the filled values
-    rise into an obstacle and never lead through it. What is still infinite gets the greatest
-    finite value plus `step` per layer; a field without any finite value becomes 0.
+    Each of `num_layers` layers gets the greatest finite value around it plus `step`: an obstacle is
+    a ridge, higher than what is on either side, however thin it is and however low the other side
+    lies. What is still infinite gets the greatest finite value plus `step` per layer; a field
+    without any finite value becomes 0.
     """
     height, width = value.shape
     greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
 
     def layer(_: Array, current: Array) -> Array:
-        padded = jnp.pad(current, 1, constant_values=jnp.inf)
-        near = jnp.full_like(current, jnp.inf)
+        known = jnp.where(jnp.isfinite(current), current, -jnp.inf)
+        padded = jnp.pad(known, 1, constant_values=-jnp.inf)
+        around = jnp.full_like(current, -jnp.inf)
         for down in (0, 1, 2):
             for right in (0, 1, 2):
-                near = jnp.minimum(near, padded[down : down + height, right : right + width])
-        return jnp.where(jnp.isfinite(current), current, near + step)
+                around = jnp.maximum(around, padded[down : down + height, right : right + width])
+        ridge = jnp.where(jnp.isfinite(around), around + step, jnp.inf)
+        return jnp.where(jnp.isfinite(current), current, ridge)
 
     filled = jax.lax.fori_loop(0, num_layers, layer, value)
     beyond = jnp.where(jnp.isfinite(greatest), greatest + num_layers * step, 0.0)

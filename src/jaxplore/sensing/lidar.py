@@ -17,6 +17,9 @@ from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
+ONE_HIT_IN = 3
+"""So many of the beams that hit or pass a cell may be for one hit to find it occupied."""
+
 
 class Scan(NamedTuple):
     """One scan: `ranges` (B,) [m], and which beams came back (B,).
@@ -105,9 +108,11 @@ class Lidar(eqx.Module):
         A cell that a beam leaves before its reading (or before the maximum range, where nothing
         came back) was passed; the cell that holds the reading was hit. A reading lies on the face
         of its cell, and noise would put half of them into the cell in front, so the cell is taken
-        `min(2 sigma, resolution / 2)` behind the reading. Each cell is updated once per scan
-        however many beams cross it, and a hit outweighs passes, which keeps thin walls that other
-        beams graze.
+        `min(2 sigma, resolution / 2)` behind the reading.
+
+        Each cell is updated once per scan however many beams cross it: as occupied if at least a
+        third of those that hit or passed it hit it. A wall keeps its cells though some beams graze
+        them, and one reading in fifty that noise cuts short does not close a passage beside it.
         """
         resolution = belief.resolution
         cells = self._cells(belief, pose)
@@ -121,13 +126,16 @@ class Lidar(eqx.Module):
         seen = is_hit | is_passed
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
         index = jnp.where(seen & belief.contains(cells.cell), index, height * width)
-        evidence = (
-            jnp.zeros(height * width, jnp.int8)
+        # One scatter counts both: passes in the low half of the word, hits in the high half.
+        count = (
+            jnp.zeros(height * width, jnp.int32)
             .at[index.reshape(-1)]
-            .max(jnp.where(is_hit, 2, 1).astype(jnp.int8).reshape(-1), mode="drop")
+            .add(jnp.where(is_hit, 1 << 16, 1).reshape(-1), mode="drop")
             .reshape(height, width)
         )
-        change = jnp.where(evidence == 2, model.occupied, jnp.where(evidence == 1, model.free, 0.0))
+        hits, passes = count >> 16, count & 0xFFFF
+        is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)
+        change = jnp.where(is_occupied, model.occupied, jnp.where(passes > 0, model.free, 0.0))
         updated = model.update(belief.probability, change)
         return OccupancyGrid(updated, resolution, belief.frame.origin)
 
