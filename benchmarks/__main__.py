@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2000, help="steps timed [default: 2000]")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results.json"))
     arguments = parser.parse_args()
-    console = Console()
+    console = Console(width=150)
     step = control_step.measure(arguments.steps)
     console.print(_step_table(step))
     rows = exploration.measure(arguments.seeds)

@@ -19,6 +19,7 @@ from jaxplore import (
 )
 from jaxplore.information.belief import Belief
 from jaxplore.information.field import InformationField
+from jaxplore.information.guidance import GuidanceField
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -36,7 +37,12 @@ BELIEF = Belief(
         field_of_view=2 * math.pi,
         num_beams=10,
     ),
-    guidance=ScalarField(jnp.asarray(2.0 * COLUMNS - ROWS), FRAME, jnp.asarray(1e4)),
+    guidance=GuidanceField(
+        jnp.asarray(2.0 * COLUMNS - ROWS),
+        jnp.stack([jnp.full((9, 9), 0.6), jnp.full((9, 9), 0.8)]),
+        FRAME,
+        jnp.asarray(1e4),
+    ),
     dwell=jnp.zeros((9, 9)),
 )
 ROBOT = DifferentialDrive(radius=0.2, max_acceleration=2.0, max_angular_acceleration=4.0)
@@ -71,13 +77,12 @@ def test_information_cost_is_per_beam() -> None:
     assert stage(InformationCost(), at(-4.0, 3.5)) == 0.0
 
 
-def test_guidance_cost_is_read_ahead_as_far_as_it_is_free() -> None:
-    for yaw in (0.0, 1.0, math.pi):
-        for lookahead in (0.3, 2.0):
-            ahead = min(lookahead, 0.1 * 4.0)  # the clearance at x = 4
-            x, y = 4.0 + ahead * math.cos(yaw) - 0.5, 3.0 + ahead * math.sin(yaw) - 0.5
-            found = stage(GuidanceCost(lookahead=lookahead), at(4.0, 3.0, yaw))
-            assert found == pytest.approx(2.0 * x - y, abs=1e-4)
+def test_guidance_cost_is_the_cost_to_go_and_of_facing_elsewhere() -> None:
+    for yaw in (0.0, 1.0, math.pi, -2.0):
+        facing = 0.6 * math.cos(yaw) + 0.8 * math.sin(yaw)
+        expected = 2.0 * 3.5 - 2.5 + 0.5 * (1.0 - facing)
+        found = stage(GuidanceCost(turning=0.5), at(4.0, 3.0, yaw))
+        assert found == pytest.approx(expected, abs=1e-4)
 
 
 def test_control_cost_is_relative_to_the_bounds() -> None:
@@ -158,7 +163,7 @@ def test_the_same_cost_serves_another_model(cost: Cost) -> None:
         (ObstacleCost, "collision", -1.0),
         (ObstacleCost, "margin", -0.1),
         (ObstacleCost, "reaction_time", math.nan),
-        (GuidanceCost, "lookahead", -0.1),
+        (GuidanceCost, "turning", -0.1),
     ],
 )
 def test_bad_input_is_named(cost: type, argument: str, value: float) -> None:

@@ -79,7 +79,7 @@ def test_facing_a_wall_never_pays_for_what_is_behind_it(thickness: int) -> None:
     world[1:12, 30 + thickness : 45] = 0.5
     belief = fields(world, (2.0, 0.5, 0.0))
     robot = DifferentialDrive(radius=0.2)
-    cost = GuidanceCost(lookahead=0.5)
+    cost = GuidanceCost(turning=0.5)
 
     def price(x: float, yaw: float) -> float:
         state = State(robot.at_pose(x, 1.0, yaw), robot)
@@ -88,6 +88,22 @@ def test_facing_a_wall_never_pays_for_what_is_behind_it(thickness: int) -> None:
     assert float(belief.guidance(jnp.asarray([3.6, 1.0]))) < price(2.75, math.pi / 2) - 1.0
     for x in (2.6, 2.7, 2.75, 2.8):
         assert price(x, 0.0) > price(x, math.pi / 2)
+
+
+def test_in_an_alcove_turning_round_pays_at_every_heading() -> None:
+    world = np.full((40, 60), 0.993, np.float32)
+    world[2:38, 2:30] = 0.001
+    world[14:22, 30:45] = 0.001  # 0.8 m wide, a dead end
+    world[2:38, 2:8] = 0.5
+    belief = fields(world, (4.0, 1.8, 0.0))
+    robot = DifferentialDrive()
+
+    def price(yaw: float) -> float:
+        state = State(robot.at_pose(4.0, 1.8, yaw), robot)
+        return float(GuidanceCost().stage(state, jnp.zeros(2), jnp.zeros(()), belief))
+
+    prices = [price(yaw) for yaw in np.linspace(0.1, 3.0, 12).tolist()]
+    assert (np.diff(prices) < 0).all()
 
 
 def test_a_place_watched_in_vain_loses_its_pull_and_regains_it() -> None:

@@ -71,32 +71,34 @@ class InformationCost(Cost):
 
 
 class GuidanceCost(Cost):
-    """Cost to go to the remaining information, read ahead of the robot [m].
+    """Cost to go to the remaining information, and of not facing the way there [m].
 
-    The point ahead turns with the robot, so turning towards where to go pays at once, also when
-    the robot cannot move sideways: the control point of feedback linearisation of a unicycle
-    (d'Andrea-Novel, Campion and Bastin 1995). It is `min(lookahead, clearance)` ahead, within the
-    disc around the robot that is known to be free: farther on it could lie behind a wall, in a room
-    to which the way is long, and the robot would stand facing that wall.
+        U(x) + turning * (1 - h . g(x))
+
+    with h the heading and g the direction in which U falls, both unit vectors. Where a robot cannot
+    move sideways, position alone does not reward turning. The second term rises all the way from
+    facing the way to facing away from it, so there is no heading to be stuck in; a look-up ahead of
+    the robot would have one in an alcove, where turning leads past walls, and could see the far
+    side of a thin wall.
 
     Args:
-        lookahead: greatest distance of the point ahead of the centre [m].
+        turning: what facing sideways costs [m].
 
     Raises:
-        ValueError: a negative lookahead.
+        ValueError: a negative value.
     """
 
-    lookahead: Scalar
+    turning: Scalar
 
-    def __init__(self, lookahead: ArrayLike = 0.3) -> None:
-        self.lookahead = _checks.scalar("lookahead", lookahead, at_least=0.0)
+    def __init__(self, turning: ArrayLike = 0.3) -> None:
+        self.turning = _checks.scalar("turning", turning, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the guidance at the point ahead."""
+        """Return the cost to go and of the heading."""
         position, heading = state.position, state.heading
-        ahead = jnp.minimum(self.lookahead, belief.clearance(position))
-        direction = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
-        return belief.guidance(position + ahead * direction)
+        way = belief.guidance.direction(position)
+        facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
+        return belief.guidance(position) + self.turning * (1.0 - facing)
 
 
 class ControlCost(Cost):

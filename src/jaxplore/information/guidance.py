@@ -2,14 +2,48 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxplore._types import Scalar
+from jaxplore._types import Position, Scalar
+from jaxplore.maps.field import Stencil, gather, stencil
+from jaxplore.maps.frame import GridFrame
 
 DIAGONAL = 2.0**0.5
+NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+class GuidanceField(eqx.Module):
+    """A cost to go, and the direction in which it falls, read by bilinear interpolation in O(1).
+
+    Args:
+        values: (H, W) cost to go [m]; only differences matter.
+        descent: (2, H, W) unit vectors (x, y) in the world along which it falls, 0 at a minimum.
+        frame: where the nodes are.
+        outside: cost to go off the lattice [m].
+    """
+
+    values: Float[Array, "H W"]
+    descent: Float[Array, "2 H W"]
+    frame: GridFrame
+    outside: Scalar
+
+    def __call__(self, position: Position) -> Scalar:
+        """Return the cost to go at a world position (x, y) [m]."""
+        return gather(self.values, self._around(position), self.outside)
+
+    def direction(self, position: Position) -> Position:
+        """Return the way to go (x, y) at a world position: at most of length 1, shorter where
+        ways part, 0 where there is nowhere to go."""
+        around = self._around(position)
+        return jnp.stack([gather(self.descent, around, 0.0, axis) for axis in (0, 1)])
+
+    def _around(self, position: Position) -> Stencil:
+        height, width = self.values.shape
+        return stencil((height, width), self.frame.to_grid(position))
 
 
 def geodesic(
@@ -86,3 +120,41 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
     filled = jax.lax.fori_loop(0, num_layers, layer, value)
     beyond = jnp.where(jnp.isfinite(greatest), greatest + num_layers * step, 0.0)
     return jnp.where(jnp.isfinite(filled), filled, beyond)
+
+
+def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"]:
+    """Return the unit vectors (row, column) along which a cost to go falls, 0 at its minima.
+
+    At a node the sum over its lower neighbours of the fall per distance in their direction.
+    Closed nodes, whose value is infinite, get the mean direction of the nodes around them,
+    `num_layers` deep: what blocks the way has no say in which way to turn.
+    """
+    height, width = value.shape
+
+    def shifted(padded: Array, down: int, right: int) -> Array:
+        return padded[..., 1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    around = jnp.pad(value, 1, constant_values=jnp.inf)
+    vector = jnp.zeros((2, height, width))
+    for down, right in NEIGHBOURS:
+        length = (down * down + right * right) ** 0.5
+        fall = value - shifted(around, down, right)
+        fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
+        unit = jnp.asarray([down / length, right / length])
+        vector = vector + fall * unit[:, None, None]
+
+    def normalise(vectors: Array) -> Array:
+        square = jnp.sum(vectors * vectors, axis=0)
+        return vectors * jax.lax.rsqrt(jnp.where(square > 1e-12, square, jnp.inf))
+
+    def layer(_: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        current, is_known = carry
+        vectors = jnp.pad(current, ((0, 0), (1, 1), (1, 1)))
+        known = jnp.pad(is_known, 1)
+        total = functools.reduce(jnp.add, [shifted(vectors, *step) for step in NEIGHBOURS])
+        near = functools.reduce(jnp.logical_or, [shifted(known, *step) for step in NEIGHBOURS])
+        return jnp.where(is_known, current, normalise(total)), is_known | near
+
+    start = normalise(vector), jnp.isfinite(value)
+    filled: tuple[Array, Array] = jax.lax.fori_loop(0, num_layers, layer, start)
+    return filled[0]

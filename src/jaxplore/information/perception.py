@@ -11,7 +11,7 @@ from jaxplore import _checks
 from jaxplore._types import Pose, Scalar
 from jaxplore.information.belief import Belief
 from jaxplore.information.field import FieldSensor, InformationField
-from jaxplore.information.guidance import extend, geodesic
+from jaxplore.information.guidance import GuidanceField, descent, extend, geodesic
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -22,6 +22,8 @@ LEFTOVER_DETOUR = 1e3
 """How much farther away a place with little information counts [m]."""
 ROOMY = 3.0
 """Clearance, in units of the required one, beyond which more room makes no path shorter."""
+LAYERS = 4
+"""How many nodes deep into what is closed the guidance is continued."""
 LEFTOVER_SHARE = 0.1
 """Share of the least worthwhile information below which a place is ignored."""
 
@@ -166,7 +168,7 @@ class Perception(eqx.Module):
 
     def _guidance(
         self, clearance: ScalarField, information: InformationField, dwell: Array
-    ) -> ScalarField:
+    ) -> GuidanceField:
         stride = self.field_sensor.stride
         frame = clearance.frame.coarsen(stride, stride / 2.0)
         rows, columns = information.total.shape
@@ -187,8 +189,15 @@ class Perception(eqx.Module):
         is_source = worth >= LEFTOVER_SHARE * self.min_information
         source = jnp.where(is_source, detour - pull, jnp.inf)
         distance = geodesic(source, slowness, is_open)
-        step = jnp.asarray(3.0 * frame.resolution)
-        return ScalarField(values=extend(distance, 4, step), frame=frame, outside=jnp.asarray(1e4))
+        along_row, along_column = descent(distance, LAYERS)
+        cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
+        direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
+        return GuidanceField(
+            values=extend(distance, LAYERS, jnp.asarray(3.0 * frame.resolution)),
+            descent=jnp.stack(direction),
+            frame=frame,
+            outside=jnp.asarray(1e4),
+        )
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
