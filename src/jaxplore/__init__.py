@@ -26,6 +26,7 @@ from jaxplore.information.belief import Belief as Belief
 from jaxplore.information.field import InformationField as InformationField
 from jaxplore.information.gain import expected_gain as expected_gain
 from jaxplore.information.gain import update_gain as update_gain
+from jaxplore.information.guidance import GuidanceField as GuidanceField
 from jaxplore.information.perception import Perception as Perception
 from jaxplore.maps.clearance import clearance_field as clearance_field
 from jaxplore.maps.field import ScalarField as ScalarField
