@@ -8,7 +8,6 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from jaxplore.geometry.angles import wrap_angle
 from jaxplore.geometry.rays import ray_offsets, traverse
 
 LENGTH = 12.0
@@ -115,10 +114,3 @@ def test_ray_offsets_are_a_walk_from_the_centre(num_directions: int) -> None:
 def test_ray_offsets_of_a_length_below_half_a_cell_are_padding() -> None:
     rays = ray_offsets(np.array([0.3, 2.0]), 0.2)
     assert not np.isfinite(rays.exit).any()
-
-
-@given(st.floats(-100, 100, width=32))
-def test_wrap_angle_keeps_the_direction(angle: float) -> None:
-    wrapped = float(wrap_angle(jnp.float32(angle)))
-    assert -math.pi - 1e-5 <= wrapped <= math.pi + 1e-5
-    assert math.cos(wrapped - angle) == pytest.approx(1.0, abs=1e-4)

@@ -1,1 +1,1 @@
-"""Angles and exact ray traversal."""
+"""Exact ray traversal."""
