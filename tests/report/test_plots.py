@@ -13,6 +13,7 @@ from jaxplore.report.plots import (
     belief_colours,
     coverage_figure,
     map_figure,
+    true_outline,
 )
 
 POSE = (3.0, -2.0, 0.7)
@@ -124,3 +125,31 @@ def test_importing_is_light():
         "assert not any(name.startswith('matplotlib') for name in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_the_true_outline_is_every_edge_between_free_and_solid(recording):
+    world = np.ones((12, 20), np.float32)
+    world[2:9, 3:15] = 0.0
+    world[4:6, 7] = 1.0  # a pillar
+    world[10, 17] = 0.0  # free, but no part of the room
+    reachable = np.zeros_like(world, bool)
+    reachable[7, 5] = True
+    known = dataclasses.replace(recording, world=world, belief=world, reachable=reachable)
+    window = Window(first=(0, 0), shape=(12, 20), resolution=0.5, origin=np.zeros(3))
+    edges = {
+        tuple(sorted(map(tuple, edge.tolist())))
+        for edge in true_outline(dataclasses.replace(known, resolution=0.5), window)
+    }
+    expected = set()
+    room = world == 0.0
+    room[10, 17] = False
+    for row, column in np.argwhere(room).tolist():
+        for down, right, edge in (
+            (-1, 0, ((column, row), (column + 1, row))),
+            (1, 0, ((column, row + 1), (column + 1, row + 1))),
+            (0, -1, ((column, row), (column, row + 1))),
+            (0, 1, ((column + 1, row), (column + 1, row + 1))),
+        ):
+            if not room[row + down, column + right]:
+                expected.add(tuple((0.5 * x, 0.5 * y) for x, y in edge))
+    assert edges == expected

@@ -4,8 +4,9 @@ import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.ndimage
 
-from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report.metrics import LEVELS, compute_metrics, progress
 from jaxplore.simulation.recording import Recording
 
@@ -18,6 +19,8 @@ FREE, UNKNOWN, OCCUPIED = (252, 252, 250), (190, 195, 203), (43, 48, 58)
 """Colours of a belief of 0, 1/2 and 1."""
 MISSED = (209, 73, 91)
 """Colour of a true wall that the belief does not hold."""
+OUTLINE = "#4f8fc0"
+"""Colour of the outline of the true free space."""
 MAX_SEGMENTS = 2000
 """Pieces of the path that are coloured by time."""
 
@@ -99,6 +102,20 @@ def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return np.asarray(shifted @ turn)
 
 
+def true_outline(recording: Recording, window: Window) -> np.ndarray:
+    """Return the edges (N, 2, 2) between solid cells and the free space that reachable cells are
+    part of, in metres from the window's corner along the grid's axes."""
+    labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
+    seen = np.unique(labels[np.asarray(recording.reachable, bool)])
+    inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)
+    row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    upright = np.stack([column, row, column, row + 1], axis=-1)
+    row, column = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    level = np.stack([column, row, column + 1, row], axis=-1)
+    edges = np.concatenate([upright, level]).reshape(-1, 2, 2)
+    return np.asarray(edges * recording.resolution)
+
+
 def belief_colours() -> np.ndarray:
     """Return the (256, 3) colours of a belief in 256 levels, free to occupied."""
     level = np.linspace(0.0, 1.0, 256)
@@ -108,7 +125,9 @@ def belief_colours() -> np.ndarray:
 
 
 def map_figure(recording: Recording) -> "Figure":
-    """Return the final belief with the robot's path and, in red, the walls that were not seen.
+    """Return the final belief with the robot's path and the outline of the true free space.
+
+    In red, the walls that were not seen.
 
     A map that is turned is drawn along its own axes.
     """
@@ -154,13 +173,18 @@ def map_figure(recording: Recording) -> "Figure":
     }
     axes.plot(*track[0], marker="o", color="#2a9d5c", label="start", **marks)
     axes.plot(*track[-1], marker="s", color="#e07a1f", label="end", **marks)
+    outline = true_outline(recording, window) + window.corner
+    axes.add_collection(
+        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7, zorder=1.5), autolim=False
+    )
+    axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
     missed = np.asarray(MISSED) / 255.0
     axes.plot([], [], "s", color=missed.tolist(), markersize=5.0, label="wall not seen")
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""
     axes.set_xlabel(f"{prefix}x [m]")
     axes.set_ylabel(f"{prefix}y [m]")
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
     figure.suptitle(
         f"{100.0 * coverage[-1]:.1f} % covered, {time[-1]:.1f} s, {path[-1]:.1f} m", fontsize=11
