@@ -4,6 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 JOBS ?= 2
+PEERS := benchmarks/.peers
 
 .PHONY: demo test bench docs clean
 
@@ -17,8 +18,18 @@ test: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n $(JOBS)
 
-bench: $(READY)
+bench: $(READY) $(PEERS)/.ready
 	$(BIN)/python -m benchmarks
+
+# jax_mppi's own environment. Building it needs CUDA, its JAX part does not: the sources do.
+$(PEERS)/.ready: $(READY)
+	rm -rf $(PEERS)
+	-$(PYTHON) -m venv $(PEERS) \
+	  && $(PEERS)/bin/python -m pip install --quiet -c constraints.txt jax chex \
+	  && $(PEERS)/bin/python -m pip download --quiet --no-deps --dest $(PEERS)/source jax_mppi==0.3.0 \
+	  && mkdir $(PEERS)/jax_mppi \
+	  && tar -xzf $(PEERS)/source/jax_mppi-0.3.0.tar.gz -C $(PEERS)/jax_mppi --strip-components 1
+	mkdir -p $(PEERS) && touch $@
 
 docs: $(READY)
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
@@ -32,5 +43,5 @@ $(READY): pyproject.toml constraints.txt src/jaxplore/_version.py
 	touch $@
 
 clean:
-	rm -rf $(VENV) build dist docs/_build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) $(PEERS) build dist docs/_build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

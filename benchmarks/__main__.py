@@ -12,7 +12,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import control_step, exploration
+from benchmarks import control_step, exploration, information
 from jaxplore import __version__
 
 
@@ -23,7 +23,18 @@ def main() -> None:
     parser.add_argument("--steps", type=int, default=2000, help="steps timed [default: 2000]")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results.json"))
     arguments = parser.parse_args()
-    console = Console(width=150)
+    console = Console(width=180)
+    engine = information.measure()
+    for title, table in (
+        ("Local field: 20 x 20 nodes, 8 yaws, 12 beams, 10 m", engine["local_field"]),
+        (
+            "Fields of all headings, 5 m; an update after each scan of an exploration",
+            engine["fields"],
+        ),
+        ("Growth: 16 directions, 64 beams", engine["growth"]),
+        ("Information of a trajectory: 50 poses, 16 beams, 5 m", engine["trajectories"]),
+    ):
+        console.print(_table(title, table))
     step = control_step.measure(arguments.steps)
     console.print(_step_table(step))
     rows = exploration.measure(arguments.seeds)
@@ -36,6 +47,7 @@ def main() -> None:
         "python": platform.python_version(),
         "device": jax.devices()[0].device_kind,
         "cpu_count": os.cpu_count(),
+        "information": engine,
         "control_step": step,
         "exploration": summary,
         "runs": rows,
@@ -62,14 +74,16 @@ def _table(title: str, rows: list[dict[str, Any]]) -> Table:
     for name in rows[0]:
         table.add_column(name.replace("_", " "))
     for row in rows:
-        table.add_row(*(_text(value) for value in row.values()))
+        table.add_row(*(_text(row.get(name)) for name in rows[0]))
     return table
 
 
 def _text(value: object) -> str:
     if value is None:
         return "-"
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+    if not isinstance(value, float):
+        return str(value)
+    return f"{value:.2f}" if value == 0.0 or abs(value) >= 0.01 else f"{value:.1g}"
 
 
 if __name__ == "__main__":

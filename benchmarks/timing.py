@@ -20,13 +20,15 @@ class Timed:
     runs: int
 
 
-def timed(function: Callable[..., Any], *arguments: Any, runs: int = 200) -> Timed:
+def timed(
+    function: Callable[..., Any], *arguments: Any, runs: int = 200, warm_up: int = 3
+) -> Timed:
     """Compile, warm up and time a function of pytrees of arrays."""
     compiled = eqx.filter_jit(function)
     began = time.perf_counter()
     _wait(compiled(*arguments))
     first = time.perf_counter() - began
-    for _ in range(3):
+    for _ in range(warm_up):
         _wait(compiled(*arguments))
     seconds = []
     for _ in range(runs):

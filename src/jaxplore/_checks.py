@@ -13,12 +13,17 @@ from jax.typing import ArrayLike
 
 def positive_int(name: str, value: object) -> int:
     """Return `value` as an int >= 1."""
+    return whole_number(name, value, at_least=1)
+
+
+def whole_number(name: str, value: object, *, at_least: int) -> int:
+    """Return `value` as an int within the bound."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
-        raise ValueError(f"{name} is {value!r}; accepted: a whole number >= 1") from None
-    if isinstance(value, bool) or number < 1:
-        raise ValueError(f"{name} is {value!r}; accepted: a whole number >= 1")
+        number = at_least - 1
+    if isinstance(value, bool) or number < at_least:
+        raise ValueError(f"{name} is {value!r}; accepted: a whole number >= {at_least}")
     return number
 
 
@@ -92,3 +97,18 @@ def vector(name: str, value: object, size: int) -> Array:
     if array.shape != (size,) or not np.isfinite(array).all():
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
     return jnp.asarray(array)
+
+
+def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
+    """Return `value` as a float32 array of probabilities with `ndim` axes, none empty."""
+    if not isinstance(value, jax.core.Tracer):
+        array = np.asarray(value, np.float32)
+        if array.ndim != ndim or array.size == 0:
+            shape = "(n,) with n" if ndim == 1 else "(H, W) with H, W"
+            raise ValueError(f"{name} has shape {array.shape}; accepted: {shape} >= 1")
+        if not ((array >= 0) & (array <= 1)).all():
+            raise ValueError(
+                f"{name} spans {array.min()} to {array.max()}; accepted: values in [0, 1]"
+            )
+        value = array
+    return jnp.asarray(value, jnp.float32)

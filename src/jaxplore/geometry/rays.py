@@ -1,103 +1,105 @@
 """Exact traversal of grid cells by rays: no sampling step, no cell left out.
 
-A ray enters every cell but its first through a column line or through a row line of the grid. The
-crossings with either family of lines are equally spaced along the ray, so all cells follow in
-closed form and in parallel. They come as two families, not sorted by distance: what is asked of a
-ray (the first hit, the cells passed before a reading) is a minimum or a mask, which needs no order.
-The set of cells is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
-Eurographics 1987, which finds it one cell after the other.
+A ray leaves every cell through a column line or through a row line of the grid. The crossings with
+either family of lines are equally spaced along the ray, so the n-th crossing of both together, and
+with it the n-th cell, follows in closed form: all cells of all rays in parallel, nearest first. The
+cells are those of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
+Eurographics 1987, which finds them one after the other.
 """
 
 import math
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxplore._types import Scalar
 
+TOUCH = 1e-4
+"""A cell that a ray crosses over less than this length [cells] is touched at a corner, no more."""
+FAR = 1e9
+"""Stands for "never" where infinity would spoil the arithmetic [cells]."""
+
 
 class RayCells(NamedTuple):
-    """The cells that a ray crosses, in no order.
+    """The cells that a ray crosses, nearest first.
 
-    `cell` (N, 2) is (row, column), `entry` and `exit` (N,) are distances from the start [cells].
-    Padding has an infinite entry.
+    `cell` (N, 2) is (row, column); the ray is in it from `entry` to `exit` (N,), distances from the
+    start [cells], and `exit[n] == entry[n + 1]`. Where the ray only touches a cell, at a corner,
+    `is_crossed` (N,) is False.
     """
 
     cell: Int[Array, "N 2"]
     entry: Float[Array, " N"]
     exit: Float[Array, " N"]
+    is_crossed: Bool[Array, " N"]
 
 
-def traverse(start: Float[Array, "2"], angle: Scalar, num_crossings: int) -> RayCells:
+def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells:
     """Return the cells that a ray crosses, its first cell included.
-
-    A ray that passes exactly through a corner goes on in the diagonal cell: cells that it only
-    touches are left out.
 
     Args:
         start: grid coordinates (row, column) [cells].
         angle: direction in the grid's frame, from the column axis towards the row axis [rad].
-        num_crossings: crossings kept with each family of lines; `ceil(length) + 1` covers a length
-            [cells]. N is `2 * num_crossings + 1`.
+        length: static; at least the cells entered within this length are returned [cells]. Some
+            farther ones follow, whose entries say so.
     """
     direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
     base = jnp.floor(start)
     # Within the first cell: distances stay exact however far the map's corner is.
     fraction = start - base
     moves = jnp.abs(direction) > 1e-9
-    sign = jnp.sign(direction)
-    spacing = 1.0 / jnp.where(moves, jnp.abs(direction), 1.0)
-    to_first = jnp.where(direction > 0, 1.0 - fraction, fraction)
-    count = jnp.arange(1, num_crossings + 1, dtype=jnp.float32)
+    spacing = jnp.where(moves, 1.0 / jnp.where(moves, jnp.abs(direction), 1.0), FAR)
+    to_first = jnp.where(moves, jnp.where(direction > 0, 1.0 - fraction, fraction), 1.0)
 
-    def distance(axis: int, crossing: Array) -> Array:
-        """Distance at which the n-th line of a family is crossed, n >= 1."""
-        along = (to_first[axis] + (crossing - 1.0)) * spacing[axis]
-        return jnp.where(moves[axis], along, jnp.inf)
+    def crossing(axis: int, count: Array) -> Array:
+        """Distance at which the count-th line of a family is crossed, count >= 1."""
+        return (to_first[axis] + (count - 1.0)) * spacing[axis]
 
-    def crossings(axis: int) -> RayCells:
-        other = 1 - axis
-        entry = distance(axis, count)
-        # How many lines of the other family come before: estimated, then settled by comparing
-        # the very distances that the other family has. Rounding cannot make the two disagree
-        # about their order, so every cell is left where the next one is entered.
-        estimate = jnp.maximum(jnp.floor(entry / spacing[other] - to_first[other]) + 1.0, 0.0)
-        is_before = jnp.less_equal if axis == 1 else jnp.less
-        more = is_before(distance(other, estimate + 1.0), entry)
-        less = (estimate >= 1.0) & ~is_before(distance(other, estimate), entry)
-        crossed = estimate + more.astype(jnp.float32) - less.astype(jnp.float32)
-        crossed = jnp.where(moves[other] & moves[axis], crossed, 0.0)
-        exit_ = jnp.minimum(distance(axis, count + 1.0), distance(other, crossed + 1.0))
-        along, across = sign[axis] * count, sign[other] * crossed
-        cell = jnp.stack([along, across] if axis == 0 else [across, along], axis=-1)
-        is_crossed = moves[axis] & (exit_ > entry)
-        return RayCells(
-            (cell + base).astype(jnp.int32), jnp.where(is_crossed, entry, jnp.inf), exit_
-        )
+    # Of the first n crossings, r are with row lines and n - r with column lines, if the r-th of the
+    # one comes before the (n - r + 1)-th of the other, and so the other way round.
+    number = jnp.arange(max_cells(length), dtype=jnp.float32)
+    ahead = crossing(1, number + 1.0) - crossing(0, jnp.zeros(()))
+    rows = jnp.clip(jnp.floor(ahead / (spacing[0] + spacing[1])), 0.0, number)
+    # The estimate is off by one at most; comparing the very distances settles it, so that every
+    # cell is left where the next one is entered.
+    too_many = (rows > 0) & (crossing(0, rows) > crossing(1, number - rows + 1.0))
+    too_few = (rows < number) & (crossing(1, number - rows) > crossing(0, rows + 1.0))
+    rows = rows - too_many.astype(jnp.float32) + too_few.astype(jnp.float32)
+    # Everything else follows from it: materialised, it is computed once, not once for each.
+    rows = jax.lax.optimization_barrier(rows)  # type: ignore[no-untyped-call]
+    columns = number - rows
+    last_row = jnp.where(rows > 0, crossing(0, rows), 0.0)
+    last_column = jnp.where(columns > 0, crossing(1, columns), 0.0)
+    entry = jnp.maximum(last_row, last_column)
+    exit_ = jnp.minimum(crossing(0, rows + 1.0), crossing(1, columns + 1.0))
+    step = jnp.stack([rows, columns], axis=-1) * jnp.sign(direction)
+    return RayCells((base + step).astype(jnp.int32), entry, exit_, exit_ - entry > TOUCH)
 
-    rows, columns = crossings(0), crossings(1)
-    one = jnp.ones(())
-    first_exit = jnp.minimum(distance(0, one), distance(1, one))
-    first_entry = jnp.where(first_exit > 0.0, 0.0, jnp.inf)
-    return RayCells(
-        jnp.concatenate([base.astype(jnp.int32)[None], rows.cell, columns.cell]),
-        jnp.concatenate([first_entry[None], rows.entry, columns.entry]),
-        jnp.concatenate([first_exit[None], rows.exit, columns.exit]),
-    )
+
+def max_cells(length: float) -> int:
+    """Return how many cells a ray of this length [cells] can enter, wherever it starts."""
+    return math.ceil(math.sqrt(2.0) * length) + 3
 
 
 class RayOffsets(NamedTuple):
     """The cells that rays from a cell's centre cross, nearest first, as offsets from that cell.
 
-    `offset` (D, N, 2) is (row, column) and `exit` (D, N) the distance at which each cell is left
-    [cells]. Short rays are padded with the offset 0 and an infinite exit.
+    `offset` (D, N, 2) is (row, column), `entry` and `exit` (D, N) the distances at which each cell
+    is entered and left [cells]. Short rays are padded with the offset 0 and infinite distances.
     """
 
     offset: np.ndarray
+    entry: np.ndarray
     exit: np.ndarray
+
+    @property
+    def is_crossed(self) -> np.ndarray:
+        """Where the table holds a cell (D, N), not padding."""
+        return np.isfinite(self.exit)
 
 
 def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
@@ -110,25 +112,23 @@ def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
         angles: (D,) directions from the column axis towards the row axis [rad].
         length: how far a ray reaches [cells].
     """
+    lines = np.arange(math.ceil(length) + 2) + 0.5
     rays = []
     for angle in angles:
         direction = np.array([math.sin(angle), math.cos(angle)])
-        step = np.sign(direction).astype(int)
-        with np.errstate(divide="ignore"):
-            spacing = 1.0 / np.abs(direction)
-        upcoming, cell, ray = spacing / 2.0, np.zeros(2, int), []
-        while (leave := upcoming.min()) <= length:
-            ray.append((cell[0], cell[1], leave))
-            crossed = upcoming <= leave + 1e-9  # both at a corner
-            cell = cell + step * crossed
-            upcoming = np.where(crossed, upcoming + spacing, upcoming)
-        rays.append(ray)
-    longest = max(1, max(len(ray) for ray in rays))
+        distance = np.concatenate([lines / max(abs(part), 1.0 / FAR) for part in direction])
+        order = np.argsort(distance, kind="stable")
+        is_row = order < len(lines)
+        rows, columns = np.cumsum(is_row), np.cumsum(~is_row)
+        exit_ = distance[order]
+        entry = np.concatenate([[0.0], exit_[:-1]])
+        cell = np.stack([rows - is_row, columns - ~is_row], axis=-1) * np.sign(direction)
+        is_kept = (exit_ <= length) & (exit_ - entry > TOUCH)
+        rays.append((cell[is_kept].astype(np.int32), entry[is_kept], exit_[is_kept]))
+    longest = max(1, max(len(cell) for cell, _, _ in rays))
     offset = np.zeros((len(rays), longest, 2), np.int32)
-    exit_ = np.full((len(rays), longest), np.inf)
-    for index, ray in enumerate(rays):
-        if ray:
-            table = np.array(ray)
-            offset[index, : len(ray)] = table[:, :2]
-            exit_[index, : len(ray)] = table[:, 2]
-    return RayOffsets(offset, exit_)
+    entry, exit_ = (np.full((len(rays), longest), np.inf) for _ in range(2))
+    for index, (cell, enters, leaves) in enumerate(rays):
+        offset[index, : len(cell)] = cell
+        entry[index, : len(cell)], exit_[index, : len(cell)] = enters, leaves
+    return RayOffsets(offset, entry, exit_)

@@ -10,7 +10,8 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import Pose, Scalar
 from jaxplore.information.belief import Belief
-from jaxplore.information.field import FieldSensor, InformationField
+from jaxplore.information.field import InformationField
+from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.guidance import GuidanceField, descent, extend, geodesic
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
@@ -153,7 +154,7 @@ class Perception(eqx.Module):
             pose: where the robot is now.
             elapsed: time since the last update [s].
         """
-        information = self.field_sensor.field(belief.grid, self.sensor_model)
+        information = self.field_sensor.update(belief.information, belief.grid, self.sensor_model)
         height, width = belief.dwell.shape
         rows, columns = jnp.mgrid[:height, :width]
         nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))

@@ -20,21 +20,24 @@ class Stencil(NamedTuple):
     is_inside: Flag
 
 
-def stencil(shape: tuple[int, int], grid: Float[Array, "2"]) -> Stencil:
+def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5) -> Stencil:
     """Return the bilinear weights of the nodes around a point.
 
     Node (row, column) is at the middle of its cell, at grid coordinates
-    `(row + 1/2, column + 1/2)`. The lattice covers its cells: up to half a cell beyond the
-    outermost nodes the edge value holds, farther out is outside, and so is a coordinate that is
-    not finite.
+    `(row + 1/2, column + 1/2)`. Up to `margin` beyond the outermost nodes the edge value holds,
+    farther out is outside, and so is a coordinate that is not finite.
 
     Args:
         shape: rows and columns of the lattice.
         grid: (row, column) [cells].
+        margin: [cells]; at 1/2 the lattice covers its cells, at 0 it ends with its nodes.
     """
     height, width = shape
     row, column = grid[0] - 0.5, grid[1] - 0.5
-    inside = (row >= -0.5) & (row < height - 0.5) & (column >= -0.5) & (column < width - 0.5)
+    # Positions of nodes come rounded: an outermost node is on the lattice.
+    slack = margin + 1e-4
+    inside = (row >= -slack) & (row <= height - 1 + slack)
+    inside &= (column >= -slack) & (column <= width - 1 + slack)
     row = jnp.clip(jnp.where(inside, row, 0.0), 0.0, height - 1.0)
     column = jnp.clip(jnp.where(inside, column, 0.0), 0.0, width - 1.0)
     first_row = jnp.minimum(row.astype(jnp.int32), max(height - 2, 0))
@@ -86,12 +89,16 @@ class ScalarField(eqx.Module):
         values: (H, W) node values; node (row, column) is the centre of that cell of `frame`.
         frame: where the lattice is.
         outside: value off the lattice.
+        margin: how far the lattice goes beyond its outermost nodes [cells]; static.
     """
 
     values: Float[Array, "H W"]
     frame: GridFrame
     outside: Scalar
+    margin: float = eqx.field(static=True, default=0.5)
 
     def __call__(self, position: Position) -> Scalar:
         """Return the value at a world position (x, y) [m]."""
-        return bilinear(self.values, self.frame.to_grid(position), self.outside)
+        height, width = self.values.shape
+        around = stencil((height, width), self.frame.to_grid(position), self.margin)
+        return gather(self.values, around, self.outside)

@@ -55,12 +55,16 @@ class GridFrame(eqx.Module):
         """Return the world position (x, y) [m] of the centre of each cell (row, column)."""
         return self.to_world(cell.astype(jnp.float32) + 0.5)
 
-    def coarsen(self, stride: int, node: float) -> "GridFrame":
+    def coarsen(
+        self, stride: int, node: float, first: Int[Array, "2"] | None = None
+    ) -> "GridFrame":
         """Return the frame of a lattice with one node every `stride` cells.
 
         Node (i, j), the middle of that cell of the new frame, is at the grid coordinates
-        `(i * stride + node, j * stride + node)` of this one.
+        `first + (i * stride + node, j * stride + node)` of this one; `first` is (0, 0) when absent.
         """
         corner = jnp.full(2, node - stride / 2.0)
+        if first is not None:
+            corner = corner + first.astype(jnp.float32)
         origin = jnp.concatenate([self.to_world(corner), self.origin[2:]])
         return GridFrame(self.resolution * stride, origin)

@@ -9,6 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
 from jaxplore.maps import resample, ros
 from jaxplore.maps.field import bilinear
@@ -48,9 +49,7 @@ class OccupancyGrid(eqx.Module):
         resolution: float,
         origin: Vector = (0.0, 0.0, 0.0),
     ) -> None:
-        if not isinstance(probability, jax.core.Tracer):
-            probability = _checked(np.asarray(probability, np.float32))
-        self.probability = jnp.asarray(probability, jnp.float32)
+        self.probability = _checks.probabilities("probability", probability, 2)
         self.frame = GridFrame(resolution, origin)
 
     @classmethod
@@ -131,13 +130,3 @@ class OccupancyGrid(eqx.Module):
         """Entropy of each cell [nat]: `h(p) = -p ln p - (1 - p) ln(1 - p)`, with `0 ln 0 = 0`."""
         p = self.probability
         return jax.scipy.special.entr(p) + jax.scipy.special.entr(1.0 - p)
-
-
-def _checked(values: np.ndarray) -> np.ndarray:
-    if values.ndim != 2 or values.size == 0:
-        raise ValueError(f"probability has shape {values.shape}; accepted: (H, W) with H, W >= 1")
-    if not ((values >= 0) & (values <= 1)).all():
-        raise ValueError(
-            f"probability spans {values.min()} to {values.max()}; accepted: values in [0, 1]"
-        )
-    return values

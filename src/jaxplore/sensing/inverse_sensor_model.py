@@ -1,5 +1,7 @@
 """The inverse sensor model: what one measurement of a cell does to its probability."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,6 +11,11 @@ from jaxtyping import Float
 
 from jaxplore import _checks
 from jaxplore._types import Scalar
+
+ODDS_OCCUPIED, ODDS_FREE = math.exp(0.85), math.exp(-0.4)
+"""Factors on a cell's odds that are customary with FSMI."""
+UNCLAMPED = 100.0
+"""Log-odds that no probability in single precision reaches: a clamp there is none."""
 
 
 class InverseSensorModel(eqx.Module):
@@ -51,9 +58,37 @@ class InverseSensorModel(eqx.Module):
         self.minimum = _checks.scalar("minimum", minimum, below=0.0)
         self.maximum = _checks.scalar("maximum", maximum, above=0.0)
 
+    @classmethod
+    def from_odds(
+        cls,
+        occupied: ArrayLike = ODDS_OCCUPIED,
+        free: ArrayLike = ODDS_FREE,
+        clamp: tuple[ArrayLike, ArrayLike] | None = None,
+    ) -> "InverseSensorModel":
+        """Return a model from the factors by which a measurement multiplies a cell's odds.
+
+        The defaults are those of the FSMI literature, log-odds of 0.85 and -0.4, without a clamp.
+
+        Args:
+            occupied: factor when the cell is measured occupied, > 1.
+            free: factor when a beam passes through the cell, in (0, 1).
+            clamp: least and greatest log-odds; None for no clamp.
+
+        Raises:
+            ValueError: odds on the wrong side of 1, a clamp that does not enclose 0.
+        """
+        occupied = _checks.scalar("occupied", occupied, above=1.0)
+        free = _checks.scalar("free", free, above=0.0, below=1.0)
+        minimum, maximum = (-UNCLAMPED, UNCLAMPED) if clamp is None else clamp
+        return cls(jnp.log(occupied), jnp.log(free), minimum, maximum)
+
     def log_odds(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """Return `ln(p / (1 - p))` within the clamp, also for p = 0 and p = 1."""
-        return jnp.clip(jax.scipy.special.logit(probability), self.minimum, self.maximum)
+        # Guarded where the slope is infinite, which the clip's zero would make NaN.
+        is_certain = (probability <= 0.0) | (probability >= 1.0)
+        inner = jax.scipy.special.logit(jnp.where(is_certain, 0.5, probability))
+        certain = jnp.where(probability <= 0.0, self.minimum, self.maximum)
+        return jnp.where(is_certain, certain, jnp.clip(inner, self.minimum, self.maximum))
 
     def update(
         self, probability: Float[Array, "*N"], log_odds_change: Float[Array, "..."]

@@ -92,7 +92,7 @@ class Lidar(eqx.Module):
         be behind. Exact cell traversal; Gaussian noise on what comes back.
         """
         cells = self._cells(world, pose)
-        solid = world.at_cell(cells.cell) >= FREE_THRESHOLD
+        solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
         entry = jnp.where(solid, cells.entry * world.resolution, jnp.inf)
         first = entry.min(axis=-1)
         is_return = first < self.max_range
@@ -121,9 +121,9 @@ class Lidar(eqx.Module):
         is_return = scan.is_return[:, None]
         depth = reading + margin
         is_hit = is_return & (cells.entry <= depth) & (depth < cells.exit)
-        is_passed = (cells.exit <= reading + 1e-3) & jnp.isfinite(cells.entry)
+        is_passed = cells.exit <= reading + 1e-3
         height, width = belief.shape
-        seen = is_hit | is_passed
+        seen = cells.is_crossed & (is_hit | is_passed)
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
         index = jnp.where(seen & belief.contains(cells.cell), index, height * width)
         # One scatter counts both: passes in the low half of the word, hits in the high half.
@@ -142,5 +142,5 @@ class Lidar(eqx.Module):
     def _cells(self, grid: OccupancyGrid, pose: Pose) -> RayCells:
         start = grid.frame.to_grid(pose[:2])
         angles = pose[2] - grid.frame.origin[2] + jnp.asarray(self.beam_angles)
-        count = math.ceil(self.max_range / grid.resolution) + 1
-        return jax.vmap(lambda angle: traverse(start, angle, count))(angles)
+        length = self.max_range / grid.resolution
+        return jax.vmap(lambda angle: traverse(start, angle, length))(angles)

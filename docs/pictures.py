@@ -1,0 +1,251 @@
+"""Draw the pictures of `information.md`: `python docs/pictures.py`."""
+
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib
+import matplotlib.colors
+import numpy as np
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Wedge
+
+import jaxplore as jx
+from jaxplore.information.trajectory import METHODS
+
+IMAGES = Path(__file__).parent / "images"
+DPI = 120
+BLUE, ORANGE, GREEN, VERMILION = "#0072b2", "#e69f00", "#009e73", "#d55e00"
+"""Okabe and Ito's palette, told apart with any colour vision."""
+GREY, INK = "#8a9099", "#2b303a"
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+}
+
+
+def main() -> None:
+    """Draw all of them."""
+    with plt.rc_context(STYLE):
+        for name, draw in (("beam", beam), ("field", field), ("overlap", overlap)):
+            figure = draw()
+            path = IMAGES / f"information_{name}.png"
+            figure.savefig(path, dpi=DPI, metadata={"Software": None})
+            plt.close(figure)
+            print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
+
+
+def beam() -> Figure:
+    """Draw a beam through free, unknown, free and occupied cells."""
+    parts = [("free", 0.02, 10), ("unknown", 0.5, 3), ("free", 0.02, 7), ("wall", 0.95, 2)]
+    parts.append(("unknown", 0.5, 6))
+    cells = np.concatenate([np.full(count, value) for _, value, count in parts])
+    occupancy, model = jnp.asarray(cells, jnp.float32), jx.InverseSensorModel()
+    passed = np.cumprod(1.0 - cells)
+    reach = np.concatenate([[1.0], passed[:-1]])
+    noise = jx.GaussianNoise(1.5)  # [cells]
+    exact = np.asarray(jx.cell_information(occupancy, model))
+    noisy = np.asarray(jx.cell_information(occupancy, model, noise=noise))
+    middle = np.arange(len(cells)) + 0.5
+
+    figure, axes = plt.subplots(3, 1, figsize=(7.5, 6.2), sharex=True, layout="constrained")
+    axes[0].bar(middle, cells, 1.0, color=GREY, edgecolor="white", linewidth=0.5)
+    axes[0].set(ylabel="probability", ylim=(0, 1.25), yticks=[0, 0.5, 1])
+    axes[0].set_title("What the map says: occupancy o of each cell", loc="left")
+    start = 0
+    for name, value, count in parts:
+        axes[0].text(start + count / 2, value + 0.05, name, ha="center", color=INK)
+        start += count
+
+    axes[1].bar(middle, cells * reach, 0.8, color=ORANGE, label="first hit in the cell, P(e)")
+    axes[1].step(
+        np.arange(len(cells) + 1),
+        np.append(reach, passed[-1]),
+        where="post",
+        color=BLUE,
+        label="the beam reaches the cell",
+    )
+    axes[1].set(ylabel="probability", ylim=(0, 1.1), yticks=[0, 0.5, 1])
+    axes[1].set_title("What the beam will do", loc="left")
+    axes[1].legend(loc="upper right")
+
+    for values, side, colour, name in (
+        (exact, -0.21, BLUE, "noise-free"),
+        (noisy, 0.21, ORANGE, "Gaussian noise, 1.5 cells"),
+    ):
+        label = f"{name}: {values.sum():.2f} nat in total"
+        axes[2].bar(middle + side, values, 0.42, color=colour, label=label)
+    axes[2].set(ylabel="information [nat]", xlabel="distance along the beam [cells]")
+    axes[2].set(xlim=(0, len(cells)))
+    axes[2].set_title("What each cell contributes", loc="left")
+    axes[2].legend(loc="upper right")
+    return figure
+
+
+def field() -> Figure:
+    """Draw a half-explored office: its field, its local field and a reference that climbs it."""
+    width, height = 12.0, 9.0
+    world, model = jx.office(seed=1, width=width, height=height), jx.InverseSensorModel()
+    lidar = jx.Lidar(num_beams=360, max_range=5.0)
+    grid = jx.OccupancyGrid.unknown(world.shape, world.frame)
+    poses = jnp.asarray([[0.8, 4.95, 0.0], [1.6, 4.95, 0.0], [2.3, 4.95, 0.0]])
+    for number, pose in enumerate(poses):
+        grid = lidar.update(grid, lidar.scan(world, pose, key=jax.random.key(number)), pose, model)
+    robot = jnp.asarray([2.8, 4.95])
+    everywhere = eqx.filter_jit(jx.FieldSensor(lidar, grid.resolution, 64).field)(grid, model)
+    camera = jx.Lidar(num_beams=30, max_range=5.0, field_of_view=np.pi / 2)
+    sensor = jx.LocalFieldSensor(jx.PoseInformation(camera, model), grid.resolution)
+    potential = eqx.filter_jit(sensor.field)(grid, robot).best
+    climb = jx.GradientReference()(potential, grid, jnp.append(robot, 0.0))
+
+    figure, axes = plt.subplots(1, 2, figsize=(8.4, 5.6), layout="constrained")
+    corner = np.asarray(potential.frame.origin[:2])
+    side = potential.frame.resolution * np.asarray(potential.values.shape[::-1])
+    lattice = (corner[0], corner[0] + side[0], corner[1], corner[1] + side[1])
+    for axis, values, extent, title in (
+        (axes[0], everywhere.total, (0.0, width, 0.0, height), "Field: 360 beams, a full turn"),
+        (axes[1], potential.values, lattice, "Local field: 30 beams over 90°, best yaw"),
+    ):
+        shown = axis.imshow(values, origin="lower", extent=extent, cmap="viridis", vmin=0)
+        axis.imshow(_cover(grid), origin="lower", extent=(0.0, width, 0.0, height))
+        axis.plot(
+            *poses[:, :2].T, "o", color="white", markeredgecolor=INK, markersize=4, label="scans"
+        )
+        axis.plot(
+            *robot, "o", color=VERMILION, markeredgecolor="white", markersize=8, label="robot"
+        )
+        axis.set(xlim=(0, 8.5), ylim=(0, height), xlabel="x [m]", ylabel="y [m]")
+        axis.set_title(title, loc="left")
+        figure.colorbar(shown, ax=axis, location="bottom", label="information [nat]", shrink=0.8)
+    way = np.concatenate([robot[None], climb[:, :2]])
+    axes[1].plot(*way.T, color=VERMILION, linewidth=2.5, label="gradient reference")
+    for axis in axes:
+        axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.03))
+        axis.text(6.3, 7.8, "unknown", color=INK, ha="center")
+    return figure
+
+
+def _cover(grid: jx.OccupancyGrid, *, only_walls: bool = False) -> np.ndarray:
+    """Return the map (H, W, 4): unknown grey, occupied black, free see-through."""
+    cover = np.zeros((*grid.shape, 4), np.float32)
+    if not only_walls:
+        cover[np.asarray(~grid.is_free)] = (0.83, 0.84, 0.86, 1.0)
+    cover[np.asarray(grid.is_occupied)] = (0.1, 0.1, 0.1, 1.0)
+    return cover
+
+
+def overlap() -> Figure:
+    """Draw three views that overlap across a wall, and what they are worth together."""
+    grid = _wall_between()
+    lidar = jx.Lidar(num_beams=100, max_range=4.0, field_of_view=np.pi / 2)
+    pose = jx.PoseInformation(lidar)
+    positions = jnp.asarray([[1.0, 2.6], [2.4, 5.0], [4.6, 5.0]])
+    headings = jnp.asarray([0.0, -0.6, -1.9])
+    colours = BLUE, ORANGE, GREEN
+    extent = (0.0, 7.0, 0.0, 6.0)
+
+    figure, grid_of_axes = plt.subplots(2, 2, figsize=(8.2, 7.4), layout="constrained")
+    axes = grid_of_axes.reshape(-1)
+    shown_by_pose = np.stack(
+        [_in_view(grid, lidar, at, yaw) for at, yaw in zip(positions, headings, strict=True)]
+    )
+    reached = np.stack(
+        [_reached(grid, pose, at, yaw) for at, yaw in zip(positions, headings, strict=True)]
+    )
+    is_first = shown_by_pose & (np.cumsum(shown_by_pose, axis=0) == 1)
+    for axis in axes[:3]:
+        axis.imshow(_cover(grid), origin="lower", extent=extent)
+    for number, colour in enumerate(colours):
+        layer = np.zeros((*grid.shape, 4), np.float32)
+        layer[...] = matplotlib.colors.to_rgba(colour)
+        layer[..., 3] = 0.6 * is_first[number]
+        axes[1].imshow(layer, origin="lower", extent=extent)
+        is_best = (reached.argmax(axis=0) == number) & (reached.max(axis=0) > 0.0)
+        layer[..., 3] = 0.8 * np.where(is_best, reached[number], 0.0)
+        axes[2].imshow(layer, origin="lower", extent=extent)
+    titles = ["Three poses, 90° and 4 m each", '"filtered": the first view of a cell counts']
+    titles.append('"occlusion": the best chance of reaching a cell')
+    for axis, title in zip(axes[:3], titles, strict=True):
+        axis.imshow(_cover(grid, only_walls=True), origin="lower", extent=extent)
+        for number, (at, yaw, colour) in enumerate(zip(positions, headings, colours, strict=True)):
+            _pose(axis, at, float(yaw), colour, str(number + 1))
+        axis.set(xlim=extent[:2], ylim=extent[2:], xlabel="x [m]", ylabel="y [m]")
+        axis.set_title(title, loc="left")
+
+    for x, y, name in (1.3, 0.6, "free"), (5.9, 0.4, "unknown"):
+        axes[0].text(x, y, name, color=INK, ha="center")
+    axes[0].text(2.97, 3.55, "wall", color="white", ha="center", va="center", rotation=90)
+
+    bottom = np.zeros(len(METHODS))
+    added = np.stack(
+        [
+            np.asarray(jx.TrajectoryInformation(pose, name).per_pose(grid, positions, headings))
+            for name in METHODS
+        ]
+    )
+    for number, colour in enumerate(colours):
+        axes[3].bar(
+            METHODS, added[:, number], bottom=bottom, color=colour, label=f"pose {number + 1}"
+        )
+        bottom = bottom + added[:, number]
+    for column, total in enumerate(bottom):
+        axes[3].text(column, total + 0.3, f"{total:.1f}", ha="center")
+    axes[3].set(ylabel="information [nat]", ylim=(0, 1.35 * bottom.max()))
+    axes[3].set_title("What the three scans are worth", loc="left")
+    axes[3].legend(ncols=3, loc="upper right")
+    return figure
+
+
+def _wall_between() -> jx.OccupancyGrid:
+    """Return a room 7 m x 6 m: free this side of a wall, unknown behind it."""
+    cells = np.full((60, 70), 0.01, np.float32)
+    cells[:40, 30:] = 0.5
+    cells[10:40, 28:31] = 0.99
+    return jx.OccupancyGrid(cells, 0.1)
+
+
+def _in_view(grid: jx.OccupancyGrid, lidar: jx.Lidar, at: jax.Array, yaw: jax.Array) -> np.ndarray:
+    """Return the cells (H, W) in range and in the field of view, whatever is in between."""
+    rows, columns = np.mgrid[: grid.shape[0], : grid.shape[1]]
+    centre = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+    away = np.asarray(centre - at)
+    off = np.angle(np.exp(1j * (np.arctan2(away[..., 1], away[..., 0]) - float(yaw))))
+    is_near = np.hypot(away[..., 0], away[..., 1]) <= lidar.max_range
+    return is_near & (np.abs(off) <= lidar.field_of_view / 2.0)
+
+
+def _reached(
+    grid: jx.OccupancyGrid, pose: jx.PoseInformation, at: jax.Array, yaw: jax.Array
+) -> np.ndarray:
+    """Return the greatest probability (H, W) with which a beam reaches each cell."""
+    cell = np.asarray(pose.view(grid, at, yaw).cell)
+    passing = 1.0 - np.asarray(grid.at_cell(jnp.asarray(cell)))
+    reach = np.cumprod(np.pad(passing, ((0, 0), (1, 0)), constant_values=1.0), axis=1)[:, :-1]
+    middle = np.asarray(grid.frame.cell_centre(jnp.asarray(cell)))
+    distance = np.linalg.norm(middle - np.asarray(at), axis=-1)
+    is_on = np.asarray(grid.contains(jnp.asarray(cell))) & (distance <= pose.lidar.max_range)
+    best = np.zeros(grid.shape)
+    np.maximum.at(best, tuple(np.moveaxis(cell[is_on], -1, 0)), reach[is_on])
+    return best
+
+
+def _pose(axis: Axes, at: jax.Array, yaw: float, colour: str, name: str) -> None:
+    """Draw a pose and its field of view."""
+    x, y = (float(value) for value in at)
+    view = np.degrees(yaw) + np.array([-45.0, 45.0])
+    axis.add_patch(Wedge((x, y), 4.0, *view, fill=False, edgecolor=colour, linewidth=1.2))
+    axis.plot(x, y, "o", color=colour, markeredgecolor="white", markersize=11)
+    axis.text(x, y, name, ha="center", va="center", color="white", fontsize=8, weight="bold")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,314 @@
+"""Beams from a whole lattice of poses at once, by shifts of the map instead of rays.
+
+In one direction the rays of all cells cross the same cells relative to their own. So what a beam is
+worth follows for all poses together, from the beams' far end to their near end, by a recursion over
+whole shifted maps: exact cell traversal without a single gather. With `a = 1 - o` and f the cells'
+gains, the double sum of `jaxplore.information.beam` is
+
+    V_s = o_s D_s + a_s (w_s f_emp,s K_{s+1} + V_{s+1})
+    K_s = kappa_s o_s + a_s K_{s+1},            K_n = 1 if no return counts, else 0
+    D_s = sum_k G_ks (w_k f_occ,k + E_k - E_s), E_k = sum_{i<k} w_i f_emp,i
+
+where w is the share of a cell that is the beam's, `kappa_s = sum_k G_ks` the readings that noise
+does not discard and K the probability that a reading, or none, is counted at all. E_k - E_s runs
+over the cells between the two, so D_s needs the cells around s only, as far as noise goes. Without
+noise and with no return this is the one multiplication and addition per cell of
+
+    V_s = w_s b_s + a_s V_{s+1},                b = o f_occ + a f_emp
+"""
+
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from jaxplore._types import GridValues
+from jaxplore.geometry.rays import ray_offsets
+from jaxplore.information.gain import CellSensor, cell_gains, expected_gain
+from jaxplore.information.noise import RangeNoise
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
+
+UNROLL = 8
+"""Cells per pass over the map: what is between is kept in registers, twice as fast as one."""
+NEGLIGIBLE = 1e-6
+"""Share of the readings below which noise does not reach a cell."""
+
+Read = Callable[[int, Array], Array]
+"""Gives a channel's values (rows, columns) at an offset from the nodes of a lattice."""
+
+
+class CellMaps(eqx.Module):
+    """What beams read of a map: channels, each split by `index % stride` into S = stride^2 phases.
+
+    So every strided read of cells is a slice of neighbours. Margins absorb: off the map nothing
+    passes (a = 0) and nothing is learned.
+    """
+
+    channels: tuple[Float[Array, "S h w"], ...]
+
+
+class BeamTable(eqx.Module):
+    """Which cells the beams from a cell's centre cross, and how much each counts.
+
+    Args:
+        angles: (D,) directions in the grid's frame, from the column axis to the row axis [rad].
+        length: how far a beam reaches [cells].
+        stride: cells between the poses of the lattice.
+        share: beams that each direction stands for.
+        spacing: angle between beams, for the share of a near cell that is one beam's [rad]; None
+            to count every cell of every beam fully.
+        noise: of the range; None for none.
+        resolution: side of a cell, in the unit of the noise [m].
+        no_return: whether a beam that meets nothing counts.
+    """
+
+    offset: Int[Array, "D N 2"]
+    weight: Float[Array, "D N"]
+    length: Int[Array, " D"]
+    reading: Float[Array, "D N J"]
+    kept: Float[Array, "D N"]
+    reach: int = eqx.field(static=True)
+    stride: int = eqx.field(static=True)
+    is_simple: bool = eqx.field(static=True)
+    no_return: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        angles: np.ndarray,
+        length: float,
+        stride: int,
+        *,
+        share: float = 1.0,
+        spacing: float | None = None,
+        noise: RangeNoise | None = None,
+        resolution: float = 1.0,
+        no_return: bool = True,
+    ) -> None:
+        rays = ray_offsets(angles, length)
+        weight = np.where(rays.is_crossed, near_share(rays.entry, rays.exit, spacing) * share, 0.0)
+        self.offset = jnp.asarray(rays.offset)
+        self.weight = jnp.asarray(weight, jnp.float32)
+        self.reach = int(np.abs(rays.offset).max())
+        self.stride = stride
+        self.no_return = no_return
+        self.is_simple = noise is None and no_return
+        reading = _readings(rays.entry, rays.exit, noise, resolution)
+        self.reading = jnp.asarray(reading, jnp.float32)
+        self.kept = jnp.asarray(reading.sum(axis=-1), jnp.float32)
+        self.length = jnp.asarray(rays.is_crossed.sum(axis=1), jnp.int32)
+
+    @property
+    def num_directions(self) -> int:
+        """D."""
+        return int(self.weight.shape[0])
+
+    def maps(
+        self,
+        probability: GridValues,
+        is_inside: Bool[Array, "H W"] | None,
+        sensor: CellSensor,
+        margin: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
+    ) -> CellMaps:
+        """Return what beams read of a piece of a map.
+
+        Args:
+            probability: (H, W) of being occupied.
+            is_inside: (H, W) which cells are on the map; None for all.
+            sensor: what a measurement does to a cell.
+            margin: absorbing rows before and after, columns before and after.
+        """
+        if self.is_simple:
+            channels = [1.0 - probability, expected_gain(probability, sensor)]
+        else:
+            channels = [1.0 - probability, *cell_gains(probability, sensor)]
+        if is_inside is not None:
+            channels = [jnp.where(is_inside, channel, 0.0) for channel in channels]
+        # Materialised once: fused into the padding, logarithms would be evaluated many times.
+        barrier = jax.lax.optimization_barrier
+        stacked: Array = barrier(jnp.stack(channels))  # type: ignore[no-untyped-call]
+        step = self.stride
+        fill = [
+            -(sum(pair) + size) % step for pair, size in zip(margin, probability.shape, strict=True)
+        ]
+        padding = [(low, high + more) for (low, high), more in zip(margin, fill, strict=True)]
+
+        def split(channel: Array) -> Array:
+            padded = jnp.pad(channel, padding)
+            phases = [
+                padded[row::step, column::step] for row in range(step) for column in range(step)
+            ]
+            return jnp.stack(phases)
+
+        return CellMaps(tuple(split(channel) for channel in stacked))
+
+    def is_open(
+        self, maps: CellMaps, first: Int[Array, "2"], shape: tuple[int, int]
+    ) -> Bool[Array, "rows columns"]:
+        """Say at which nodes a robot can be: on the map and not in what is known to be occupied."""
+        passing = self._read(maps, first, shape)(0, jnp.zeros(2, jnp.int32))
+        return passing >= 1.0 - OCCUPIED_THRESHOLD
+
+    def beams(
+        self,
+        maps: CellMaps,
+        first: Int[Array, "2"],
+        shape: tuple[int, int],
+        direction: Int[Array, ""],
+    ) -> Float[Array, "rows columns"]:
+        """Return what the beams of one direction are worth from every node of a lattice [nat].
+
+        Args:
+            maps: with cells at least `reach` farther than the nodes on every side.
+            first: (row, column) in `maps` of the cell of node (0, 0).
+            shape: rows and columns of nodes.
+            direction: which of the D.
+        """
+        read = self._read(maps, first, shape)
+        if self.is_simple:
+            return self._simple(read, shape, direction)
+        return self._general(read, shape, direction)
+
+    def _read(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Read:
+        """Return a function that gives a channel's (rows, columns) at an offset from the nodes."""
+        step, (rows, columns) = self.stride, shape
+
+        def read(channel: int, offset: Array) -> Array:
+            row, column = first[0] + offset[0], first[1] + offset[1]
+            phase = (row % step) * step + column % step
+            start = (phase, row // step, column // step)
+            return jax.lax.dynamic_slice(maps.channels[channel], start, (1, rows, columns))[0]
+
+        return read
+
+    def _simple(self, read: Read, shape: tuple[int, int], direction: Array) -> Array:
+        # Rays are padded at their far end with cells of no weight, where V is still 0.
+        offset, weight = _padded(self.offset[direction]), _padded(self.weight[direction])
+        blocks = -(-self.length[direction] // UNROLL)
+
+        def nearer(block: Array, value: Array) -> Array:
+            nearest = (blocks - 1 - block) * UNROLL
+            for part in reversed(range(UNROLL)):
+                index = nearest + part
+                gain = weight[index] * read(1, offset[index])
+                value = gain + read(0, offset[index]) * value
+            return value
+
+        value: Array = jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
+        return value
+
+    def _general(self, read: Read, shape: tuple[int, int], direction: Array) -> Array:
+        taps = self.reading.shape[-1]
+        width = taps // 2
+        end = 1.0 if self.no_return else 0.0
+        sides = (width, width)
+        offset = jnp.pad(_padded(self.offset[direction]), (sides, (0, 0)))
+        weight = jnp.pad(_padded(self.weight[direction]), sides)
+        reading = _padded(self.reading[direction])
+        kept = _padded(self.kept[direction])
+        blocks = -(-self.length[direction] // UNROLL)
+
+        def nearer(block: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+            value, counted = carry
+            nearest = (blocks - 1 - block) * UNROLL
+            # What a reading in each cell around is worth, counted from the first of them: C.
+            passed, before, worth, free = jnp.zeros(shape), [], [], []
+            for part in range(UNROLL + 2 * width):
+                cell, share = offset[nearest + part], weight[nearest + part]
+                before.append(passed)
+                worth.append(share * read(1, cell) + passed)
+                free.append(share * read(2, cell))
+                passed = passed + free[-1]
+            for part in reversed(range(UNROLL)):
+                index, here = nearest + part, part + width
+                passing = read(0, offset[nearest + here])
+                terms = [reading[index, tap] * worth[part + tap] for tap in range(taps)]
+                of_hit = functools.reduce(jnp.add, terms) - kept[index] * before[here]
+                of_pass = free[here] * counted + value
+                value = (1.0 - passing) * of_hit + passing * of_pass
+                through = kept[index] * (1.0 - passing) + passing * counted
+                counted = jnp.where(index < self.length[direction], through, counted)
+            return value, counted
+
+        start = jnp.zeros(shape), jnp.full(shape, end)
+        result: tuple[Array, Array] = jax.lax.fori_loop(0, blocks, nearer, start)
+        return result[0]
+
+
+def window_maps(
+    table: BeamTable,
+    belief: OccupancyGrid,
+    sensor: CellSensor,
+    first: Array,
+    shape: tuple[int, int],
+) -> tuple[CellMaps, Array]:
+    """Return the maps around a lattice of nodes anywhere, and where in them its first node is.
+
+    Args:
+        table: the beams.
+        belief: the map.
+        sensor: what a measurement does to a cell.
+        first: (row, column) of the cell of node (0, 0); on the map or off it.
+        shape: rows and columns of nodes; static.
+    """
+    reach = table.reach
+    rows, columns = (
+        first[axis] - reach + jnp.arange((shape[axis] - 1) * table.stride + 2 * reach + 1)
+        for axis in (0, 1)
+    )
+    height, width = belief.shape
+    is_row, is_column = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
+    piece = belief.probability[jnp.clip(rows, 0, height - 1)]
+    piece = piece[:, jnp.clip(columns, 0, width - 1)]
+    is_inside = is_row[:, None] & is_column[None, :]
+    # A row of phases more than the slices need, at the far end.
+    margin = ((0, table.stride), (0, table.stride))
+    maps = table.maps(piece, is_inside, sensor, margin)
+    return maps, jnp.full(2, reach, jnp.int32)
+
+
+def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> np.ndarray:
+    """Return the share of each cell that is one beam's, `min(1, r dtheta)`, r in its middle."""
+    if spacing is None:
+        return np.ones_like(entry)
+    share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
+    return share
+
+
+def _padded(values: Array) -> Array:
+    more = -values.shape[0] % UNROLL
+    return jnp.pad(values, [(0, more)] + [(0, 0)] * (values.ndim - 1))
+
+
+def _readings(
+    entry: np.ndarray, exit_: np.ndarray, noise: RangeNoise | None, resolution: float
+) -> np.ndarray:
+    """Return G by distance in cells of the ray, (D, N, 2 width + 1): of the first hits in cell s,
+    what is measured in cells s - width ... s + width."""
+    is_cell = np.isfinite(exit_)
+    directions, size = exit_.shape
+    if noise is None:
+        return np.where(is_cell, 1.0, 0.0)[..., None]
+    farthest = np.where(is_cell, exit_, 0.0).max(axis=1, keepdims=True)
+    edges = np.concatenate([np.zeros((directions, 1)), np.where(is_cell, exit_, farthest)], axis=1)
+
+    @jax.jit
+    def spread(line: Array) -> Array:
+        return jax.vmap(lambda hit: noise.measured(hit, line, resolution))(jnp.eye(size))
+
+    share = np.stack(
+        [np.asarray(spread(jnp.asarray(line * resolution, jnp.float32)), float) for line in edges]
+    )
+    share *= is_cell[:, None, :] & is_cell[:, :, None]
+    share[share < NEGLIGIBLE] = 0.0
+    source, measured = np.nonzero(share.any(axis=0))
+    width = int(np.abs(source - measured).max(initial=0))
+    reading = np.zeros((directions, size, 2 * width + 1))
+    for tap, shift in enumerate(range(-width, width + 1)):
+        cells = np.arange(max(0, -shift), min(size, size - shift))
+        reading[:, cells, tap] = share[:, cells, cells + shift]
+    return reading

@@ -1,0 +1,255 @@
+"""Long beams from every cell of a map, at a cost that grows with the logarithm of their length.
+
+A ray from the centre of a cell whose direction is a vector (p, q) of whole numbers without a common
+divisor passes the centre of the cell (p, q) farther on, and from there everything repeats. So what
+happens over one such period, seen from every cell, is a pair of maps (A, B),
+
+    value from here = B + A (value from one period on),
+
+and 2, 4, 8 ... periods follow by composing a pair with itself, shifted (theory 1.1):
+
+    (A, B) after (A', B') = (A A', B + A B').
+
+Any length is a few of these pairs and what is left at its end, cell by cell. Every ray crosses its
+cells exactly; only the directions are chosen, within their sectors, among those that repeat.
+
+Near the sensor, where a cell counts less the closer it is, beams are followed cell by cell: up to
+where they are a cell apart, which depends on the number of beams and not on their length.
+"""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from jaxplore._types import GridValues
+from jaxplore.geometry.rays import ray_offsets
+from jaxplore.information.beam_table import near_share
+from jaxplore.information.gain import CellSensor, expected_gain
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+
+WORTHWHILE = 140.0
+"""Cells of a beam, beyond those near the sensor, from which doubling was measured to be faster."""
+UNROLL = 4
+
+
+def is_faster(length: float, stride: int, spacing: float | None) -> bool:
+    """Say whether doubling beats following every cell of the beams.
+
+    Args:
+        length: of a beam [cells].
+        stride: cells between nodes; doubling evaluates every cell whatever the stride.
+        spacing: angle between beams if near cells count less [rad].
+    """
+    near = 0.0 if spacing is None else 1.0 / spacing
+    return length - near > WORTHWHILE * stride * stride
+
+
+class Segment(eqx.Module):
+    """Cells of a ray to be followed one by one: offsets and shares, padded where not `is_cell`."""
+
+    offset: Int[Array, "... N 2"]
+    weight: Float[Array, "... N"]
+    is_cell: Bool[Array, "... N"]
+
+
+class Doubling(eqx.Module):
+    """The beams of all cells of a map in D directions, noise-free and with no return.
+
+    Args:
+        angles: (D,) middles of the sectors [rad].
+        length: how far a beam reaches [cells].
+        stride: cells between the nodes whose values are returned.
+        share: beams that each direction stands for.
+        spacing: angle between beams, for the share of a near cell that is one beam's [rad]; None to
+            count every cell of every beam fully.
+    """
+
+    period: Int[Array, "D 2"]
+    sign: Int[Array, "D 2"]
+    num_near: Int[Array, " D"]
+    num_far: Int[Array, " D"]
+    cells: Segment
+    near: Segment
+    rest: Segment
+    angles: Float[Array, " D"]
+    share: float = eqx.field(static=True)
+    reach: int = eqx.field(static=True)
+    num_levels: int = eqx.field(static=True)
+    stride: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        angles: np.ndarray,
+        length: float,
+        stride: int,
+        *,
+        share: float = 1.0,
+        spacing: float | None = None,
+    ) -> None:
+        self.share, self.stride = float(share), stride
+        near_length = 0.0 if spacing is None else min(length, 1.0 / spacing)
+        # Well within its sector; the shorter a period, the fewer cells are followed one by one.
+        tolerance = 0.25 * 2.0 * np.pi / len(angles)
+        period, sign, counts, parts = [], [], [], []
+        for angle in angles:
+            vector = _shortest_period(angle, tolerance)
+            step = math.hypot(*vector)
+            positive = math.atan2(abs(vector[0]), abs(vector[1]))
+            ray = ray_offsets(np.array([positive]), length)
+            offset, entry, leave = ray.offset[0], ray.entry[0], ray.exit[0]
+            size = int(np.isfinite(leave).sum())
+            one = ray_offsets(np.array([positive]), step + 1.0).offset[0].tolist()
+            cells = one.index([abs(vector[0]), abs(vector[1])])
+            num_near = math.ceil(near_length / step - 1e-9)
+            num_far = max(0, size // cells - num_near)
+            split = [min(size, num_near * cells), min(size, (num_near + num_far) * cells)]
+            weight = near_share(entry, leave, spacing)
+            period.append(np.abs(vector))
+            sign.append([-1 if part < 0 else 1 for part in vector])
+            counts.append((num_near, num_far))
+            parts.append(
+                (
+                    (np.array(one[:cells]), np.ones(cells)),
+                    (offset[: split[0]], weight[: split[0]]),
+                    (offset[split[1] : size], weight[split[1] : size]),
+                )
+            )
+        self.period, self.sign = jnp.asarray(np.array(period)), jnp.asarray(np.array(sign))
+        self.num_near, self.num_far = jnp.asarray(np.array(counts).T)
+        self.cells, self.near, self.rest = (
+            _segments([part[index] for part in parts]) for index in range(3)
+        )
+        self.reach = math.ceil(length) + int(np.max(period))
+        self.num_levels = max(far for _, far in counts).bit_length()
+        vectors = np.array(sign) * np.array(period)
+        self.angles = jnp.asarray(
+            np.mod(np.arctan2(vectors[:, 0], vectors[:, 1]), 2.0 * np.pi), jnp.float32
+        )
+
+    def beams(self, probability: GridValues, sensor: CellSensor) -> Float[Array, "D rows columns"]:
+        """Return what the beams of each direction are worth from every node [nat]."""
+        gain = expected_gain(probability, sensor)
+        is_open = probability <= OCCUPIED_THRESHOLD
+        middle, step = self.stride // 2, self.stride
+        height, width = probability.shape
+
+        def facing(direction: Array, values: Array) -> Array:
+            """Turn the map so that the beams go up its rows and columns."""
+            down, right = self.sign[direction, 0] < 0, self.sign[direction, 1] < 0
+            values = jnp.where(down, values[::-1], values)
+            return jnp.where(right, values[:, ::-1], values)
+
+        def direction(number: Array) -> Array:
+            passing, worth = facing(number, 1.0 - probability), facing(number, gain)
+            value = self._one(passing, worth, number)
+            value = jnp.where(is_open, facing(number, value), 0.0)
+            # A node beyond the map has nothing to see.
+            more = [-size % step if size % step <= middle else 0 for size in (height, width)]
+            return jnp.pad(value, [(0, more[0]), (0, more[1])])[middle::step, middle::step]
+
+        values: Array = jax.lax.map(direction, jnp.arange(self.period.shape[0]))
+        return values
+
+    def _one(self, passing: Array, gain: Array, direction: Array) -> Array:
+        height, width = shape = passing.shape
+        # Beyond the map nothing passes and nothing is learned: zeros, which stay where they are.
+        farthest = jnp.asarray([min(self.reach, height), min(self.reach, width)], jnp.int32)
+        empty = jnp.zeros((height + min(self.reach, height), width + min(self.reach, width)))
+
+        def put(buffer: Array, values: Array) -> Array:
+            return jax.lax.dynamic_update_slice(buffer, values, (0, 0))
+
+        def shifted(buffer: Array, offset: Array) -> Array:
+            row, column = jnp.minimum(offset.astype(jnp.int32), farthest)
+            return jax.lax.dynamic_slice(buffer, (row, column), shape)
+
+        buffers: tuple[Array, Array] = jax.lax.optimization_barrier(  # type: ignore[no-untyped-call]
+            (put(empty, passing), put(empty, gain))
+        )
+        passings, gains = buffers
+        period = self.period[direction]
+
+        def follow(segment: Segment, value: Array) -> Array:
+            """Go along the cells of a segment, from its far end to its near end."""
+            last = segment.weight.shape[-1] - 1
+
+            def nearer(block: Array, value: Array) -> Array:
+                for part in range(UNROLL):
+                    index = last - (block * UNROLL + part)
+                    offset = segment.offset[direction, index]
+                    gained = segment.weight[direction, index] * shifted(gains, offset)
+                    beyond = gained + shifted(passings, offset) * value
+                    value = jnp.where(segment.is_cell[direction, index], beyond, value)
+                return value
+
+            blocks = segment.weight.shape[-1] // UNROLL
+            result: Array = jax.lax.fori_loop(0, blocks, nearer, value)
+            return result
+
+        def pass_period(block: Array, value: Array) -> Array:
+            for part in range(UNROLL):
+                index = block * UNROLL + part
+                through = shifted(passings, self.cells.offset[direction, index]) * value
+                value = jnp.where(self.cells.is_cell[direction, index], through, value)
+            return value
+
+        blocks = self.cells.weight.shape[-1] // UNROLL
+        through: Array = jax.lax.fori_loop(0, blocks, pass_period, jnp.ones(shape))
+        within = follow(self.cells, jnp.zeros(shape))
+        value = follow(self.rest, jnp.zeros(shape))
+
+        def level(number: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            through, within, value, position = carry
+            is_part = (self.num_far[direction] >> number) & 1
+            position = position - (is_part << number)
+            start = position * period
+            value = jax.lax.cond(
+                is_part == 1,
+                lambda: shifted(within, start) + shifted(through, start) * value,
+                lambda: value,
+            )
+            ahead = period << number
+            near_through, near_within = through[:height, :width], within[:height, :width]
+            return (
+                put(through, near_through * shifted(through, ahead)),
+                put(within, near_within + near_through * shifted(within, ahead)),
+                value,
+                position,
+            )
+
+        position = self.num_near[direction] + self.num_far[direction]
+        start = (put(empty, through), put(empty, within), value, position)
+        levels: tuple[Array, ...] = jax.lax.fori_loop(0, self.num_levels, level, start)
+        return self.share * follow(self.near, levels[2])
+
+
+def _shortest_period(angle: float, tolerance: float) -> np.ndarray:
+    """Return the shortest (row, column) of whole numbers with nearly this direction."""
+    size = 0
+    while True:
+        size += 1
+        rows = np.arange(-size, size + 1)
+        columns = size - np.abs(rows)
+        vectors = np.concatenate([np.stack([rows, columns], 1), np.stack([rows, -columns], 1)])
+        off = np.arctan2(vectors[:, 0], vectors[:, 1]) - angle
+        off = np.abs(np.mod(off + np.pi, 2.0 * np.pi) - np.pi)
+        if off.min() <= tolerance:
+            nearest: np.ndarray = vectors[np.argmin(off)]
+            return nearest
+
+
+def _segments(rays: list[tuple[np.ndarray, np.ndarray]]) -> Segment:
+    longest = max(len(weight) for _, weight in rays)
+    longest = max(UNROLL, -(-longest // UNROLL) * UNROLL)
+    offset = np.zeros((len(rays), longest, 2), np.int32)
+    weight, is_cell = np.zeros((len(rays), longest)), np.zeros((len(rays), longest), bool)
+    for index, (cells, shares) in enumerate(rays):
+        offset[index, : len(shares)] = cells
+        weight[index, : len(shares)] = shares
+        is_cell[index, : len(shares)] = True
+    return Segment(jnp.asarray(offset), jnp.asarray(weight, jnp.float32), jnp.asarray(is_cell))

@@ -1,0 +1,189 @@
+"""Zones in which something is to be learned: what remains there, what a pose sees of them."""
+
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.core import Tracer
+from jax.typing import ArrayLike
+from jaxtyping import Bool, Float, Int
+
+from jaxplore import _checks
+from jaxplore._types import GridMask, Position, Scalar
+from jaxplore.geometry.rays import RayCells, traverse
+from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
+from jaxplore.sensing.lidar import Lidar
+
+Rectangles = ArrayLike | Sequence[Sequence[float]]
+"""What is accepted where rectangles are given by hand."""
+
+
+def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    """Return `4 p (1 - p)`: 1 where nothing is known, 0 where all is (quadrotor design notes).
+
+    It bounds the entropy in bits from below, touches it at 0, 1/2 and 1, and needs no logarithm.
+    """
+    return 4.0 * probability * (1.0 - probability)
+
+
+def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
+    """Return the fraction of cells with `4 p (1 - p) > threshold`.
+
+    The quadrotor design notes call a map explored when less than 5 % of it is unknown. At the
+    default threshold a cell is unknown for p in (0.146, 0.854).
+
+    Raises:
+        ValueError: a threshold outside [0, 1).
+    """
+    bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
+    return jnp.mean(entropy_proxy(grid.probability) > bound)
+
+
+def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lidar) -> GridMask:
+    """Return the cells (H, W) in line of sight of a pose.
+
+    A cell is visible if some beam enters it within the lidar's range and crosses no cell known to
+    be occupied before it: the face of a wall is seen, nothing behind it. Exact cell traversal, as
+    in the field-of-view update of the quadrotor design notes. From off the map, from inside a cell
+    known to be occupied and from a pose that is not finite nothing is visible.
+
+    Args:
+        grid: what is known.
+        position: world (x, y) [m].
+        heading: world yaw [rad].
+        lidar: the beams: their number, range and field of view. Its noise is not read.
+    """
+    height, width = grid.shape
+    length = lidar.max_range / grid.resolution
+    is_finite = jnp.isfinite(position).all() & jnp.isfinite(heading)
+    start = grid.frame.to_grid(jnp.where(is_finite, position, 0.0))
+    here = grid.at_cell(jnp.floor(start).astype(jnp.int32))
+    is_open = is_finite & (here <= OCCUPIED_THRESHOLD)  # off the map the probability is 1
+    yaw = jnp.where(is_finite, heading, 0.0) - grid.frame.origin[2]
+    angles = yaw + jnp.asarray(lidar.beam_angles)
+    cells: RayCells = jax.vmap(lambda angle: traverse(start, angle, length))(angles)
+    is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
+    sight = jnp.where(is_wall, cells.entry, jnp.inf).min(axis=-1, keepdims=True)
+    is_seen = cells.is_crossed & (cells.entry <= sight) & (cells.entry < length) & is_open
+    index = cells.cell[..., 0] * width + cells.cell[..., 1]
+    index = jnp.where(is_seen & grid.contains(cells.cell), index, height * width)
+    mask = jnp.zeros(height * width, bool).at[index.reshape(-1)].set(True, mode="drop")
+    return mask.reshape(height, width)
+
+
+class Zones(eqx.Module):
+    """Parts of a map in which something is to be learned, Z of them.
+
+    Args:
+        member: (Z, H, W) which cells of the map belong to each zone; zones may overlap.
+    """
+
+    member: Bool[Array, "Z H W"]
+
+    @classmethod
+    def from_rectangles(cls, rectangles: Rectangles, grid: OccupancyGrid) -> "Zones":
+        """Return rectangular zones, which lie along the axes of the world.
+
+        A cell belongs to a zone if its centre lies in `[x_min, x_max) x [y_min, y_max)`: two
+        rectangles that share an edge share no cell, however the grid is turned.
+
+        Args:
+            rectangles: (Z, 4) as (x_min, y_min, x_max, y_max) in the world [m].
+            grid: whose cells they are; its probabilities are not read.
+
+        Raises:
+            ValueError: no rectangles or not four numbers each, a number that is not finite, a
+                minimum that is not below its maximum, a rectangle without a cell of the grid.
+        """
+        bounds = rectangles if isinstance(rectangles, Tracer) else _checked_rectangles(rectangles)
+        height, width = grid.shape
+        rows, columns = jnp.mgrid[:height, :width]
+        centre = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+        corners = jnp.asarray(bounds, jnp.float32)[:, None, None]
+        low, high = corners[..., :2], corners[..., 2:]
+        member = ((centre >= low) & (centre < high)).all(axis=-1)
+        if not isinstance(member, Tracer):
+            for row, has_cell in enumerate(np.asarray(member.any(axis=(1, 2)))):
+                if not has_cell:
+                    raise ValueError(
+                        f"rectangles[{row}] is {bounds[row].tolist()}; "
+                        "accepted: a rectangle with the centre of a cell of the grid in it"
+                    )
+        return cls(member)
+
+    @property
+    def num_cells(self) -> Int[Array, " Z"]:
+        """Number of cells of each zone."""
+        return self.member.sum(axis=(1, 2))
+
+    def remaining(self, grid: OccupancyGrid) -> Float[Array, " Z"]:
+        """Return what remains to be learned in each zone: the mean of `4 p (1 - p)` over its cells.
+
+        1 is unknown, 0 is known (quadrotor design notes).
+
+        Raises:
+            ValueError: a grid of another shape.
+        """
+        return self._mean("grid", entropy_proxy(grid.probability))
+
+    def centres(self, frame: GridFrame) -> Float[Array, "Z 2"]:
+        """Return the mean position of each zone's cells, world (x, y) [m].
+
+        Args:
+            frame: where the cells are: the grid's.
+        """
+        _, height, width = self.member.shape
+        count = jnp.maximum(self.num_cells, 1).astype(jnp.float32)[:, None]
+        # Weights first: sums stay as small as the coordinates.
+        by_row = self.member.sum(axis=2).astype(jnp.float32) / count
+        by_column = self.member.sum(axis=1).astype(jnp.float32) / count
+        row = (by_row * (jnp.arange(height, dtype=jnp.float32) + 0.5)).sum(axis=1)
+        column = (by_column * (jnp.arange(width, dtype=jnp.float32) + 0.5)).sum(axis=1)
+        return frame.to_world(jnp.stack([row, column], axis=-1))
+
+    def deplete(
+        self, levels: Float[Array, " Z"], visible_cells: GridMask, rate: ArrayLike
+    ) -> Float[Array, " Z"]:
+        """Return the zones' information levels after a look: depletion by coverage.
+
+            level <- level (1 - rate covered)
+
+        with `covered` the share of the zone's cells that are visible. At rate 1 a look at the
+        whole zone takes all of it. Levels that are states of a model, one per zone, follow the
+        quadrotor design notes; against a map that is updated `remaining` says the same.
+
+        Args:
+            levels: (Z,) before.
+            visible_cells: (H, W), from `visible`.
+            rate: share taken from what is seen, in [0, 1].
+
+        Raises:
+            ValueError: a rate outside [0, 1], visible cells of another shape.
+        """
+        share = _checks.scalar("rate", rate, at_least=0.0, at_most=1.0)
+        covered = self._mean("visible_cells", visible_cells.astype(jnp.float32))
+        return levels * (1.0 - share * covered)
+
+    def _mean(self, name: str, values: Float[Array, "H W"]) -> Float[Array, " Z"]:
+        if values.shape != self.member.shape[1:]:
+            raise ValueError(f"{name} has shape {values.shape}; accepted: {self.member.shape[1:]}")
+        total = jnp.where(self.member, values, 0.0).sum(axis=(1, 2))
+        return total / jnp.maximum(self.num_cells, 1).astype(jnp.float32)
+
+
+def _checked_rectangles(rectangles: Rectangles) -> np.ndarray:
+    accepted = "(Z, 4) finite numbers (x_min, y_min, x_max, y_max), min < max, Z >= 1"
+    try:
+        array = np.asarray(rectangles, np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"rectangles is {rectangles!r}; accepted: {accepted}") from None
+    if array.ndim != 2 or array.shape[1] != 4 or array.shape[0] == 0:
+        raise ValueError(f"rectangles has shape {array.shape}; accepted: {accepted}")
+    for row, rectangle in enumerate(array):
+        if not np.isfinite(rectangle).all() or not (rectangle[:2] < rectangle[2:]).all():
+            raise ValueError(f"rectangles[{row}] is {rectangle.tolist()}; accepted: {accepted}")
+    return array
