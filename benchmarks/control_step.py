@@ -73,7 +73,7 @@ def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, An
             key,
         ),
         "map update and clearance": timed(perception.observe, state.belief, scan, pose),
-        "information field": timed(sensor.field, state.belief.grid, model),
+        "information field, whole": timed(sensor.field, state.belief.grid, model),
         "all fields": timed(perception.update_fields, state.belief, pose, period),
         "MPPI": timed(
             lambda c, s, x, b, k: c.step(s, x, b, key=k),
@@ -86,8 +86,8 @@ def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, An
     }
     result: dict[str, Any] = {name: dataclasses.asdict(part) for name, part in parts.items()}
     nodes = state.belief.information.total.size
-    beams = nodes * sensor.offset.shape[0]
-    field = result["information field"]
+    beams = nodes * sensor.table.num_directions
+    field = result["information field, whole"]
     field["beams"] = beams
     field["million_beams_per_second"] = beams / field["p50_ms"] / 1e3
     return result
