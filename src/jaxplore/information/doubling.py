@@ -35,6 +35,7 @@ from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 WORTHWHILE = 140.0
 """Cells of a beam, beyond those near the sensor, from which doubling was measured to be faster."""
 UNROLL = 4
+"""Cells followed per pass over the map."""
 
 
 def is_faster(length: float, stride: int, spacing: float | None) -> bool:

@@ -264,7 +264,6 @@ class FieldSensor(eqx.Module):
         node = jnp.minimum(node, jnp.asarray([rows - size[0], columns - size[1]]))
         corner = first + self.stride * node.astype(jnp.int32)
         is_open = self.table.is_open(maps, corner, size)
-
         order = jnp.argsort(~is_stale)
 
         def evaluate(number: Array, sectors: Array) -> Array:
@@ -274,7 +273,6 @@ class FieldSensor(eqx.Module):
 
         count = jnp.sum(is_stale, dtype=jnp.int32)
         sectors: Array = jax.lax.fori_loop(0, count, evaluate, values.sectors)
-
         return Values(sectors, _add_up(sectors, values.cumulative, node, size))
 
     def _changed_blocks(

@@ -16,6 +16,7 @@ from jaxplore.information.pose import PoseInformation
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 LANES = 8
+"""Values in a vector register."""
 
 
 class LocalFieldSensor(eqx.Module):

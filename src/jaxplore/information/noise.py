@@ -45,8 +45,8 @@ class GaussianNoise(RangeNoise):
         G_kj = Phi((l_{k+1} - mu_j) / std) - Phi((l_k - mu_j) / std)
 
     With `truncation` only cells count some part of which is at most so many standard deviations
-    from mu_j (banded FSMI): O(n) instead of O(n^2), and of the readings 4 sigma lose less than
-    1e-4.
+    from mu_j (banded FSMI): O(n) instead of O(n^2) where the cells are those of a grid, and of the
+    readings 4 sigma lose less than 1e-4.
 
     Args:
         std: standard deviation, in the unit of the beam's edges [m].
