@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore import Lidar, OccupancyGrid
-from jaxplore.information.entropy import BATCH, EntropyFan, pose_table
+from jaxplore.information.batches import BATCH
+from jaxplore.information.entropy import EntropyFan, pose_table
 
 SHAPE, RESOLUTION, ORIGIN = (14, 18), 0.25, (1.0, -2.0, 0.6)
 LIDAR = Lidar(num_beams=7, max_range=2.1, field_of_view=2.0)

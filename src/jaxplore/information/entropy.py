@@ -14,12 +14,10 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import GridValues, Position, Scalar
 from jaxplore.geometry.rays import traverse
+from jaxplore.information.batches import over_poses
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.lidar import Lidar
-
-BATCH = 64
-"""Poses evaluated at once: what a batch works on stays in the cache."""
 
 PoseGain = Callable[[OccupancyGrid, Position, Scalar], Scalar]
 """What a pose is worth: `gain(grid, position, heading)` of one pose (2,), () is a scalar."""
@@ -121,18 +119,16 @@ class EntropyFan(eqx.Module):
             grid: what is known.
             position: (2,) or (N, 2), world (x, y) [m].
             heading: () or (N,), world yaw [rad].
+
+        Raises:
+            ValueError: other shapes.
         """
         entropy = grid.entropy
 
-        def one(pose: tuple[Array, Array]) -> Array:
-            return self._at_pose(grid, entropy, *pose)
+        def one(position: Position, heading: Scalar) -> Scalar:
+            return self._at_pose(grid, entropy, position, heading)
 
-        if position.ndim == 1:
-            return one((position, heading))
-        if position.shape[0] <= BATCH:
-            return jax.vmap(one)((position, heading))
-        values: Array = jax.lax.map(one, (position, heading), batch_size=BATCH)
-        return values
+        return over_poses(one, position, heading)
 
     def _at_pose(
         self, grid: OccupancyGrid, entropy: GridValues, position: Position, heading: Scalar

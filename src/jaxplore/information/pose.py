@@ -10,15 +10,13 @@ from jaxtyping import Float, Int
 
 from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
+from jaxplore.information.batches import over_poses
 from jaxplore.information.beam import contributions
 from jaxplore.information.gain import CellGains, CellSensor, cell_gains
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
-
-BATCH = 64
-"""Poses evaluated at once: what a batch works on stays in the cache."""
 
 
 class PoseView(NamedTuple):
@@ -87,17 +85,15 @@ class PoseInformation(eqx.Module):
             grid: what is known.
             position: (2,) or (N, 2), world (x, y) [m].
             heading: () or (N,), world yaw [rad].
+
+        Raises:
+            ValueError: other shapes.
         """
-        if position.ndim == 1:
+
+        def one(position: Position, heading: Scalar) -> Scalar:
             return self.view(grid, position, heading).value.sum()
 
-        def one(pose: tuple[Array, Array]) -> Array:
-            return self.view(grid, *pose).value.sum()
-
-        if position.shape[0] <= BATCH:
-            return jax.vmap(one)((position, heading))
-        values: Array = jax.lax.map(one, (position, heading), batch_size=BATCH)
-        return values
+        return over_poses(one, position, heading)
 
     def view(self, grid: OccupancyGrid, position: Position, heading: Scalar) -> PoseView:
         """Return what each cell along each beam contributes to the information of a scan."""

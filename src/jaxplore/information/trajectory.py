@@ -98,10 +98,14 @@ class TrajectoryInformation(eqx.Module):
             headings: world yaw of each [rad]; along the path when absent.
 
         Raises:
-            ValueError: no positions.
+            ValueError: no positions, other shapes.
         """
-        if positions.shape[0] == 0:
+        if positions.ndim != 2 or positions.shape[0] == 0 or positions.shape[1] != 2:
             raise ValueError(f"positions has shape {positions.shape}; accepted: (T, 2) with T >= 1")
+        if headings is not None and headings.shape != positions.shape[:1]:
+            raise ValueError(
+                f"headings has shape {headings.shape}; accepted: {positions.shape[:1]}"
+            )
         headings = path_headings(positions) if headings is None else headings
         positions, headings = positions[:: self.every], headings[:: self.every]
         if self.method == "occlusion":
