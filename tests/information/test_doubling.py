@@ -119,12 +119,20 @@ def test_directions_repeat_and_lie_within_their_sectors(count: int) -> None:
     middles = (np.arange(count) + 0.5) * 2 * np.pi / count
     doubling = Doubling(middles, 2.0, 1)
     period = np.asarray(doubling.period) * np.asarray(doubling.sign)
-    assert np.abs(period).sum(axis=1).max() <= count
     np.testing.assert_array_equal(np.gcd(*np.abs(period).T), 1)
     angles = np.arctan2(period[:, 0], period[:, 1])
     np.testing.assert_allclose(doubling.angles, np.mod(angles, 2 * np.pi), rtol=1e-6)
     off = np.angle(np.exp(1j * (angles - middles)))
     assert np.abs(off).max() <= 0.5 * np.pi / count + 1e-6
+    # No shorter vector would do: all of them, one by one.
+    for middle, length in zip(middles, np.abs(period).sum(axis=1), strict=True):
+        side = np.arange(-length, length + 1)
+        rows, columns = (part.reshape(-1) for part in np.meshgrid(side, side))
+        size = np.abs(rows) + np.abs(columns)
+        is_shorter = (size > 0) & (size < length)
+        shorter = np.arctan2(rows[is_shorter], columns[is_shorter])
+        nearest = np.abs(np.angle(np.exp(1j * (shorter - middle)))).min(initial=np.pi)
+        assert nearest > 0.5 * np.pi / count - 1e-6
 
 
 def test_it_is_chosen_where_it_is_faster() -> None:
