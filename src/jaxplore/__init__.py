@@ -19,9 +19,13 @@ from jaxplore.costs.exploration import ControlCost as ControlCost
 from jaxplore.costs.exploration import GuidanceCost as GuidanceCost
 from jaxplore.costs.exploration import InformationCost as InformationCost
 from jaxplore.costs.exploration import ObstacleCost as ObstacleCost
+from jaxplore.dynamics.base import ContinuousDynamics as ContinuousDynamics
 from jaxplore.dynamics.base import Dynamics as Dynamics
 from jaxplore.dynamics.base import State as State
 from jaxplore.dynamics.differential_drive import DifferentialDrive as DifferentialDrive
+from jaxplore.dynamics.integrators import RK4 as RK4
+from jaxplore.dynamics.integrators import Euler as Euler
+from jaxplore.dynamics.integrators import Integrator as Integrator
 from jaxplore.information.beam import beam_information as beam_information
 from jaxplore.information.beam import cauchy_schwarz_information as cauchy_schwarz_information
 from jaxplore.information.beam import cell_information as cell_information

@@ -2,37 +2,58 @@
 
 import abc
 from collections.abc import Iterator
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
-from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief
+from jaxplore.dynamics.base import Dynamics, State
 
 
 class Cost(eqx.Module):
-    """What a rollout pays: `sum over t of stage(x_t, u_{t-1}, t) + terminal(x_T)`.
+    """What a rollout pays:
 
-    Written for one state; the engine maps it. The stage cost is taken at the state that a control
+        sum over t of stage(x_{t+1}, u_t, t + dt) + terminal(x_T) + sequence(u_0 ... u_{T-1})
+
+    Written for one rollout; the engine maps it. The stage cost is taken at the state that a control
     leads to. Weights are outside: `2.0 * A() + B()`.
     """
 
     @abc.abstractmethod
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the cost of one step.
 
         Args:
             state: the state reached.
             control: (nu,) the control that led to it.
             t: time from now at which it is reached [s].
-            belief: what the robot knows.
+            belief: what the robot knows, as given to the controller: a `Belief`, or whatever
+                pytree the cost expects.
         """
 
-    def terminal(self, state: State, belief: Belief) -> Scalar:
+    def terminal(self, state: State, belief: Any) -> Scalar:
         """Return the cost of the last state; none unless a cost says otherwise."""
+        return jnp.zeros(())
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the cost of the controls as a sequence; none unless a cost says otherwise.
+
+        Args:
+            controls: (T, nu) those of the rollout.
+            applied: (nu,) the control before them, the last one that was given out.
+            dt: model step [s].
+            dynamics: the model.
+        """
         return jnp.zeros(())
 
     def terms(self) -> Iterator[tuple[str, "Cost"]]:
@@ -55,13 +76,23 @@ class WeightedCost(Cost):
     weight: Scalar
     cost: Cost
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the weighted stage cost."""
         return self.weight * self.cost.stage(state, control, t, belief)
 
-    def terminal(self, state: State, belief: Belief) -> Scalar:
+    def terminal(self, state: State, belief: Any) -> Scalar:
         """Return the weighted terminal cost."""
         return self.weight * self.cost.terminal(state, belief)
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the weighted cost of the sequence."""
+        return self.weight * self.cost.sequence(controls, applied, dt, dynamics)
 
     def terms(self) -> Iterator[tuple[str, Cost]]:
         """Yield the weighted terms."""
@@ -74,18 +105,31 @@ class SumCost(Cost):
 
     costs: tuple[Cost, ...]
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the sum of the stage costs."""
         total = jnp.zeros(())
         for cost in self.costs:
             total = total + cost.stage(state, control, t, belief)
         return total
 
-    def terminal(self, state: State, belief: Belief) -> Scalar:
+    def terminal(self, state: State, belief: Any) -> Scalar:
         """Return the sum of the terminal costs."""
         total = jnp.zeros(())
         for cost in self.costs:
             total = total + cost.terminal(state, belief)
+        return total
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the sum of the costs of the sequence."""
+        total = jnp.zeros(())
+        for cost in self.costs:
+            total = total + cost.sequence(controls, applied, dt, dynamics)
         return total
 
     def terms(self) -> Iterator[tuple[str, Cost]]:

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Position, Scalar, StateVector
+from jaxplore.dynamics.integrators import Integrator
 
 
 class Dynamics(eqx.Module):
@@ -15,7 +16,8 @@ class Dynamics(eqx.Module):
     Written for one robot and one step; the engine maps it over samples and time. A model says its
     `state_names` and `control_names`, its control bounds, the radius of the disc that holds it and
     `step`. Position, heading and speed are found among the state's names (`x`, `y`, `yaw`, `v`);
-    a model that names or computes them otherwise gives its own accessors.
+    a model that names or computes them otherwise gives its own accessors. A model that is given by
+    its time derivative is a `ContinuousDynamics`.
     """
 
     state_names: ClassVar[tuple[str, ...]]
@@ -28,6 +30,24 @@ class Dynamics(eqx.Module):
     @abc.abstractmethod
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (nx,) after `dt` seconds under a control (nu,)."""
+
+    def step_at(
+        self, state: StateVector, control: ControlVector, t: Scalar, dt: Scalar
+    ) -> StateVector:
+        """Return the state (nx,) after the step that begins `t` seconds from now.
+
+        The engine calls this. A model that does not depend on time leaves it as it is: `step`.
+        """
+        return self.step(state, control, dt)
+
+    @property
+    def default_control(self) -> ControlVector:
+        """The control (nu,) of a robot that is left alone: no control, within the bounds.
+
+        A plan starts with it and is continued with it. A model that zeros would let fall says
+        better.
+        """
+        return jnp.clip(jnp.zeros(self.control_size), self.control_min, self.control_max)
 
     @property
     def state_size(self) -> int:
@@ -77,6 +97,27 @@ class Dynamics(eqx.Module):
         stays = jnp.asarray([name in ("x", "y") for name in self.state_names])
         stops = jnp.asarray([name == "v" for name in self.state_names])
         return jnp.where(stays, before, jnp.where(stops, 0.0, after))
+
+
+class ContinuousDynamics(Dynamics):
+    """A model given by its time derivative, `dx/dt = derivative(x, u)`, and an integrator.
+
+    `step` integrates with the control held constant, then projects onto the states that there are.
+    """
+
+    integrator: eqx.AbstractVar[Integrator]
+
+    @abc.abstractmethod
+    def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
+        """Return dx/dt (nx,)."""
+
+    def project(self, state: StateVector) -> StateVector:
+        """Return the nearest admissible state (nx,): all are, unless a model says otherwise."""
+        return state
+
+    def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
+        """Return the state (nx,) after `dt` seconds under a control (nu,)."""
+        return self.project(self.integrator(self.derivative, state, control, dt))
 
 
 class State(eqx.Module):
