@@ -11,6 +11,11 @@ from jax import Array
 from jax.typing import ArrayLike
 
 
+def is_traced(*values: object) -> bool:
+    """Return whether any value is known only when the program runs."""
+    return any(isinstance(value, jax.core.Tracer) for value in values)
+
+
 def positive_int(name: str, value: object) -> int:
     """Return `value` as an int >= 1."""
     return whole_number(name, value, at_least=1)

@@ -9,13 +9,15 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.rollout import Trajectory
-from jaxplore.information.belief import Belief
 
 
 class Info(NamedTuple):
     """What a controller says about a step.
 
     Args:
+        controls: (T, nu) the plan; its first row is the control that is returned. For several
+            controls per command, apply the first n and call again n model steps later, with
+            `at_period(n * dt)`.
         weights: (K,) weight of each rollout; adds up to 1, or to 0 if none was finite.
         costs: (K,) cost of each rollout; infinite where it was not finite.
         effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite.
@@ -23,6 +25,7 @@ class Info(NamedTuple):
             nominal.
     """
 
+    controls: Float[Array, "T nu"]
     weights: Float[Array, " K"]
     costs: Float[Array, " K"]
     effective_sample_size: Scalar
@@ -34,11 +37,13 @@ class SampledPlan(NamedTuple):
 
     Args:
         nominal: what the plan leads to, and its cost by term.
+        best: the rollout of least cost, and its cost by term.
         samples: (N, T + 1, nx) states of some rollouts.
         weights: (N,) their weights.
     """
 
     nominal: Trajectory
+    best: Trajectory
     samples: Float[Array, "N T+1 nx"]
     weights: Float[Array, " N"]
 
@@ -52,11 +57,11 @@ class Controller(eqx.Module):
 
     @abc.abstractmethod
     def init(self) -> Any:
-        """Return the state before the first step."""
+        """Return the state before the first step. To reset a controller is to begin with it."""
 
     @abc.abstractmethod
     def step(
-        self, state: Any, observation: StateVector, belief: Belief, *, key: Key
+        self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
         """Return the control (nu,), the controller's new state and what it says about the step."""
 
@@ -65,10 +70,10 @@ class Controller(eqx.Module):
         self,
         state: Any,
         observation: StateVector,
-        belief: Belief,
+        belief: Any = None,
         *,
         key: Key,
-        num_trajectories: int,
+        num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return what `step` sees with the same arguments: trajectories, and the cost by term."""
 

@@ -1,67 +1,287 @@
-"""Where the perturbations of the nominal controls come from."""
+"""Distributions that parameters are sampled from."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore._types import ControlVector, Key, Vector
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Key, Scalar, Vector
+from jaxplore.control.adaptation import CovarianceAdaptation
+from jaxplore.control.noise import Noise, WhiteNoise
+from jaxplore.control.parameterisations import (
+    ControlSpace,
+    Parameterisation,
+    Parameters,
+    Samples,
+    Sequence,
+)
 
-Perturbations = Float[Array, "T nu K"]
+
+class Surroundings(eqx.Module):
+    """What a proposal samples around: the `nominal` of a `parameterisation` of controls."""
+
+    parameterisation: Parameterisation
+    nominal: Any
+    space: ControlSpace
+
+    @property
+    def centre(self) -> Parameters:
+        """The parameters (P, nu) of the nominal."""
+        return self.parameterisation.centre(self.nominal)
+
+    @property
+    def rest(self) -> ControlVector:
+        """The parameters (nu,) of a robot that is left alone."""
+        return self.parameterisation.rest(self.space)
+
+    def encode(self, controls: Sequence) -> Parameters:
+        """Return the parameters (P, nu) of controls (T, nu), or the nearest to them."""
+        return self.parameterisation.encode(self.nominal, controls, self.space)
 
 
 class Proposal(eqx.Module):
-    """A distribution of perturbations, and the price of having sampled from it."""
+    """A distribution of parameters, and the price of having sampled from it."""
+
+    def init(self, num_parameters: int, control_size: int) -> Any:
+        """Return what the proposal remembers between steps: nothing by default."""
+        return ()
 
     @abc.abstractmethod
-    def sample(self, shape: tuple[int, int, int], *, key: Key) -> Perturbations:
-        """Return perturbations of shape (T, nu, K)."""
+    def sample(
+        self,
+        memory: Any,
+        around: Surroundings,
+        num_samples: int,
+        *,
+        key: Key,
+        perturbations: Samples | None = None,
+    ) -> Samples:
+        """Return samples (P, nu, K).
 
-    @abc.abstractmethod
-    def importance(
-        self, nominal: Float[Array, "T nu"], perturbations: Perturbations
-    ) -> Float[Array, " K"]:
-        """Return the log-likelihood ratio of each sample (K,), up to a constant.
-
-        That of the proposal N(nominal, Sigma) to the uncontrolled distribution N(0, Sigma).
+        Args:
+            memory: from `init` or `adapt`.
+            around: what they are sampled around.
+            num_samples: K.
+            key: randomness.
+            perturbations: (P, nu, K) to be added to the means instead of noise.
         """
+
+    @abc.abstractmethod
+    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+        """Return `log q(v) - log p(v)` of each sample v, up to a constant.
+
+        q is this distribution; p is the uncontrolled one, that of a robot that is left alone.
+        Weights `exp(-J / temperature) p / q` estimate the optimum whatever q is (Williams et al.,
+        "Information theoretic MPC", ICRA 2017).
+        """
+
+    def adapt(
+        self,
+        memory: Any,
+        around: Surroundings,
+        weights: Float[Array, " K"],
+        samples: Samples,
+    ) -> Any:
+        """Return the memory after a step in which the samples had these weights."""
+        return memory
+
+    def shift(self, memory: Any, rows: Scalar) -> Any:
+        """Return the memory as seen later, by the time of so many rows of parameters."""
+        return memory
+
+    def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
+        """Raise a `ValueError` if the proposal does not fit a controller of these sizes."""
+        return
 
 
 class GaussianProposal(Proposal):
-    """White Gaussian noise, independent between controls and steps.
+    """`v = c + mu + eps`, with c the nominal's parameters and eps Gaussian noise.
 
-    Its importance term is `sum_t u_t^T Sigma^-1 eps_t` (Williams et al., "Information theoretic
-    MPC", ICRA 2017, eq. 19; multiplied there, and in `MPPI`, by the temperature), u the nominal.
+    The covariance of eps is `noise_covariance` between controls, times that of the `noise` between
+    rows: none for white noise. With rest parameters r,
+
+        log q - log p = sum (c - r)^T Sigma^-1 (v - c) + constant
+
+    (Williams et al. 2017, eq. 19, where r = 0). For noise that is not Gaussian this is the ratio of
+    Gaussians with its covariance.
 
     Args:
-        noise_std: (nu,) standard deviation of each control.
+        noise_std: (nu,) standard deviation of each control's noise; or give `noise_covariance`.
+        noise_covariance: (nu, nu), symmetric and positive definite.
+        mean: (nu,) mu, 0 when absent.
+        noise: where randomness comes from; `WhiteNoise` when absent.
+        adaptation: how the spread follows the weights; it does not when absent.
 
     Raises:
-        ValueError: a standard deviation that is not positive and finite.
+        ValueError: both or neither of standard deviation and covariance, a deviation that is not
+            positive, a matrix that is not a covariance, a mean of another size.
     """
 
-    noise_std: ControlVector
+    noise_std: ControlVector | None
+    noise_covariance: Float[Array, "nu nu"] | None
+    mean: ControlVector
+    noise: Noise
+    adaptation: CovarianceAdaptation | None
 
-    def __init__(self, noise_std: Vector) -> None:
-        if not isinstance(noise_std, jax.core.Tracer):
-            std = np.asarray(noise_std, np.float32)
-            if std.ndim != 1 or not (np.isfinite(std) & (std > 0)).all():
-                raise ValueError(
-                    f"noise_std is {noise_std!r}; accepted: one positive number per control"
-                )
-            noise_std = std
-        self.noise_std = jnp.asarray(noise_std, jnp.float32)
+    def __init__(
+        self,
+        noise_std: Vector | None = None,
+        *,
+        noise_covariance: ArrayLike | None = None,
+        mean: Vector | None = None,
+        noise: Noise | None = None,
+        adaptation: CovarianceAdaptation | None = None,
+    ) -> None:
+        if (noise_std is None) == (noise_covariance is None):
+            raise ValueError(
+                f"noise_std is {noise_std!r} and noise_covariance is {noise_covariance!r}; "
+                "accepted: one of them"
+            )
+        self.noise_std = None if noise_std is None else _standard_deviation(noise_std)
+        self.noise_covariance = None if noise_covariance is None else _covariance(noise_covariance)
+        size = self.control_size
+        self.mean = jnp.zeros(size) if mean is None else _checks.vector("mean", mean, size)
+        self.noise = WhiteNoise() if noise is None else noise
+        self.adaptation = adaptation
 
-    def sample(self, shape: tuple[int, int, int], *, key: Key) -> Perturbations:
-        """Return `noise_std * N(0, 1)` (T, nu, K)."""
-        return self.noise_std[:, None] * jax.random.normal(key, shape)
+    @property
+    def control_size(self) -> int:
+        """Number of controls, nu."""
+        if self.noise_std is not None:
+            return int(self.noise_std.shape[0])
+        assert self.noise_covariance is not None
+        return int(self.noise_covariance.shape[0])
 
-    def importance(
-        self, nominal: Float[Array, "T nu"], perturbations: Perturbations
+    def init(self, num_parameters: int, control_size: int) -> Any:
+        """Return the scale (P, nu) of the noise if it adapts."""
+        return () if self.adaptation is None else jnp.ones((num_parameters, control_size))
+
+    def sample(
+        self,
+        memory: Any,
+        around: Surroundings,
+        num_samples: int,
+        *,
+        key: Key,
+        perturbations: Samples | None = None,
+    ) -> Samples:
+        """Return `c + mu + eps` (P, nu, K)."""
+        centre = around.centre[:, :, None]
+        if perturbations is not None:
+            return centre + perturbations
+        return centre + self.mean[:, None] + self.draw(memory, centre.shape, num_samples, key=key)
+
+    def draw(self, memory: Any, shape: tuple[int, ...], num_samples: int, *, key: Key) -> Samples:
+        """Return noise (P, nu, K) of mean 0 for parameters of shape (P, nu, ...)."""
+        unit = self.noise.draw((shape[0], shape[1], num_samples), key=key)
+        if self.adaptation is not None:
+            unit = memory[:, :, None] * unit
+        if self.noise_std is not None:
+            return self.noise_std[:, None] * unit
+        return jnp.einsum("uv,pvk->puk", jnp.linalg.cholesky(self.noise_covariance), unit)
+
+    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+        """Return the ratio for the nominal as the mean (K,)."""
+        return self.log_density_ratio(memory, around, around.centre, samples)
+
+    def log_density_ratio(
+        self, memory: Any, around: Surroundings, mean: Parameters, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return `sum_t u_t^T Sigma^-1 eps_t` (K,)."""
-        scaled = nominal / (self.noise_std * self.noise_std)
-        return jnp.einsum("tu,tuk->k", scaled, perturbations)
+        """Return `log N(v; m + mu, S Sigma S) - log N(v; r + mu, Sigma)` (K,).
+
+        S is the adapted scale; without it the terms quadratic in v cancel. Constants that do not
+        depend on the mean m are left out.
+        """
+        if self.adaptation is None:
+            away = mean - around.rest
+            pull = self.precision(away)
+            constant = jnp.sum(pull * (around.rest + self.mean + 0.5 * away))
+            return jnp.einsum("pu,puk->k", pull, samples) - constant
+        drawn = samples - self.mean[:, None]
+        scaled = (drawn - mean[:, :, None]) / memory[:, :, None]
+        return 0.5 * self._square(drawn - around.rest[:, None]) - 0.5 * self._square(scaled)
+
+    def precision(self, sequence: Parameters) -> Parameters:
+        """Return `Sigma^-1 sequence` (P, nu), before any adaptation."""
+        sequence = self.noise.precision(sequence)
+        if self.noise_std is not None:
+            return sequence / (self.noise_std * self.noise_std)
+        factor = jnp.linalg.cholesky(self.noise_covariance)
+        solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence.T)
+        return solved.T
+
+    def adapt(
+        self,
+        memory: Any,
+        around: Surroundings,
+        weights: Float[Array, " K"],
+        samples: Samples,
+    ) -> Any:
+        """Return the scale after a step, if it adapts."""
+        if self.adaptation is None:
+            return memory
+        away = (samples - around.centre[:, :, None]) / self._deviation[:, None]
+        return self.adaptation.adapted(memory, weights, away)
+
+    def shift(self, memory: Any, rows: Scalar) -> Any:
+        """Return the scale moved on, if it adapts."""
+        return memory if self.adaptation is None else self.adaptation.shifted(memory, rows)
+
+    def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
+        """Raise a `ValueError` if the noise does not fit a controller of these sizes."""
+        if self.control_size != control_size:
+            name = "noise_std" if self.noise_std is not None else "noise_covariance"
+            value = self.noise_std if self.noise_std is not None else self.noise_covariance
+            assert value is not None
+            wanted = (control_size,) * value.ndim
+            raise ValueError(
+                f"{name} has shape {value.shape}; accepted: {wanted}, one per control of the model"
+            )
+        self.noise.check((num_parameters, control_size, num_samples))
+
+    @property
+    def _deviation(self) -> ControlVector:
+        """Standard deviation (nu,) of each control's noise."""
+        if self.noise_std is not None:
+            return self.noise_std
+        assert self.noise_covariance is not None
+        return jnp.sqrt(jnp.diagonal(self.noise_covariance))
+
+    def _square(self, samples: Samples) -> Float[Array, " K"]:
+        weighted = jax.vmap(self.precision, in_axes=-1, out_axes=-1)(samples)
+        return jnp.sum(samples * weighted, axis=(0, 1))
+
+
+def _standard_deviation(value: Vector) -> ControlVector:
+    if not isinstance(value, jax.core.Tracer):
+        std = np.asarray(value, np.float32)
+        if std.ndim != 1 or not (np.isfinite(std) & (std > 0)).all():
+            raise ValueError(f"noise_std is {value!r}; accepted: one positive number per control")
+        value = std
+    return jnp.asarray(value, jnp.float32)
+
+
+def _covariance(value: ArrayLike) -> Float[Array, "nu nu"]:
+    if not isinstance(value, jax.core.Tracer):
+        matrix = np.asarray(value, np.float64)
+        square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
+        if not square or not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
+            raise ValueError(
+                f"noise_covariance is {value!r}; accepted: a symmetric matrix, one row per control"
+            )
+        least = float(np.linalg.eigvalsh(matrix).min())
+        # In float32 the Cholesky factor of a matrix that is closer to singular fails.
+        if least <= 1e-6 * float(np.abs(matrix).max()):
+            raise ValueError(
+                f"noise_covariance has an eigenvalue of {least:.3g}; accepted: a positive definite "
+                "matrix"
+            )
+        value = matrix
+    return jnp.asarray(value, jnp.float32)

@@ -69,6 +69,10 @@ class Cost(eqx.Module):
     def __rmul__(self, weight: ArrayLike) -> "WeightedCost":
         return self * weight
 
+    def named(self, name: str) -> "NamedCost":
+        """Return this cost as one term of that name, to tell it from others of its class."""
+        return NamedCost(name, self)
+
 
 class WeightedCost(Cost):
     """A cost times a weight; changing the weight never recompiles."""
@@ -136,3 +140,48 @@ class SumCost(Cost):
         """Yield the terms of every summand."""
         for cost in self.costs:
             yield from cost.terms()
+
+
+class NamedCost(Cost):
+    """A cost under a name of its own: `ObstacleCost().named("left wall")`.
+
+    A sum that is named is one term. Weights may be inside or outside the name.
+
+    Args:
+        name: of the term; static.
+        cost: what is paid.
+
+    Raises:
+        ValueError: a name that is empty or no text.
+    """
+
+    cost: Cost
+    name: str = eqx.field(static=True)
+
+    def __init__(self, name: str, cost: Cost) -> None:
+        if not isinstance(name, str) or not name.strip():
+            raise ValueError(f"name is {name!r}; accepted: a text that is not empty")
+        self.name = name
+        self.cost = cost
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the stage cost."""
+        return self.cost.stage(state, control, t, belief)
+
+    def terminal(self, state: State, belief: Any) -> Scalar:
+        """Return the terminal cost."""
+        return self.cost.terminal(state, belief)
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the cost of the sequence."""
+        return self.cost.sequence(controls, applied, dt, dynamics)
+
+    def terms(self) -> Iterator[tuple[str, Cost]]:
+        """Yield the cost as one term."""
+        yield self.name, self.cost

@@ -95,7 +95,7 @@ class Dynamics(eqx.Module):
         It stays at the position it had, without speed; it may still turn.
         """
         stays = jnp.asarray([name in ("x", "y") for name in self.state_names])
-        stops = jnp.asarray([name == "v" for name in self.state_names])
+        stops = jnp.asarray([name in ("v", "vx", "vy", "vz") for name in self.state_names])
         return jnp.where(stays, before, jnp.where(stops, 0.0, after))
 
 

@@ -30,7 +30,7 @@ class Euler(Integrator):
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
         """Return the state (nx,) after `dt`."""
-        return _ahead(state, derivative(state, control), dt)
+        return jnp.stack(_ahead(tuple(state), derivative(state, control), dt))
 
 
 class RK4(Integrator):
@@ -50,19 +50,20 @@ class RK4(Integrator):
     ) -> StateVector:
         """Return the state (nx,) after `dt`."""
         half = 0.5 * dt
-        second = cut(_ahead(state, derivative(state, control), half))
-        third = cut(_ahead(state, derivative(second, control), half))
-        fourth = cut(_ahead(state, derivative(third, control), dt))
-        last = derivative(fourth, control)
+        first = tuple(state)
+        second = cut(_ahead(first, derivative(state, control), half))
+        third = cut(_ahead(first, derivative(jnp.stack(second), control), half))
+        fourth = cut(_ahead(first, derivative(jnp.stack(third), control), dt))
+        last = derivative(jnp.stack(fourth), control)
         return jnp.stack(
             [
                 a + ((b - a) + 2.0 * (c - a) + (d - a)) / 3.0 + (dt / 6.0) * k
-                for a, b, c, d, k in zip(state, second, third, fourth, last, strict=True)
+                for a, b, c, d, k in zip(first, second, third, fourth, last, strict=True)
             ]
         )
 
 
-def _ahead(state: Array, rate: Array, dt: Array) -> Array:
+def _ahead(state: tuple[Array, ...], rate: Array, dt: Array) -> tuple[Array, ...]:
     # Component by component: XLA takes a stack apart again that is only unpacked, so that rollouts
     # of K samples compute on vectors of K, and no (nx, K) array is put together in between.
-    return jnp.stack([value + dt * change for value, change in zip(state, rate, strict=True)])
+    return tuple(value + dt * change for value, change in zip(state, rate, strict=True))

@@ -4,7 +4,9 @@ from jax.typing import ArrayLike
 
 from jaxplore._types import Vector
 from jaxplore.control.mppi import MPPI
-from jaxplore.costs.exploration import ControlCost, GuidanceCost, InformationCost, ObstacleCost
+from jaxplore.costs.effort import ControlCost
+from jaxplore.costs.exploration import GuidanceCost, InformationCost
+from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import Dynamics
 
 

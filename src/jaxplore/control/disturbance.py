@@ -1,0 +1,187 @@
+"""What may go differently from the model: for rollouts of more than one outcome."""
+
+import abc
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore.dynamics.base import Dynamics
+
+
+class Disturbance(eqx.Module):
+    """A distribution of outcomes of a model.
+
+    M outcomes are drawn at each step and every control sequence meets the same ones: what differs
+    between the sequences' costs is the sequences' doing.
+    """
+
+    @abc.abstractmethod
+    def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
+        """Return a pytree of draws whose leaves begin with the axes (T, M)."""
+
+    @abc.abstractmethod
+    def step_at(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        t: Scalar,
+        dt: Scalar,
+        drawn: Any,
+    ) -> StateVector:
+        """Return the state (nx,) after a disturbed step; `drawn` is one step of one outcome."""
+
+    def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
+        """Raise a `ValueError` if the disturbance does not fit; all do, by default."""
+        return
+
+
+class StateNoise(Disturbance):
+    """White noise on the state: `x' = step(x, u) + std sqrt(dt) w`, w ~ N(0, 1).
+
+    Args:
+        std: (nx,) per square root of a second, so that the spread after a while does not depend on
+            the model step.
+
+    Raises:
+        ValueError: a negative or infinite value; from `check`, another size than the state's.
+    """
+
+    std: StateVector
+
+    def __init__(self, std: Vector) -> None:
+        self.std = _deviations(std)
+
+    def draw(
+        self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key
+    ) -> Float[Array, "T M nx"]:
+        """Return standard normal draws."""
+        return jax.random.normal(key, (horizon, num_outcomes, dynamics.state_size))
+
+    def step_at(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        t: Scalar,
+        dt: Scalar,
+        drawn: StateVector,
+    ) -> StateVector:
+        """Return the disturbed state."""
+        reached = dynamics.step_at(state, control, t, dt)
+        spread = jnp.sqrt(dt) * self.std
+        return jnp.stack([x + s * w for x, s, w in zip(reached, spread, drawn, strict=True)])
+
+    def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
+        """Raise a `ValueError` if there is not one deviation per state component."""
+        _check_size(self.std, dynamics.state_size, dynamics)
+
+
+class ControlNoise(Disturbance):
+    """Controls that are not followed exactly: `x' = step(x, clip(u + std w))`, w ~ N(0, 1).
+
+    Args:
+        std: (nu,) deviation of each control.
+
+    Raises:
+        ValueError: a negative or infinite value; from `check`, another size than the control's.
+    """
+
+    std: ControlVector
+
+    def __init__(self, std: Vector) -> None:
+        self.std = _deviations(std)
+
+    def draw(
+        self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key
+    ) -> Float[Array, "T M nu"]:
+        """Return standard normal draws."""
+        return jax.random.normal(key, (horizon, num_outcomes, dynamics.control_size))
+
+    def step_at(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        t: Scalar,
+        dt: Scalar,
+        drawn: ControlVector,
+    ) -> StateVector:
+        """Return the state after the disturbed control."""
+        followed = jnp.clip(control + self.std * drawn, dynamics.control_min, dynamics.control_max)
+        return dynamics.step_at(state, followed, t, dt)
+
+    def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
+        """Raise a `ValueError` if there is not one deviation per control."""
+        _check_size(self.std, dynamics.control_size, dynamics)
+
+
+class ModelEnsemble(Disturbance):
+    """Uncertain parameters: outcome m follows the m-th of several models.
+
+    Args:
+        models: M models of the same class and sizes, with different parameters.
+
+    Raises:
+        ValueError: no model, models that differ in more than numbers; from `check`, another number
+            of outcomes.
+    """
+
+    models: Dynamics
+
+    def __init__(self, *models: Dynamics) -> None:
+        structures = {jax.tree.structure(model) for model in models}
+        if len(structures) != 1:
+            raise ValueError(
+                f"models have {len(structures)} structures; accepted: one or more models of one "
+                "class that differ in numbers only"
+            )
+        self.models = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+
+    def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
+        """Return the models at every step."""
+        models: Dynamics = jax.tree.map(
+            lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), self.models
+        )
+        return models
+
+    def step_at(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        t: Scalar,
+        dt: Scalar,
+        drawn: Dynamics,
+    ) -> StateVector:
+        """Return the state that the drawn model leads to."""
+        return drawn.step_at(state, control, t, dt)
+
+    def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
+        """Raise a `ValueError` unless there is one model per outcome."""
+        count = jax.tree.leaves(self.models)[0].shape[0]
+        if count != num_outcomes:
+            raise ValueError(
+                f"num_outcomes is {num_outcomes}; accepted: {count}, one per model of the ensemble"
+            )
+
+
+def _deviations(value: Vector) -> Array:
+    if not isinstance(value, jax.core.Tracer):
+        array = np.asarray(value, np.float32)
+        if array.ndim != 1 or not (np.isfinite(array) & (array >= 0)).all():
+            raise ValueError(f"std is {value!r}; accepted: a vector of numbers >= 0")
+        value = array
+    return jnp.asarray(value, jnp.float32)
+
+
+def _check_size(std: Array, size: int, dynamics: Dynamics) -> None:
+    if std.shape != (size,):
+        raise ValueError(
+            f"std has shape {std.shape}; accepted: ({size},) for {type(dynamics).__name__}"
+        )

@@ -1,0 +1,141 @@
+"""Fast feedback between plans."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.mppi import MPPI, MPPIState
+from jaxplore.control.rollout import rollout
+
+
+class FeedbackState(NamedTuple):
+    """What `FeedbackMPPI` remembers.
+
+    Args:
+        planner: the state of the MPPI that plans.
+        states: (T + 1, nx) that the plan leads to.
+        gains: (nu, nx) of the plan's first control.
+        info: of the last plan.
+        commands: how many were given since.
+    """
+
+    planner: MPPIState
+    states: Float[Array, "T+1 nx"]
+    gains: Float[Array, "nu nx"]
+    info: Info
+    commands: Count
+
+
+class FeedbackMPPI(Controller):
+    """Plans with MPPI at every n-th command and follows the plan by feedback in between.
+
+        u(t) = clip(u_plan(t) + K (x(t) - x_plan(t)))
+
+    with t the time since the plan, the planned controls held over each model step, the planned
+    states linear between them, and K the plan's own gains: see `MPPI.step_with_gains`. A command in
+    between costs a matrix product, so the robot is controlled at 200 Hz and more while the plans
+    come at 50 Hz. States are subtracted component by component: angles must not wrap.
+
+    Source: Belvedere, Ziegltrum, Turrisi, Modugno, "Feedback-MPPI: Fast Sampling-Based MPC via
+    Rollout Differentiation", 2025.
+
+    Args:
+        planner: MPPI, whose control period is the time between plans.
+        commands_per_plan: n; the time between commands is the control period divided by n.
+
+    Raises:
+        ValueError: `commands_per_plan` < 1.
+    """
+
+    planner: MPPI
+    commands_per_plan: Count
+
+    def __init__(self, planner: MPPI, commands_per_plan: int = 4) -> None:
+        self.planner = planner
+        self.commands_per_plan = jnp.asarray(
+            _checks.positive_int("commands_per_plan", commands_per_plan), jnp.int32
+        )
+
+    @property
+    def command_period(self) -> Scalar:
+        """Time between commands [s]."""
+        return self.planner.control_period / self.commands_per_plan.astype(jnp.float32)
+
+    def init(self) -> FeedbackState:
+        """Return the state before the first command, which plans."""
+        planner, model = self.planner, self.planner.dynamics
+        samples = jnp.zeros(planner.num_samples)
+        controls = jnp.zeros((planner.horizon, model.control_size))
+        return FeedbackState(
+            planner=planner.init(),
+            states=jnp.zeros((planner.horizon + 1, model.state_size)),
+            gains=jnp.zeros((model.control_size, model.state_size)),
+            info=Info(controls, samples, samples, jnp.zeros(()), jnp.zeros((), bool)),
+            commands=jnp.zeros((), jnp.int32),
+        )
+
+    def at_period(self, control_period: ArrayLike) -> "FeedbackMPPI":
+        """Return this controller for commands that are `control_period` seconds apart."""
+        period = _checks.scalar("control_period", control_period, above=0.0)
+        planner = self.planner.at_period(period * self.commands_per_plan.astype(jnp.float32))
+        same: FeedbackMPPI = eqx.tree_at(lambda controller: controller.planner, self, planner)
+        return same
+
+    def step(
+        self, state: FeedbackState, observation: StateVector, belief: Any = None, *, key: Key
+    ) -> tuple[ControlVector, FeedbackState, Info]:
+        """Return the control (nu,), the new state and the `Info` of the last plan."""
+        state = jax.lax.cond(
+            state.commands % self.commands_per_plan == 0,
+            lambda: self._plan(state, observation, belief, key),
+            lambda: state,
+        )
+        control = self._follow(state, observation)
+        after = state._replace(
+            planner=state.planner._replace(applied=control), commands=state.commands + 1
+        )
+        return control, after, state.info
+
+    def inspect(
+        self,
+        state: FeedbackState,
+        observation: StateVector,
+        belief: Any = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return what the planner would see if it planned now."""
+        return self.planner.inspect(
+            state.planner, observation, belief, key=key, num_trajectories=num_trajectories
+        )
+
+    def _plan(
+        self, state: FeedbackState, observation: StateVector, belief: Any, key: Key
+    ) -> FeedbackState:
+        planner = self.planner
+        _, after, info, gains = planner.step_with_gains(state.planner, observation, belief, key=key)
+        planned = rollout(
+            planner.dynamics, planner.cost, observation, info.controls, planner.dt, belief
+        )
+        return FeedbackState(after, planned.states, gains, info, jnp.zeros((), jnp.int32))
+
+    def _follow(self, state: FeedbackState, observation: StateVector) -> ControlVector:
+        planner = self.planner
+        steps = state.commands.astype(jnp.float32) * self.command_period / planner.dt
+        # A sum of rounded periods must not fall short of the model step that it comes to.
+        steps = jnp.clip(steps + 1e-4, 0.0, planner.horizon - 1.0)
+        index = jnp.floor(steps).astype(jnp.int32)
+        share = steps - jnp.floor(steps)
+        planned = (1.0 - share) * state.states[index] + share * state.states[index + 1]
+        away = observation - planned
+        correction = state.gains @ jnp.where(jnp.isfinite(away), away, 0.0)
+        control = state.info.controls[index] + correction
+        return jnp.clip(control, planner.dynamics.control_min, planner.dynamics.control_max)

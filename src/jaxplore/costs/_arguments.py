@@ -1,0 +1,88 @@
+"""Checks of arguments that come in numbers: arrays of several shapes, and numbers by name."""
+
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import Scalar, Vector
+
+Rows = ArrayLike | Sequence[Vector]
+"""What is accepted where rows of numbers are given by hand."""
+
+
+def array(
+    name: str,
+    value: object,
+    *shapes: tuple[int | str, ...],
+    above: float | None = None,
+    at_least: float | None = None,
+) -> Array:
+    """Return `value` as a finite float32 array (a leaf) of one of the shapes given.
+
+    A letter in a shape stands for any size from 1, the same letter for the same size. Of a traced
+    value only the shape is checked.
+    """
+    if not _checks.is_traced(value):
+        try:
+            with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below
+                value = np.asarray(value, np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} is {value!r}; accepted: {_describe(shapes)}") from None
+        is_bad = ~np.isfinite(value)
+        numbers = "finite numbers"
+        if above is not None:
+            is_bad |= value <= above
+            numbers += f" > {above}"
+        if at_least is not None:
+            is_bad |= value < at_least
+            numbers += f" >= {at_least}"
+        if is_bad.any():
+            raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
+    result = jnp.asarray(value, jnp.float32)
+    if not any(_fits(result.shape, shape) for shape in shapes):
+        raise ValueError(f"{name} has shape {result.shape}; accepted: {_describe(shapes)}")
+    return result
+
+
+def by_name(
+    name: str,
+    value: Mapping[str, ArrayLike] | None,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+) -> dict[str, Scalar]:
+    """Return numbers by name as float32 scalars (leaves; the names are static); absent is none."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ValueError(f"{name} is {value!r}; accepted: numbers by the name of a component")
+    return {
+        key: _checks.scalar(f"{name}[{key!r}]", number, above=above, at_least=at_least)
+        for key, number in sorted(value.items())
+    }
+
+
+def names_within(name: str, names: Sequence[str], known: Mapping[str, object]) -> None:
+    """Raise where one of `names` is not among the known."""
+    for key in names:
+        if key not in known:
+            raise ValueError(f"{name} has {key!r}; accepted: {', '.join(known)}")
+
+
+def _fits(shape: tuple[int, ...], accepted: tuple[int | str, ...]) -> bool:
+    sizes: dict[str, int] = {}
+    return len(shape) == len(accepted) and all(
+        size >= 1 and sizes.setdefault(wanted, size) == size
+        if isinstance(wanted, str)
+        else size == wanted
+        for size, wanted in zip(shape, accepted, strict=True)
+    )
+
+
+def _describe(shapes: tuple[tuple[int | str, ...], ...]) -> str:
+    texts = [str(shape).replace("'", "") if shape else "one number" for shape in shapes]
+    return " or ".join(texts)

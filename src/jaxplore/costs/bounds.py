@@ -1,0 +1,73 @@
+"""Costs of leaving what a state should stay within."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.costs._arguments import by_name, names_within
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+
+
+class StateBoundsCost(Cost):
+    """How far named state components are outside their bounds,
+
+        sum_i ((lower_i - x_i)_+^2 + (x_i - upper_i)_+^2) / scale_i^2
+
+    Nothing within, and no step at the bound: what matters is how deep. A box for the position are
+    bounds of `x`, `y` and `z`. Angles are compared as they are, without wrapping.
+
+    Args:
+        lower: lowest value by name of the component [its unit]; the names are static.
+        upper: greatest value by name. A component may have one bound or both.
+        scale: depth that costs 1, by name [unit of the component]; 1 where absent.
+
+    Raises:
+        ValueError: no bound at all, a lower one above the upper one, a scale that is not positive
+            or of a component without bounds. When traced, a name that the model does not have.
+    """
+
+    lower: dict[str, Scalar]
+    upper: dict[str, Scalar]
+    scale: dict[str, Scalar]
+
+    def __init__(
+        self,
+        lower: Mapping[str, ArrayLike] | None = None,
+        upper: Mapping[str, ArrayLike] | None = None,
+        scale: Mapping[str, ArrayLike] | None = None,
+    ) -> None:
+        self.lower = by_name("lower", lower)
+        self.upper = by_name("upper", upper)
+        bounded = {**self.lower, **self.upper}
+        if not bounded:
+            raise ValueError(
+                f"lower is {lower!r} and upper is {upper!r}; accepted: one bound or more"
+            )
+        for name in sorted(self.lower.keys() & self.upper.keys()):
+            low, high = self.lower[name], self.upper[name]
+            if not _checks.is_traced(low, high) and low > high:
+                raise ValueError(
+                    f"lower[{name!r}] is {low}; accepted: at most the upper one, {high}"
+                )
+        names_within("scale", list(scale or {}), bounded)
+        given = by_name("scale", scale, above=0.0)
+        self.scale = {name: given.get(name, jnp.ones(())) for name in sorted(bounded)}
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the squared depths."""
+        total = jnp.zeros(())
+        for name, scale in self.scale.items():
+            value, inverse = state[name], 1.0 / scale
+            depth = jnp.zeros(())
+            if name in self.lower:
+                depth = depth + jnp.maximum(self.lower[name] - value, 0.0)
+            if name in self.upper:
+                depth = depth + jnp.maximum(value - self.upper[name], 0.0)
+            depth = inverse * depth
+            total = total + depth * depth
+        return total

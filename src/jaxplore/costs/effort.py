@@ -1,0 +1,190 @@
+"""Costs of the controls: effort, and how much they change from step to step."""
+
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore.costs._arguments import Rows, array
+from jaxplore.costs._distance import squared
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import Dynamics, State
+
+
+class ControlCost(Cost):
+    """Control effort, `sum_i (u_i / max(|u_min,i|, |u_max,i|))^2`: 1 per control at its bound.
+
+    A control whose bounds are both 0 costs nothing.
+    """
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the effort."""
+        low, high = state.dynamics.control_min, state.dynamics.control_max
+        largest = jnp.maximum(jnp.abs(low), jnp.abs(high))
+        share = control / jnp.where(largest > 0.0, largest, 1.0)
+        return squared(tuple(share))
+
+
+class QuadraticControlCost(Cost):
+    """Quadratic control effort, `(u - u*)^T R (u - u*)`.
+
+    Args:
+        weights: R, (nu, nu), or its diagonal (nu,) [1 / unit of the control squared].
+        target: u*, (nu,); the model's `default_control` when absent, which costs a robot that is
+            left alone nothing.
+
+    Raises:
+        ValueError: weights that are negative or, as a matrix, reward some control; sizes that
+            differ. When traced, sizes that do not fit the model.
+    """
+
+    weights: Float[Array, " nu"] | Float[Array, "nu nu"]
+    target: ControlVector | None
+
+    def __init__(self, weights: Rows, target: Vector | None = None) -> None:
+        self.weights = array("weights", weights, ("nu",), ("nu", "nu"))
+        _check_no_reward(self.weights)
+        size = self.weights.shape[0]
+        self.target = None if target is None else array("target", target, (size,))
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the effort."""
+        _check_size("weights", self.weights, state.dynamics)
+        target = state.dynamics.default_control if self.target is None else self.target
+        error = [value - wanted for value, wanted in zip(control, target, strict=True)]
+        total = jnp.zeros(())
+        for i, row in enumerate(error):
+            if self.weights.ndim == 1:
+                total = total + self.weights[i] * row * row
+            else:
+                for j, column in enumerate(error):
+                    total = total + self.weights[i, j] * row * column
+        return total
+
+
+class ControlRateCost(Cost):
+    """Changes of the controls from step to step, `sum_t sum_i ((u_t,i - u_{t-1,i}) / s_i)^2`.
+
+    `u_{-1}` is the control that was applied last. It is a sum over steps, not over time: `dt` does
+    not enter.
+
+    Args:
+        scale: s, (nu,) or one number, the change that costs 1 [unit of the control]; the range
+            between the model's bounds when absent. A control whose range is 0 or infinite then
+            costs nothing.
+        include_applied: whether the first control is compared with the one applied before; static.
+
+    Raises:
+        ValueError: a scale that is not positive. When traced, one that does not fit the model.
+    """
+
+    scale: Scalar | ControlVector | None
+    include_applied: bool = eqx.field(static=True)
+
+    def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
+        self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
+        self.include_applied = include_applied
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return nothing: one step does not say how controls change."""
+        return jnp.zeros(())
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the sum over steps and controls."""
+        changes = controls[1:] - controls[:-1]
+        paid = jnp.sum(changes * changes, axis=0)
+        if self.include_applied:
+            first = controls[0] - applied
+            paid = paid + first * first
+        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+
+
+class ControlJerkCost(Cost):
+    """Changes of the changes, `sum_t sum_i ((u_t,i - 2 u_{t-1,i} + u_{t-2,i}) / s_i)^2`.
+
+    A control that rises evenly costs nothing. `u_{-1}` is the control that was applied last; the
+    sum begins where it is u_{t-2}. `dt` does not enter.
+
+    Args:
+        scale: s, (nu,) or one number, the second difference that costs 1 [unit of the control]; the
+            range between the model's bounds when absent. A control whose range is 0 or infinite
+            then costs nothing.
+        include_applied: whether the control applied before counts, or the sum begins a step later;
+            static.
+
+    Raises:
+        ValueError: a scale that is not positive. When traced, one that does not fit the model.
+    """
+
+    scale: Scalar | ControlVector | None
+    include_applied: bool = eqx.field(static=True)
+
+    def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
+        self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
+        self.include_applied = include_applied
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return nothing: one step does not say how controls change."""
+        return jnp.zeros(())
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Return the sum over steps and controls."""
+        changes = controls[1:] - controls[:-1]
+        bends = changes[1:] - changes[:-1]
+        paid = jnp.sum(bends * bends, axis=0)
+        if self.include_applied and controls.shape[0] > 1:
+            first = changes[0] - (controls[0] - applied)
+            paid = paid + first * first
+        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+
+
+def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
+    """Return 1 / scale^2 (nu,)."""
+    if scale is None:
+        span = dynamics.control_max - dynamics.control_min
+        inverse = jnp.where(span > 0.0, 1.0 / jnp.where(span > 0.0, span, 1.0), 0.0)
+    else:
+        if scale.ndim == 1:
+            _check_size("scale", scale, dynamics)
+        inverse = jnp.broadcast_to(1.0 / scale, (dynamics.control_size,))
+    return inverse * inverse
+
+
+def _check_size(name: str, value: Array, dynamics: Dynamics) -> None:
+    size = dynamics.control_size
+    if value.shape[0] != size:
+        raise ValueError(
+            f"{name} is for {value.shape[0]} controls; "
+            f"accepted: {size}, the controls of {type(dynamics).__name__}"
+        )
+
+
+def _check_no_reward(weights: Array) -> None:
+    """Raise where the quadratic form of the weights falls without bound in some direction."""
+    if _checks.is_traced(weights):
+        return
+    given = np.asarray(weights, np.float64)
+    matrix = np.diag(given) if given.ndim == 1 else 0.5 * (given + given.T)
+    lowest = np.linalg.eigvalsh(matrix).min()
+    # Rounding to float32 can take a zero eigenvalue a little below.
+    if lowest < -1e-6 * np.abs(matrix).max():
+        raise ValueError(
+            f"weights is {given.tolist()}, which rewards some controls (eigenvalue {lowest:.3g}); "
+            "accepted: no eigenvalue below 0"
+        )

@@ -1,0 +1,297 @@
+"""Costs of not being where, or as, the robot should be: points, paths, states.
+
+| cost | the robot should | grows with the distance |
+| --- | --- | --- |
+| `GoalCost` | get somewhere, from far away | evenly, or up to a bound |
+| `WaypointCost` | settle at a pose | with its square |
+| `ReferenceCost` | be at a place at a time | with its square |
+| `PathCost` | be on a line, at any time | with its square |
+| `StateCost` | have any state components | with their squares |
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore.costs._arguments import Rows, array, by_name, names_within
+from jaxplore.costs._distance import length, offset, squared
+from jaxplore.costs._many import least
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+
+
+class GoalCost(Cost):
+    """Distance to go to a goal, straight [m]: `d`, or with a saturation s `s d / (s + d)`.
+
+    The pull is the same at any distance, so that a goal far away does not drown the other costs, as
+    a squared distance does. With a saturation it weakens but never ends: `s d / (s + d)` is d near
+    the goal and tends to s far from it. To settle at a pose, use `WaypointCost`.
+
+    Args:
+        goal: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
+        saturation: s [m]; none when absent.
+        terminal_weight: how many times the last state pays it on top.
+
+    Raises:
+        ValueError: a goal of another shape, a saturation that is not positive, a negative weight.
+            When traced, a third component where the model has no `z`.
+    """
+
+    goal: Float[Array, " D"]
+    saturation: Scalar | None
+    terminal_weight: Scalar
+
+    def __init__(
+        self,
+        goal: Vector,
+        saturation: ArrayLike | None = None,
+        terminal_weight: ArrayLike = 0.0,
+    ) -> None:
+        self.goal = array("goal", goal, (2,), (3,))
+        self.saturation = (
+            None if saturation is None else _checks.scalar("saturation", saturation, above=0.0)
+        )
+        self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the distance to go."""
+        return self._to_go(state)
+
+    def terminal(self, state: State, belief: Any) -> Scalar:
+        """Return the multiple of the distance to go."""
+        return self.terminal_weight * self._to_go(state)
+
+    def _to_go(self, state: State) -> Scalar:
+        distance = length(offset(state, self.goal))
+        if self.saturation is None:
+            return distance
+        return distance * (self.saturation / (self.saturation + distance))
+
+
+class WaypointCost(Cost):
+    """Squared distance from a waypoint, and near it the wrong heading:
+
+        d^2 + heading_weight * exp(-(d / decay)^2) * (1 - cos(yaw - heading))
+
+    The heading counts only near the waypoint, so that a robot far away is free to face where it
+    drives. Smooth everywhere: the pull fades with the distance and the robot settles. It grows with
+    the distance, so far away it drowns other costs: to get there from far, use `GoalCost`.
+
+    Args:
+        waypoint: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
+        heading: [rad]; any when absent.
+        heading_weight: half of what facing away costs at the waypoint [m^2].
+        decay: distance at which the heading counts 1/e as much as at the waypoint [m].
+        terminal_weight: how many times the last state pays all that on top.
+
+    Raises:
+        ValueError: a waypoint of another shape, a decay that is not positive, a negative weight.
+            When traced, a third component where the model has no `z`.
+    """
+
+    waypoint: Float[Array, " D"]
+    heading: Scalar | None
+    heading_weight: Scalar
+    decay: Scalar
+    terminal_weight: Scalar
+
+    def __init__(
+        self,
+        waypoint: Vector,
+        heading: ArrayLike | None = None,
+        heading_weight: ArrayLike = 1.0,
+        decay: ArrayLike = 1.0,
+        terminal_weight: ArrayLike = 0.0,
+    ) -> None:
+        self.waypoint = array("waypoint", waypoint, (2,), (3,))
+        self.heading = None if heading is None else _checks.scalar("heading", heading)
+        self.heading_weight = _checks.scalar("heading_weight", heading_weight, at_least=0.0)
+        self.decay = _checks.scalar("decay", decay, above=0.0)
+        self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the cost of not being there."""
+        return self._error(state)
+
+    def terminal(self, state: State, belief: Any) -> Scalar:
+        """Return the multiple of the cost of not being there."""
+        return self.terminal_weight * self._error(state)
+
+    def _error(self, state: State) -> Scalar:
+        square = squared(offset(state, self.waypoint))
+        if self.heading is None:
+            return square
+        nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
+        turned = 1.0 - jnp.cos(state.heading - self.heading)
+        return square + self.heading_weight * nearness * turned
+
+
+class ReferenceCost(Cost):
+    """Squared distance from where to be at each time, `|p - r(t)|^2` [m^2].
+
+    `r(t)` is linear between rows; the last row holds beyond its time.
+
+    Args:
+        reference: (T, 2) or (T, 3) row i is where to be `i * period` from now [m]; the third column
+            is compared with `state["z"]`. A leaf: another one of T rows does not recompile.
+        period: time between rows [s].
+
+    Raises:
+        ValueError: a reference of another shape, a period that is not positive. When traced, a
+            third column where the model has no `z`.
+    """
+
+    reference: Float[Array, "T D"]
+    period: Scalar
+
+    def __init__(self, reference: Rows, period: ArrayLike) -> None:
+        self.reference = array("reference", reference, ("T", 2), ("T", 3))
+        self.period = _checks.scalar("period", period, above=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the squared distance at the time when the state is reached."""
+        last = self.reference.shape[0] - 1
+        row = jnp.clip(t / self.period, 0.0, last)
+        before = jnp.floor(row)
+        index = before.astype(jnp.int32)
+        start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
+        return squared(offset(state, start + (row - before) * (end - start)))
+
+
+class PathCost(Cost):
+    """Squared distance from a polyline, and on request the wrong heading and speed along it:
+
+        |p - q|^2 + heading_weight * (1 - cos(yaw - psi))
+                  + speed_weight * (v cos(yaw - psi) - speed)^2
+
+    with q the nearest point of all segments and psi the direction of its segment, the first of
+    those that are equally near. Without `speed` nothing makes the robot go. It asks for the speed
+    at the end too: to arrive there, use `ReferenceCost`, or the last point as a goal.
+
+    Args:
+        points: (N, 2) corners in the order in which to pass them, N >= 2 [m]. A repeated corner
+            changes nothing, so short paths can be filled up to N with their last one.
+        heading_weight: half of what facing backwards costs [m^2]; any heading when absent.
+        speed: along the path [m/s]; any when absent.
+        speed_weight: what 1 m/s too slow or too fast costs [m^2].
+
+    Raises:
+        ValueError: fewer points than two or another shape, a negative weight.
+    """
+
+    points: Float[Array, "N 2"]
+    heading_weight: Scalar | None
+    speed: Scalar | None
+    speed_weight: Scalar
+
+    def __init__(
+        self,
+        points: Rows,
+        heading_weight: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
+        speed_weight: ArrayLike = 1.0,
+    ) -> None:
+        self.points = array("points", points, ("N", 2))
+        if self.points.shape[0] < 2:
+            raise ValueError(f"points has shape {self.points.shape}; accepted: (N, 2) with N >= 2")
+        self.heading_weight = (
+            None
+            if heading_weight is None
+            else _checks.scalar("heading_weight", heading_weight, at_least=0.0)
+        )
+        self.speed = None if speed is None else _checks.scalar("speed", speed)
+        self.speed_weight = _checks.scalar("speed_weight", speed_weight, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the cost of not being on the path, or not following it."""
+        segments = self.points[1:] - self.points[:-1]
+        squares = jnp.sum(segments * segments, axis=1)
+        is_line = squares > 0.0
+        inverse = jnp.where(is_line, 1.0 / jnp.where(is_line, squares, 1.0), 0.0)
+
+        def off(segment: tuple[Array, Array, Array]) -> Scalar:
+            start, along, scale = segment
+            x, y = offset(state, start)
+            share = jnp.clip((x * along[0] + y * along[1]) * scale, 0.0, 1.0)
+            return squared((x - share * along[0], y - share * along[1]))
+
+        total, nearest = least(off, (self.points[:-1], segments, inverse))
+        if self.heading_weight is None and self.speed is None:
+            return total
+        # A point is no line and has no direction: it takes that of the last line before it.
+        lines = jnp.where(is_line, jnp.arange(is_line.size), jnp.argmax(is_line))
+        source = jax.lax.cummax(lines)
+        direction = (segments * jnp.sqrt(inverse)[:, None])[source][nearest]
+        yaw = state.heading
+        facing = jnp.cos(yaw) * direction[0] + jnp.sin(yaw) * direction[1]
+        if self.heading_weight is not None:
+            total = total + self.heading_weight * (1.0 - facing)
+        if self.speed is not None:
+            excess = state.speed * facing - self.speed
+            total = total + self.speed_weight * excess * excess
+        return total
+
+
+class StateCost(Cost):
+    """Squared error of named state components: the diagonal Q of a linear-quadratic regulator.
+
+        sum_i w_i e_i,   e_i = (x_i - target_i)^2,  or 2 (1 - cos(x_i - target_i)) of an angle
+
+    Of an angle whole turns do not count; small errors cost the same either way.
+
+    Args:
+        weights: w_i by name of the component [1 / its unit squared]; the names are static.
+        target: by name; 0 where absent.
+        angles: names of the components that are angles; static.
+        terminal_weight: how many times the last state pays it on top.
+
+    Raises:
+        ValueError: no weight at all or a negative one, a target or angle without a weight. When
+            traced, a name that the model does not have.
+    """
+
+    weights: dict[str, Scalar]
+    target: dict[str, Scalar]
+    terminal_weight: Scalar
+    angles: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        weights: Mapping[str, ArrayLike],
+        target: Mapping[str, ArrayLike] | None = None,
+        angles: Sequence[str] = (),
+        terminal_weight: ArrayLike = 0.0,
+    ) -> None:
+        self.weights = by_name("weights", weights, at_least=0.0)
+        if not self.weights:
+            raise ValueError(f"weights is {weights!r}; accepted: one weight or more")
+        names_within("target", list(target or {}), self.weights)
+        names_within("angles", angles, self.weights)
+        given = by_name("target", target)
+        self.target = {name: given.get(name, jnp.zeros(())) for name in self.weights}
+        self.angles = tuple(sorted(set(angles)))
+        self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the weighted squared errors."""
+        return self._error(state)
+
+    def terminal(self, state: State, belief: Any) -> Scalar:
+        """Return the multiple of the weighted squared errors."""
+        return self.terminal_weight * self._error(state)
+
+    def _error(self, state: State) -> Scalar:
+        total = jnp.zeros(())
+        for name, weight in self.weights.items():
+            error = state[name] - self.target[name]
+            square = 2.0 * (1.0 - jnp.cos(error)) if name in self.angles else error * error
+            total = total + weight * square
+        return total

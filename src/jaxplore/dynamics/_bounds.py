@@ -1,0 +1,29 @@
+"""Checks of the bounds that several models have."""
+
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, Vector
+
+
+def speed_range(min_speed: ArrayLike, max_speed: ArrayLike) -> tuple[Scalar, Scalar]:
+    """Return both as float32 scalars, `max_speed > 0` and `min_speed < max_speed`."""
+    highest = _checks.scalar("max_speed", max_speed, above=0.0)
+    below = None if _checks.is_traced(max_speed) else float(np.asarray(max_speed).item())
+    return _checks.scalar("min_speed", min_speed, below=below), highest
+
+
+def positive(name: str, value: Vector, size: int) -> ControlVector:
+    """Return one positive number for all of `size` components, or one for each, as (size,)."""
+    if not _checks.is_traced(value):
+        accepted = f"one positive number, or {size}"
+        try:
+            array = np.asarray(value, np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+        if array.shape not in ((), (size,)) or not (np.isfinite(array) & (array > 0.0)).all():
+            raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
+        value = array
+    return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (size,))

@@ -1,0 +1,102 @@
+"""A car seen from its centre of gravity, steered at once."""
+
+import math
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.dynamics._bounds import speed_range
+from jaxplore.dynamics.base import ContinuousDynamics
+from jaxplore.dynamics.integrators import RK4, Integrator
+
+
+class KinematicBicycle(ContinuousDynamics):
+    """Kinematic bicycle with the steering angle as a control; no wheel slips.
+
+    State (x, y, yaw, v) [m, m, rad, m/s] of the centre of gravity, control (a, steering)
+    [m/s^2, rad]. It moves at the slip angle beta to its heading:
+
+        beta = atan(l_r / (l_f + l_r) tan(steering))
+        x' = v cos(yaw + beta),  y' = v sin(yaw + beta)
+        yaw' = v cos(beta) tan(steering) / (l_f + l_r),  v' = a
+
+    v stays within its bounds.
+
+    Sources: Rajamani, "Vehicle Dynamics and Control", section 2.2; Kong, Pfeiffer, Schildbach and
+    Borrelli, "Kinematic and dynamic vehicle models for autonomous driving control design", IV 2015,
+    eq. 1, which writes yaw' = v sin(beta) / l_r.
+
+    Args:
+        front_length: l_f, from the centre of gravity to the front axle [m].
+        rear_length: l_r, from the centre of gravity to the rear axle [m].
+        max_speed: upper bound of v [m/s].
+        max_steering: bound of |steering|, below pi/2 [rad].
+        max_acceleration: bound of |a| [m/s^2].
+        min_speed: lower bound of v [m/s]; negative to drive backwards.
+        radius: radius of the disc around the centre of gravity that holds the robot [m].
+        integrator: `RK4()` when absent.
+
+    Raises:
+        ValueError: a length or bound that is not positive, a `max_steering` of pi/2 or more, a
+            `min_speed` that is not below `max_speed`.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = ("x", "y", "yaw", "v")
+    control_names: ClassVar[tuple[str, ...]] = ("a", "steering")
+
+    front_length: Scalar
+    rear_length: Scalar
+    min_speed: Scalar
+    max_speed: Scalar
+    control_min: ControlVector
+    control_max: ControlVector
+    radius: Scalar
+    integrator: Integrator
+
+    def __init__(
+        self,
+        front_length: ArrayLike = 0.16,
+        rear_length: ArrayLike = 0.17,
+        max_speed: ArrayLike = 3.0,
+        max_steering: ArrayLike = 0.42,
+        max_acceleration: ArrayLike = 2.0,
+        min_speed: ArrayLike = 0.0,
+        radius: ArrayLike = 0.3,
+        integrator: Integrator | None = None,
+    ) -> None:
+        self.front_length = _checks.scalar("front_length", front_length, above=0.0)
+        self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
+        self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
+        self.control_max = jnp.stack(
+            [
+                _checks.scalar("max_acceleration", max_acceleration, above=0.0),
+                _checks.scalar("max_steering", max_steering, above=0.0, below=0.5 * math.pi),
+            ]
+        )
+        self.control_min = -self.control_max
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.integrator = RK4() if integrator is None else integrator
+
+    def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
+        """Return dx/dt (4,)."""
+        # Between two steps an integrator may look beyond the bounds, which the car never reaches.
+        _, _, yaw, v = self.project(state)
+        a, steering = control
+        turn = jnp.tan(steering) / (self.front_length + self.rear_length)
+        beta = jnp.arctan(self.rear_length * turn)
+        return jnp.stack(
+            [
+                v * jnp.cos(yaw + beta),
+                v * jnp.sin(yaw + beta),
+                v * jnp.cos(beta) * turn,
+                a,
+            ]
+        )
+
+    def project(self, state: StateVector) -> StateVector:
+        """Return the state (4,) with the speed within its bounds."""
+        x, y, yaw, v = state
+        return jnp.stack([x, y, yaw, jnp.clip(v, self.min_speed, self.max_speed)])

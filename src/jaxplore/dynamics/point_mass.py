@@ -1,0 +1,108 @@
+"""A mass that is pushed about freely, in one to three dimensions."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
+from jaxplore.dynamics._bounds import positive
+from jaxplore.dynamics._vectors import angle, length
+from jaxplore.dynamics.base import ContinuousDynamics
+from jaxplore.dynamics.integrators import RK4, Integrator
+
+
+class PointMass(ContinuousDynamics):
+    """Point mass, or double integrator, with linear drag.
+
+    In three dimensions state (x, y, z, vx, vy, vz) [m, m/s] and control (ax, ay, az) [m/s^2]; in
+    two without z, in one without y and z:
+
+        p' = v,  v' = a - c v
+
+    A velocity longer than `max_speed` is shortened to it. The heading is the direction of travel,
+    and 0 at rest; a robot placed at a pose forgets its yaw.
+
+    Args:
+        dimensions: 1, 2 or 3; static.
+        max_speed: bound of the speed [m/s]; none when absent.
+        max_acceleration: bound of each |a|, one number or one per dimension [m/s^2].
+        drag: c, share of the velocity lost per second [1/s].
+        radius: radius of the disc that holds the robot [m].
+        integrator: `RK4()` when absent.
+
+    Raises:
+        ValueError: other dimensions, a bound or radius that is not positive, a negative drag.
+    """
+
+    max_speed: Scalar | None
+    control_min: ControlVector
+    control_max: ControlVector
+    drag: Scalar
+    radius: Scalar
+    integrator: Integrator
+    dimensions: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        dimensions: int = 2,
+        max_speed: ArrayLike | None = None,
+        max_acceleration: Vector = 1.0,
+        drag: ArrayLike = 0.0,
+        radius: ArrayLike = 0.2,
+        integrator: Integrator | None = None,
+    ) -> None:
+        if isinstance(dimensions, bool) or dimensions not in (1, 2, 3):
+            raise ValueError(f"dimensions is {dimensions!r}; accepted: 1, 2 or 3")
+        self.dimensions = int(dimensions)
+        self.max_speed = (
+            None if max_speed is None else _checks.scalar("max_speed", max_speed, above=0.0)
+        )
+        self.control_max = positive("max_acceleration", max_acceleration, self.dimensions)
+        self.control_min = -self.control_max
+        self.drag = _checks.scalar("drag", drag, at_least=0.0)
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.integrator = RK4() if integrator is None else integrator
+
+    # The base's names are of the class; here the dimensions decide.
+    @property
+    def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the state's components."""
+        return ("x", "y", "z")[: self.dimensions] + ("vx", "vy", "vz")[: self.dimensions]
+
+    @property
+    def control_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the controls."""
+        return ("ax", "ay", "az")[: self.dimensions]
+
+    def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
+        """Return dx/dt (2 n,) in n dimensions."""
+        # Between two steps an integrator may look beyond the bound, which the mass never reaches.
+        velocity = tuple(self.project(state))[self.dimensions :]
+        pushed = [a - self.drag * v for a, v in zip(control, velocity, strict=True)]
+        return jnp.stack([*velocity, *pushed])
+
+    def project(self, state: StateVector) -> StateVector:
+        """Return the state (2 n,) with a velocity that is no longer than `max_speed`."""
+        if self.max_speed is None:
+            return state
+        components = tuple(state)
+        position, velocity = components[: self.dimensions], components[self.dimensions :]
+        speed = length(*velocity)
+        is_fast = speed > self.max_speed
+        scale = jnp.where(is_fast, self.max_speed / jnp.where(is_fast, speed, 1.0), 1.0)
+        return jnp.stack([*position, *(scale * v for v in velocity)])
+
+    def position(self, state: StateVector) -> Position:
+        """Return the position (x, y) [m]; in one dimension y is 0."""
+        y = jnp.zeros(()) if self.dimensions == 1 else self.component(state, "y")
+        return jnp.stack([self.component(state, "x"), y])
+
+    def heading(self, state: StateVector) -> Scalar:
+        """Return the direction of travel in the plane [rad], 0 at rest."""
+        vy = jnp.zeros(()) if self.dimensions == 1 else self.component(state, "vy")
+        return angle(self.component(state, "vx"), vy)
+
+    def speed(self, state: StateVector) -> Scalar:
+        """Return the length of the velocity, in all dimensions [m/s]."""
+        return length(*tuple(state)[self.dimensions :])

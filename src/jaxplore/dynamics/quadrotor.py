@@ -1,0 +1,153 @@
+"""A quadrotor whose body rates follow commands."""
+
+import math
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector, Vector
+from jaxplore.dynamics._bounds import positive
+from jaxplore.dynamics._vectors import TINY, angle, length
+from jaxplore.dynamics.base import ContinuousDynamics
+from jaxplore.dynamics.integrators import RK4, Integrator
+
+
+class Quadrotor(ContinuousDynamics):
+    """Quadrotor with thrust and body-rate commands, as a flight controller takes them.
+
+    The world is NED (x north, y east, z down), the body FRD (forward, right, down); thrust points
+    up, along -z of the body. State (x, y, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz): position p
+    [m] and velocity v [m/s] in the world, the unit quaternion q that turns the body's vectors into
+    the world's, body rates w [rad/s]. Control (thrust, wx_command, wy_command, wz_command) [N,
+    rad/s]:
+
+        p' = v        v' = (0, 0, gravity) - thrust / mass R(q) e_z
+        q' = q (0, w) / 2        w' = (w_command - w) / rate_time_constant
+
+    The rate loop of the vehicle is a lag of first order; there is no drag. The quaternion is
+    normalised after each step, and thrust keeps its size whatever the length of q: a measured q
+    need not be exact. RK4 is stable for steps below 2.78 rate time constants.
+
+    Source: Kaufmann, Bauersfeld and Scaramuzza, "A benchmark comparison of learned control policies
+    for agile quadrotor flight", ICRA 2022, collective thrust and body rates; there z is up.
+
+    Args:
+        mass: [kg].
+        gravity: [m/s^2].
+        rate_time_constant: of the body rates [s].
+        max_thrust: upper bound of the thrust [N]; four times the weight when absent.
+        max_rate: bound of each |w_command|, one number or (3,) [rad/s].
+        radius: radius of the disc that holds the robot [m].
+        integrator: `RK4()` when absent.
+
+    Raises:
+        ValueError: an argument that is not positive.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = (
+        *("x", "y", "z", "vx", "vy", "vz"),
+        *("qw", "qx", "qy", "qz", "wx", "wy", "wz"),
+    )
+    control_names: ClassVar[tuple[str, ...]] = ("thrust", "wx_command", "wy_command", "wz_command")
+
+    mass: Scalar
+    gravity: Scalar
+    rate_time_constant: Scalar
+    control_min: ControlVector
+    control_max: ControlVector
+    radius: Scalar
+    integrator: Integrator
+
+    def __init__(
+        self,
+        mass: ArrayLike = 1.0,
+        gravity: ArrayLike = 9.81,
+        rate_time_constant: ArrayLike = 0.05,
+        max_thrust: ArrayLike | None = None,
+        max_rate: Vector = 10.0,
+        radius: ArrayLike = 0.3,
+        integrator: Integrator | None = None,
+    ) -> None:
+        self.mass = _checks.scalar("mass", mass, above=0.0)
+        self.gravity = _checks.scalar("gravity", gravity, above=0.0)
+        self.rate_time_constant = _checks.scalar(
+            "rate_time_constant", rate_time_constant, above=0.0
+        )
+        highest = (
+            4.0 * self.mass * self.gravity
+            if max_thrust is None
+            else _checks.scalar("max_thrust", max_thrust, above=0.0)
+        )
+        rates = positive("max_rate", max_rate, 3)
+        self.control_min = jnp.stack([jnp.zeros(()), *-rates])
+        self.control_max = jnp.stack([highest, *rates])
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.integrator = RK4() if integrator is None else integrator
+
+    @property
+    def default_control(self) -> ControlVector:
+        """Hover (4,): thrust equal to the weight and no rates, within the bounds."""
+        zero = jnp.zeros(())
+        hover = jnp.stack([self.mass * self.gravity, zero, zero, zero])
+        return jnp.clip(hover, self.control_min, self.control_max)
+
+    def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
+        """Return dx/dt (13,)."""
+        _, _, _, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = state
+        thrust, wx_command, wy_command, wz_command = control
+        squared = qw * qw + qx * qx + qy * qy + qz * qz
+        push = thrust / (self.mass * jnp.where(squared < TINY, 1.0, squared))
+        return jnp.stack(
+            [
+                vx,
+                vy,
+                vz,
+                -push * 2.0 * (qx * qz + qw * qy),
+                -push * 2.0 * (qy * qz - qw * qx),
+                self.gravity - push * (qw * qw - qx * qx - qy * qy + qz * qz),
+                -0.5 * (qx * wx + qy * wy + qz * wz),
+                0.5 * (qw * wx + qy * wz - qz * wy),
+                0.5 * (qw * wy + qz * wx - qx * wz),
+                0.5 * (qw * wz + qx * wy - qy * wx),
+                (wx_command - wx) / self.rate_time_constant,
+                (wy_command - wy) / self.rate_time_constant,
+                (wz_command - wz) / self.rate_time_constant,
+            ]
+        )
+
+    def project(self, state: StateVector) -> StateVector:
+        """Return the state (13,) with a quaternion of length 1; that of a zero one is level."""
+        x, y, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = state
+        squared = qw * qw + qx * qx + qy * qy + qz * qz
+        is_zero = squared < TINY
+        # A square that overflows would make a zero quaternion of finite numbers, and hide that this
+        # rollout is worth nothing.
+        squared = jnp.where(jnp.isinf(squared), jnp.nan, squared)
+        norm = jnp.sqrt(jnp.where(is_zero, 1.0, squared))
+        return jnp.stack(
+            [
+                *(x, y, z, vx, vy, vz),
+                jnp.where(is_zero, 1.0, qw / norm),
+                *(jnp.where(is_zero, 0.0, part / norm) for part in (qx, qy, qz)),
+                *(wx, wy, wz),
+            ]
+        )
+
+    def heading(self, state: StateVector) -> Scalar:
+        """Return the yaw of the quaternion [rad], from x (north) towards y (east).
+
+        It jumps where the nose points straight up or down, and is 0 there.
+        """
+        _, _, _, _, _, _, qw, qx, qy, qz, _, _, _ = state
+        return angle(1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy))
+
+    def speed(self, state: StateVector) -> Scalar:
+        """Return the speed over ground [m/s], without the vertical part."""
+        return length(self.component(state, "vx"), self.component(state, "vy"))
+
+    def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
+        """Return the state of a robot that stands still and level at a pose [m, m, rad, m]."""
+        level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
+        return jnp.asarray([x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0], jnp.float32)

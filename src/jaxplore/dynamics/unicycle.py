@@ -1,0 +1,67 @@
+"""A robot that takes its speeds at once."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.dynamics._bounds import speed_range
+from jaxplore.dynamics.base import ContinuousDynamics
+from jaxplore.dynamics.integrators import RK4, Integrator
+
+
+class Unicycle(ContinuousDynamics):
+    """Unicycle: the speeds themselves are the controls.
+
+    State (x, y, yaw) [m, m, rad], control (v, omega) [m/s, rad/s]:
+
+        x' = v cos(yaw),  y' = v sin(yaw),  yaw' = omega
+
+    Source: LaValle, "Planning Algorithms", 2006, section 13.1.2.
+
+    Args:
+        max_speed: upper bound of v [m/s].
+        max_turn_rate: bound of |omega| [rad/s].
+        min_speed: lower bound of v [m/s]; negative to drive backwards.
+        radius: radius of the disc that holds the robot [m].
+        integrator: `RK4()` when absent.
+
+    Raises:
+        ValueError: a bound or radius that is not positive, a `min_speed` that is not below
+            `max_speed`.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = ("x", "y", "yaw")
+    control_names: ClassVar[tuple[str, ...]] = ("v", "omega")
+
+    control_min: ControlVector
+    control_max: ControlVector
+    radius: Scalar
+    integrator: Integrator
+
+    def __init__(
+        self,
+        max_speed: ArrayLike = 2.0,
+        max_turn_rate: ArrayLike = 2.0,
+        min_speed: ArrayLike = 0.0,
+        radius: ArrayLike = 0.2,
+        integrator: Integrator | None = None,
+    ) -> None:
+        lowest, highest = speed_range(min_speed, max_speed)
+        turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
+        self.control_min = jnp.stack([lowest, -turn_rate])
+        self.control_max = jnp.stack([highest, turn_rate])
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.integrator = RK4() if integrator is None else integrator
+
+    def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
+        """Return dx/dt (3,)."""
+        _, _, yaw = state
+        v, omega = control
+        return jnp.stack([v * jnp.cos(yaw), v * jnp.sin(yaw), omega])
+
+    def speed(self, state: StateVector) -> Scalar:
+        """Return 0: the speed is a control, and no part of the state [m/s]."""
+        return jnp.zeros(())
