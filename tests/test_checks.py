@@ -18,7 +18,9 @@ def test_positive_int_takes_numpy() -> None:
     assert _checks.positive_int("n", np.int64(4)) == 4
 
 
-@pytest.mark.parametrize("value", ["a", None, math.inf, math.nan, True, [1.0], 0.0, 1.0, 10**400])
+@pytest.mark.parametrize(
+    "value", ["a", None, math.inf, 1e300, math.nan, True, [1.0], 0.0, 1.0, 10**400]
+)
 def test_number_refuses(value: object) -> None:
     with pytest.raises(ValueError, match=r"x is .*; accepted: a finite number > 0.0 and < 1.0"):
         _checks.number("x", value, above=0.0, below=1.0)
@@ -39,7 +41,9 @@ def test_scalar_is_a_float32_leaf_and_passes_traced_values() -> None:
     assert float(jax.jit(lambda x: _checks.scalar("x", x, above=0.0))(-1.0)) == -1.0
 
 
-@pytest.mark.parametrize("value", [(1.0, 2.0), (1.0, 2.0, math.nan), "abc", None, ((1.0,), 2.0)])
+@pytest.mark.parametrize(
+    "value", [(1.0, 2.0), (1.0, 2.0, math.nan), (1.0, 2.0, 1e300), "abc", None, ((1.0,), 2.0)]
+)
 def test_vector_refuses(value: object) -> None:
     with pytest.raises(ValueError, match=r"v is .*; accepted: 3 finite numbers"):
         _checks.vector("v", value, 3)

@@ -1,7 +1,6 @@
 """Checks of arguments: each raises a `ValueError` that names the argument, its value and what is
 accepted. They run where objects are built; traced values pass, since nothing raises in a trace."""
 
-import math
 import operator
 
 import jax
@@ -9,6 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+
+
+LARGEST = float(np.finfo(np.float32).max)
+"""The greatest finite number: arrays are float32."""
 
 
 def is_traced(*values: object) -> bool:
@@ -59,7 +62,7 @@ def number(
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
     if (
         isinstance(value, bool)
-        or not math.isfinite(result)
+        or not abs(result) <= LARGEST
         or (above is not None and result <= above)
         or (below is not None and result >= below)
         or (at_least is not None and result < at_least)
@@ -96,7 +99,8 @@ def vector(name: str, value: object, size: int) -> Array:
         return value
     accepted = f"{size} finite numbers"
     try:
-        array = np.asarray(value, np.float32)
+        with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below
+            array = np.asarray(value, np.float32)
     except (TypeError, ValueError):
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
     if array.shape != (size,) or not np.isfinite(array).all():

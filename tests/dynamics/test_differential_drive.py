@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import DifferentialDrive, State
+from jaxplore import RK4, DifferentialDrive, Euler, State
 
 ROBOT = DifferentialDrive(max_speed=1.5, max_turn_rate=1.2, drag=0.3)
 
@@ -28,6 +28,40 @@ def test_step_is_the_seed_s_formula(state, control, dt: float) -> None:
     ]
     found = ROBOT.step(jnp.asarray(state), jnp.asarray(control), jnp.asarray(dt))
     np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+def test_rk4_drives_the_exact_way(fly, solve) -> None:
+    def drive(state, control):
+        _, _, yaw, v, omega = state
+        return np.array(
+            [
+                v * np.cos(yaw),
+                v * np.sin(yaw),
+                omega,
+                control[0] - 0.3 * v,
+                control[1] - 0.3 * omega,
+            ]
+        )
+
+    start = [1.0, -2.0, 0.7, 0.6, -0.2]
+    controls = np.random.default_rng(0).uniform(-0.5, [0.8, 0.5], (40, 2))
+    exact = solve(drive, start, controls, 0.05)
+    # Within the bounds all the way, where clipping changes nothing.
+    assert 0.0 < exact[:, 3].min() < exact[:, 3].max() < 1.5
+    assert np.abs(exact[:, 4]).max() < 1.2
+    errors = {}
+    for integrator in (Euler(), RK4()):
+        robot = DifferentialDrive(1.5, 1.2, drag=0.3, integrator=integrator)
+        errors[type(integrator)] = np.abs(fly(robot, start, controls, 0.05) - exact).max()
+    assert errors[RK4] < 1e-5
+    assert 1e-3 < errors[Euler] < 0.1
+
+
+def test_speeds_stop_at_their_bounds(fly) -> None:
+    reached = fly(ROBOT, np.zeros(5), np.tile([1.0, 2.0], (100, 1)), 0.05)[:, 3:]
+    np.testing.assert_allclose(reached.max(axis=0), [1.5, 1.2], rtol=1e-6)
+    reached = fly(ROBOT, np.zeros(5), np.tile([-1.0, -2.0], (100, 1)), 0.05)[:, 3:]
+    np.testing.assert_allclose(reached.min(axis=0), [0.0, -1.2], rtol=1e-6)
 
 
 def test_state_is_read_by_name() -> None:

@@ -85,13 +85,18 @@ class KinematicBicycle(ContinuousDynamics):
         # Between two steps an integrator may look beyond the bounds, which the car never reaches.
         _, _, yaw, v = self.project(state)
         a, steering = control
-        turn = jnp.tan(steering) / (self.front_length + self.rear_length)
-        beta = jnp.arctan(self.rear_length * turn)
+        # Without tan and arctan: with them, rollouts on a CPU take more than twice as long.
+        wheelbase = self.front_length + self.rear_length
+        turn = jnp.sin(steering) / (wheelbase * jnp.cos(steering))
+        tan_beta = self.rear_length * turn
+        cos_beta = 1.0 / jnp.sqrt(1.0 + tan_beta * tan_beta)
+        sin_beta = tan_beta * cos_beta
+        cos_yaw, sin_yaw = jnp.cos(yaw), jnp.sin(yaw)
         return jnp.stack(
             [
-                v * jnp.cos(yaw + beta),
-                v * jnp.sin(yaw + beta),
-                v * jnp.cos(beta) * turn,
+                v * (cos_yaw * cos_beta - sin_yaw * sin_beta),
+                v * (sin_yaw * cos_beta + cos_yaw * sin_beta),
+                v * cos_beta * turn,
                 a,
             ]
         )

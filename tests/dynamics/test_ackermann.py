@@ -1,0 +1,124 @@
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxplore import Ackermann, State
+
+ROBOT = Ackermann(
+    wheelbase=0.5, max_speed=2.0, max_steering=0.6, min_speed=-1.0, drag=0.3, max_acceleration=3.0
+)
+
+
+def car(state, control, wheelbase: float = 0.5, drag: float = 0.3):
+    _, _, yaw, v, steering = state
+    a, steering_rate = control
+    return np.array(
+        [
+            v * np.cos(yaw),
+            v * np.sin(yaw),
+            v / wheelbase * np.tan(steering),
+            a - drag * v,
+            steering_rate,
+        ]
+    )
+
+
+def test_drive(fly, solve) -> None:
+    start = [1.0, -2.0, 0.7, 0.4, 0.1]
+    controls = np.random.default_rng(0).uniform([-0.6, -0.5], [0.8, 0.5], (60, 2))
+    expected = solve(car, start, controls, 0.05)
+    # Within the bounds all the way: what happens at them is tested below.
+    assert expected[:, 3].min() > 0.0
+    assert np.abs(expected[:, 4]).max() < 0.6
+    np.testing.assert_allclose(fly(ROBOT, start, controls, 0.05), expected, atol=2e-5)
+
+
+@pytest.mark.parametrize("steering", [-0.4, 0.25, 0.6])
+def test_held_steering_drives_a_circle(steering: float, fly) -> None:
+    radius = 0.5 / math.tan(steering)
+    speed, steps = 1.0, 200
+    period = 2 * math.pi * abs(radius) / speed
+    robot = Ackermann(wheelbase=0.5, max_steering=0.6)
+    x, y, yaw, v, held = fly(
+        robot, [0.0, 0.0, 0.0, speed, steering], np.zeros((steps, 2)), period / steps
+    ).T
+    np.testing.assert_allclose(np.hypot(x, y - radius), abs(radius), atol=2e-5)
+    np.testing.assert_allclose([x[-1], y[-1]], 0.0, atol=1e-4)
+    assert yaw[-1] == pytest.approx(math.copysign(2 * math.pi, steering), abs=1e-4)
+    np.testing.assert_allclose(v, speed)
+    np.testing.assert_allclose(held, steering, rtol=1e-6)
+
+
+@given(
+    st.floats(-3, 3, width=32),
+    st.floats(-0.875, 2, width=32),
+    st.floats(-0.5625, 0.5625, width=32),
+)
+def test_no_wheel_slips(yaw: float, v: float, steering: float) -> None:
+    # The middles of both axles, from where they are: neither moves across its wheels.
+    state = jnp.asarray([0.3, -0.2, yaw, v, steering])
+    rate = _derivative(state, jnp.asarray([1.0, 0.2]))
+
+    def front(values):
+        x, y, heading, _, _ = values
+        return jnp.stack([x + 0.5 * jnp.cos(heading), y + 0.5 * jnp.sin(heading)])
+
+    _, velocity = jax.jvp(front, (state,), (rate,))
+    across = np.array([-np.sin(yaw + steering), np.cos(yaw + steering)])
+    assert across @ np.asarray(velocity) == pytest.approx(0.0, abs=2e-6)
+    assert np.array([-np.sin(yaw), np.cos(yaw)]) @ np.asarray(rate[:2]) == pytest.approx(
+        0.0, abs=1e-6
+    )
+    assert np.array([np.cos(yaw), np.sin(yaw)]) @ np.asarray(rate[:2]) == pytest.approx(v, abs=1e-6)
+
+
+_derivative = eqx.filter_jit(ROBOT.derivative)
+
+
+def test_drag_takes_its_share(fly) -> None:
+    times = 0.1 * np.arange(1, 51)
+    states = fly(ROBOT, [0.0, 0.0, 0.0, 1.5, 0.0], np.zeros((50, 2)), 0.1)
+    np.testing.assert_allclose(states[:, 3], 1.5 * np.exp(-0.3 * times), atol=1e-5)
+    np.testing.assert_allclose(states[:, 0], 5.0 * (1 - np.exp(-0.3 * times)), atol=1e-5)
+
+
+def test_at_its_bounds_it_drives_as_fast_and_as_tight_as_they_say(fly) -> None:
+    # Full acceleration and steering rate on top: nothing is gained within a step either.
+    steps, dt = 20, 0.1
+    start = [0.0, 0.0, 0.0, 2.0, 0.6]
+    states = fly(ROBOT, start, np.tile([3.0, 3.0], (steps, 1)), dt)
+    turn_rate = 2.0 * math.tan(0.6) / 0.5
+    angle = turn_rate * dt * np.arange(1, steps + 1)
+    np.testing.assert_allclose(states[:, 2], angle, rtol=1e-5)
+    np.testing.assert_allclose(states[:, 3:], np.tile([2.0, 0.6], (steps, 1)), rtol=1e-6)
+    radius = 2.0 / turn_rate
+    circle = np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle))], axis=-1)
+    np.testing.assert_allclose(states[:, :2], circle, atol=1e-3)  # RK4 at 0.27 rad a step
+
+
+def test_speed_and_steering_stop_at_their_bounds(fly) -> None:
+    reached = fly(ROBOT, np.zeros(5), np.tile([3.0, 3.0], (100, 1)), 0.05)[:, 3:]
+    np.testing.assert_allclose(reached.max(axis=0), [2.0, 0.6], rtol=1e-6)
+    reached = fly(ROBOT, np.zeros(5), np.tile([-3.0, -3.0], (100, 1)), 0.05)[:, 3:]
+    np.testing.assert_allclose(reached.min(axis=0), [-1.0, -0.6], rtol=1e-6)
+    forwards_only = fly(Ackermann(), np.zeros(5), np.tile([-2.0, 0.0], (100, 1)), 0.05)
+    np.testing.assert_array_equal(forwards_only, 0.0)
+
+
+def test_bounds_and_names() -> None:
+    robot = Ackermann(max_acceleration=1.5, max_steering_rate=0.8)
+    np.testing.assert_allclose(robot.control_max, [1.5, 0.8])
+    np.testing.assert_allclose(robot.control_min, [-1.5, -0.8])
+    np.testing.assert_array_equal(robot.default_control, [0.0, 0.0])
+    state = State(jnp.asarray([1.0, 2.0, 0.5, -0.7, 0.1]), ROBOT)
+    assert float(state.heading) == 0.5
+    assert float(state.speed) == pytest.approx(-0.7)
+    assert float(state["steering"]) == pytest.approx(0.1)
+    blocked = ROBOT.blocked(robot.at_pose(1.0, 2.0, 0.5), jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
+    np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.2])
