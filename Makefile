@@ -18,7 +18,7 @@ test: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n $(JOBS)
 
-bench: $(READY) $(PEERS)/.ready
+bench: $(READY) $(PEERS)/.ready $(PEERS)/torch/.ready
 	$(BIN)/python -m benchmarks
 
 # jax_mppi's own environment. Building it needs CUDA, its JAX part does not: the sources do.
@@ -30,6 +30,15 @@ $(PEERS)/.ready: $(READY)
 	  && mkdir $(PEERS)/jax_mppi \
 	  && tar -xzf $(PEERS)/source/jax_mppi-0.3.0.tar.gz -C $(PEERS)/jax_mppi --strip-components 1
 	mkdir -p $(PEERS) && touch $@
+
+# pytorch_mppi's: any Python that PyTorch has a build for; 3.11 if it is there.
+$(PEERS)/torch/.ready: $(PEERS)/.ready
+	rm -rf $(PEERS)/torch
+	-for python in python3.11 $(wildcard $(HOME)/.pyenv/versions/3.11*/bin/python3.11) $(PYTHON); do \
+	  $$python -c 'import ensurepip' 2> /dev/null && break; done \
+	  && $$python -m venv $(PEERS)/torch \
+	  && $(PEERS)/torch/bin/python -m pip install --quiet torch==2.13.0 pytorch_mppi==0.9.1 numpy
+	mkdir -p $(PEERS)/torch && touch $@
 
 docs: $(READY)
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html

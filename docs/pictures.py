@@ -1,4 +1,4 @@
-"""Draw the pictures of `information.md`: `python docs/pictures.py`."""
+"""Draw the pictures of `information.md` and `control.md`: `python docs/pictures.py`."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Wedge
+from matplotlib.patches import Circle, Wedge
 
 import jaxplore as jx
 from jaxplore.information.trajectory import METHODS
@@ -36,9 +36,15 @@ STYLE = {
 def main() -> None:
     """Draw all of them."""
     with plt.rc_context(STYLE):
-        for name, draw in (("beam", beam), ("field", field), ("overlap", overlap)):
+        for name, draw in (
+            ("information_beam", beam),
+            ("information_field", field),
+            ("information_overlap", overlap),
+            ("control_parts", control_parts),
+            ("control_rollouts", control_rollouts),
+        ):
             figure = draw()
-            path = IMAGES / f"information_{name}.png"
+            path = IMAGES / f"{name}.png"
             figure.savefig(path, dpi=DPI, metadata={"Software": None})
             plt.close(figure)
             print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB")
@@ -245,6 +251,117 @@ def _pose(axis: Axes, at: jax.Array, yaw: float, colour: str, name: str) -> None
     axis.add_patch(Wedge((x, y), 4.0, *view, fill=False, edgecolor=colour, linewidth=1.2))
     axis.plot(x, y, "o", color=colour, markeredgecolor="white", markersize=11)
     axis.text(x, y, name, ha="center", va="center", color="white", fontsize=8, weight="bold")
+
+
+def control_parts() -> Figure:
+    """Draw one control of sampled sequences, for a few parameterisations and noises."""
+    horizon, dt, shown = 40, 0.1, 4
+    robot = jx.PointMass(1, max_acceleration=3.0)
+    white = jx.GaussianProposal([1.0])
+    panels = {
+        "Direct, white noise": (white, jx.Direct()),
+        "Direct, ColouredNoise(1)": (
+            jx.GaussianProposal([1.0], noise=jx.ColouredNoise(1.0)),
+            jx.Direct(),
+        ),
+        "Direct, ColouredNoise(2)": (
+            jx.GaussianProposal([1.0], noise=jx.ColouredNoise(2.0)),
+            jx.Direct(),
+        ),
+        "Smooth, 4 per second": (jx.GaussianProposal([4.0]), jx.Smooth()),
+        "Knots(8, RBFKernel(2))": (white, jx.Knots(8, jx.RBFKernel(2.0))),
+        "Knots(8), cubic spline": (white, jx.Knots(8)),
+    }
+    figure, grid_of_axes = plt.subplots(
+        2, 3, figsize=(8.4, 4.6), sharex=True, sharey=True, layout="constrained"
+    )
+    space = jx.ControlSpace(
+        robot.control_min, robot.control_max, robot.default_control, jnp.asarray(dt), horizon
+    )
+    times = dt * np.arange(horizon + 1)
+    colours = matplotlib.colormaps["viridis"](np.linspace(0.05, 0.9, shown))
+    for axis, (title, (proposal, parts)) in zip(
+        grid_of_axes.reshape(-1), panels.items(), strict=True
+    ):
+        plan = jnp.zeros((horizon, 1))
+        if isinstance(parts, jx.Smooth):
+            plan = 1.5 * jnp.sin(2.0 * jnp.arange(horizon)[:, None] * dt)
+        controls, knots = _sampled(proposal, parts, plan, space, shown)
+        for number, colour in enumerate(colours):
+            values = controls[:, 0, number]
+            axis.step(times, np.append(values, values[-1]), where="post", color=colour, lw=1.3)
+            if isinstance(parts, jx.Knots):
+                at = dt * (np.linspace(0, horizon - 1, len(knots)) + 0.5)
+                axis.plot(at, knots[:, 0, number], "o", color=colour, markersize=3)
+        axis.plot(times[:-1] + 0.5 * dt, plan[:, 0], "--", color=INK, linewidth=1.0)
+        axis.set_title(title, loc="left")
+    grid_of_axes[0, 0].set(ylim=(-3.2, 3.2), xlim=(0, horizon * dt))
+    for axis in grid_of_axes[:, 0]:
+        axis.set_ylabel("control")
+    for axis in grid_of_axes[1]:
+        axis.set_xlabel("time [s]")
+    return figure
+
+
+def _sampled(
+    proposal: jx.Proposal,
+    parts: jx.Parameterisation,
+    plan: jax.Array,
+    space: jx.ControlSpace,
+    count: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return controls (T, 1, K) and parameters (P, 1, K) sampled around a plan (T, 1)."""
+    size = parts.num_parameters(space.horizon)
+    nominal = parts.init(plan, space)
+    around = jx.Surroundings(parts, nominal, space)
+    memory = proposal.init(size, 1)
+    samples = proposal.sample(memory, around, count, key=jax.random.key(3))
+    controls, knots = parts.decode(nominal, samples, space)
+    return np.asarray(controls), np.asarray(knots)
+
+
+def control_rollouts() -> Figure:
+    """Draw one step of MPPI among discs: rollouts by weight, the plan, the best rollout."""
+    robot = jx.DifferentialDrive(max_speed=1.5)
+    discs = np.array([[1.4, 0.2], [2.7, -1.3], [2.7, 1.0]])
+    goal = np.array([4.0, 0.0])
+    cost = jx.GoalCost(goal) + jx.DiscObstacleCost(discs, 0.4) + 0.01 * jx.ControlCost()
+    controller = jx.MPPI(
+        robot, cost, horizon=30, num_samples=256, temperature=1.0, noise_std=[1.0, 2.0], dt=0.1
+    )
+    state, x = controller.init(), robot.at_pose(0.0, 0.0, 0.0)
+    step, key = eqx.filter_jit(controller.step), jax.random.key(2)
+    driven = [x]
+    for _ in range(11):
+        key, now = jax.random.split(key)
+        control, state, _ = step(state, x, key=now)
+        x = robot.step(x, control, controller.dt)
+        driven.append(x)
+    look = controller.inspect(state, x, key=key, num_trajectories=60)
+
+    figure, axis = plt.subplots(figsize=(7.5, 4.2), layout="constrained")
+    for disc in discs:
+        axis.add_patch(Circle(disc, 0.4, facecolor="#d4d7dc", edgecolor=GREY))
+    weights = np.asarray(look.weights)
+    share = np.clip(weights / weights.max(), 1e-3, 1.0)
+    scale = matplotlib.colors.LogNorm(1e-3, 1.0)
+    shades = matplotlib.colormaps["Blues"](np.linspace(0.25, 1.0, 256))
+    shading = matplotlib.colors.ListedColormap(shades)
+    for index in np.argsort(weights):
+        colour = shading(scale(share[index]))
+        axis.plot(*look.samples[index, :, :2].T, color=colour, linewidth=0.9, zorder=2)
+    axis.plot(
+        *look.best.states[:, :2].T, color=ORANGE, linewidth=2.2, label="best rollout", zorder=3
+    )
+    axis.plot(*look.nominal.states[:, :2].T, color=VERMILION, linewidth=3, label="plan", zorder=4)
+    axis.plot(*np.asarray(driven)[:, :2].T, color=INK, linewidth=1.5, zorder=4)
+    axis.add_patch(Circle(x[:2], 0.2, facecolor="white", edgecolor=INK, zorder=5))
+    axis.plot(*goal, "*", color=VERMILION, markersize=14, label="goal", zorder=5)
+    axis.set(xlabel="x [m]", ylabel="y [m]", aspect="equal", xlim=(-0.4, 4.4), ylim=(-1.9, 1.6))
+    axis.legend(loc="lower left")
+    mappable = matplotlib.cm.ScalarMappable(scale, shading)
+    figure.colorbar(mappable, ax=axis, label="weight, relative to the greatest", shrink=0.8)
+    return figure
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-
 LARGEST = float(np.finfo(np.float32).max)
 """The greatest finite number: arrays are float32."""
 

@@ -22,3 +22,5 @@ ControlVector = Float[Array, "nu"]
 Key = PRNGKeyArray
 Vector = ArrayLike | Sequence[float]
 """What is accepted where a few numbers are given by hand."""
+Rows = ArrayLike | Sequence[Vector]
+"""What is accepted where rows of numbers are given by hand."""

@@ -1,14 +1,13 @@
 """Noise whose power falls with frequency."""
 
 import jax.numpy as jnp
-import jax.scipy.linalg
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import Key, Scalar
 from jaxplore.control.noise import Noise, Shape, WhiteNoise
-from jaxplore.control.parameterisations import Parameters, Samples
+from jaxplore.control.parameterisations import Samples
 
 
 class ColouredNoise(Noise):
@@ -40,17 +39,20 @@ class ColouredNoise(Noise):
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
         """Return noise of shape (P, nu, K)."""
-        factor = jnp.linalg.cholesky(self.covariance(shape[0]))
+        factor = jnp.linalg.cholesky(self.colour(shape[0]))
         return jnp.einsum("pq,quk->puk", factor, self.noise.draw(shape, key=key))
 
-    def precision(self, sequence: Parameters) -> Parameters:
-        """Return `C^-1 sequence` (P, nu)."""
-        factor = jnp.linalg.cholesky(self.covariance(sequence.shape[0]))
-        solved: Array = jax.scipy.linalg.cho_solve((factor, True), self.noise.precision(sequence))
-        return solved
-
     def covariance(self, rows: int) -> Float[Array, "P P"]:
-        """Return the covariance (P, P) of the rows, 1 on the diagonal."""
+        """Return the covariance (P, P) of the rows."""
+        colour, inner = self.colour(rows), self.noise.covariance(rows)
+        if inner is None:
+            return colour
+        factor = jnp.linalg.cholesky(colour)
+        covariance: Array = factor @ inner @ factor.T
+        return covariance
+
+    def colour(self, rows: int) -> Float[Array, "P P"]:
+        """Return the covariance (P, P) that white noise gets, 1 on the diagonal."""
         frequency = jnp.maximum(jnp.arange(rows + 1, dtype=jnp.float32), 1.0)
         # Both ends of the spectrum stand for themselves, all between for themselves and their
         # mirror images.
@@ -60,8 +62,9 @@ class ColouredNoise(Noise):
         phase = (jnp.pi / rows) * turns.astype(jnp.float32)
         autocovariance = jnp.cos(phase) @ (power / jnp.sum(power))
         lag = jnp.abs(jnp.arange(rows)[:, None] - jnp.arange(rows))
-        # Steep spectra leave nothing at high frequencies; the factor needs more than rounding.
-        return autocovariance[lag] + 1e-5 * jnp.eye(rows)
+        # Steep spectra leave nothing at high frequencies; the factor needs more than the rounding,
+        # which grows with the rows.
+        return autocovariance[lag] + max(1e-5, 3e-7 * rows) * jnp.eye(rows)
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if the white noise cannot be drawn."""

@@ -135,18 +135,21 @@ class ModelEnsemble(Disturbance):
     models: Dynamics
 
     def __init__(self, *models: Dynamics) -> None:
-        structures = {jax.tree.structure(model) for model in models}
-        if len(structures) != 1:
+        arrays, static = eqx.partition(models, eqx.is_array)
+        structures = {jax.tree.structure(model) for model in arrays}
+        if len(structures) != 1 or any(each != static[0] for each in static):
             raise ValueError(
                 f"models have {len(structures)} structures; accepted: one or more models of one "
                 "class that differ in numbers only"
             )
-        self.models = jax.tree.map(lambda *leaves: jnp.stack(leaves), *models)
+        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
+        self.models = eqx.combine(stacked, static[0])
 
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
         """Return the models at every step."""
+        arrays, _ = eqx.partition(self.models, eqx.is_array)
         models: Dynamics = jax.tree.map(
-            lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), self.models
+            lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays
         )
         return models
 
@@ -160,11 +163,13 @@ class ModelEnsemble(Disturbance):
         drawn: Dynamics,
     ) -> StateVector:
         """Return the state that the drawn model leads to."""
-        return drawn.step_at(state, control, t, dt)
+        _, static = eqx.partition(self.models, eqx.is_array)
+        model: Dynamics = eqx.combine(drawn, static)
+        return model.step_at(state, control, t, dt)
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
         """Raise a `ValueError` unless there is one model per outcome."""
-        count = jax.tree.leaves(self.models)[0].shape[0]
+        count = jax.tree.leaves(eqx.filter(self.models, eqx.is_array))[0].shape[0]
         if count != num_outcomes:
             raise ValueError(
                 f"num_outcomes is {num_outcomes}; accepted: {count}, one per model of the ensemble"

@@ -1,5 +1,6 @@
 """Proposals that know more than the last solution: references and given manoeuvres."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -10,7 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import Key, Scalar
+from jaxplore._types import Key, Rows, Scalar
 from jaxplore.control.parameterisations import Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, Surroundings
 
@@ -49,7 +50,7 @@ class BiasedProposal(Proposal):
     def __init__(
         self,
         proposal: GaussianProposal,
-        reference: ArrayLike,
+        reference: Rows,
         fraction: ArrayLike = 0.5,
         *,
         likelihood_ratio: bool = True,
@@ -143,7 +144,7 @@ class InjectedProposal(Proposal):
     def __init__(
         self,
         proposal: Proposal,
-        sequences: ArrayLike | None = None,
+        sequences: Rows | Sequence[Rows] | None = None,
         *,
         null_action: bool = False,
         last_solution: bool = False,
@@ -187,7 +188,7 @@ class InjectedProposal(Proposal):
         if self.null_action:
             given.append(around.encode(jnp.zeros((around.space.horizon, samples.shape[1]))))
         if self.last_solution:
-            given.append(around.centre)
+            given.append(around.encode(around.controls))
         injected = jnp.stack(given, axis=-1)
         return samples.at[:, :, : injected.shape[-1]].set(injected)
 
@@ -224,11 +225,11 @@ class InjectedProposal(Proposal):
             )
 
 
-def _control_sequences(name: str, value: ArrayLike, ndim: int) -> Array:
+def _control_sequences(name: str, value: Rows | Sequence[Rows], ndim: int) -> Array:
     """Return controls as a finite float32 array with `ndim` axes."""
     if not isinstance(value, jax.core.Tracer):
         array = np.asarray(value, np.float32)
-        if array.ndim != ndim or not np.isfinite(array).all():
+        if array.ndim != ndim or array.size == 0 or not np.isfinite(array).all():
             shape = "(T, nu)" if ndim == 2 else "(N, T, nu)"
             raise ValueError(
                 f"{name} has shape {array.shape}; accepted: finite controls of shape {shape}"

@@ -6,6 +6,7 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import jax.scipy.linalg
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -27,8 +28,17 @@ class Noise(eqx.Module):
         """Return noise of shape (P, nu, K)."""
 
     @abc.abstractmethod
+    def covariance(self, rows: int) -> Float[Array, "P P"] | None:
+        """Return the covariance (P, P) over the rows, None if it is the unit matrix."""
+
     def precision(self, sequence: Parameters) -> Parameters:
-        """Return `C^-1 sequence` (P, nu), C (P, P) the covariance of the noise over the rows."""
+        """Return `C^-1 sequence` (P, nu), C the covariance."""
+        covariance = self.covariance(sequence.shape[0])
+        if covariance is None:
+            return sequence
+        factor = jnp.linalg.cholesky(covariance)
+        solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence)
+        return solved
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if noise of this shape cannot be drawn; all can, by default."""
@@ -50,9 +60,8 @@ class WhiteNoise(Noise):
         )
         return rows
 
-    def precision(self, sequence: Parameters) -> Parameters:
-        """Return the sequence."""
-        return sequence
+    def covariance(self, rows: int) -> None:
+        """Return None: all draws are independent."""
 
 
 class AntitheticNoise(Noise):
@@ -75,9 +84,9 @@ class AntitheticNoise(Noise):
         half = self.noise.draw((rows, size, (samples + 1) // 2), key=key)
         return jnp.concatenate([half, -half[:, :, : samples // 2]], axis=-1)
 
-    def precision(self, sequence: Parameters) -> Parameters:
+    def covariance(self, rows: int) -> Float[Array, "P P"] | None:
         """Return that of the mirrored noise."""
-        return self.noise.precision(sequence)
+        return self.noise.covariance(rows)
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if half of it cannot be drawn."""
@@ -117,9 +126,13 @@ class LogNormalNoise(Noise):
         scale = jnp.exp(self.spread * jax.random.normal(log_key, shape) - self.spread**2)
         return self.noise.draw(shape, key=normal_key) * scale
 
-    def precision(self, sequence: Parameters) -> Parameters:
-        """Return that of the normal factor, whose covariance over a row this noise shares."""
-        return self.noise.precision(sequence)
+    def covariance(self, rows: int) -> Float[Array, "P P"] | None:
+        """Return that of the normal factor; between rows `exp(-s^2)` of it is left."""
+        inner = self.noise.covariance(rows)
+        if inner is None:
+            return None
+        kept = jnp.exp(-self.spread * self.spread)
+        return kept * inner + (1.0 - kept) * jnp.diag(jnp.diagonal(inner))
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if the normal factor cannot be drawn."""
@@ -129,8 +142,8 @@ class LogNormalNoise(Noise):
 class NoiseBank(Noise):
     """Noise that is drawn once and used again and again.
 
-    Each step takes one of `num_draws` stored draws at random and turns the sign of each of its P x
-    nu rows at random. Within a step the samples are those of `noise`; from step to step they recur.
+    Each step takes one of `num_draws` stored draws at random and turns the sign of each control's
+    noise at random. Within a step the samples are those of `noise`; from step to step they recur.
     Drawing is the larger part of a cheap rollout's time: this replaces it by a copy.
 
     Args:
@@ -160,12 +173,12 @@ class NoiseBank(Noise):
         self.check(shape)
         which_key, sign_key = jax.random.split(key)
         which = jax.random.randint(which_key, (), 0, self.stored.shape[0])
-        signs = jax.random.rademacher(sign_key, (*shape[:2], 1), jnp.float32)
+        signs = jax.random.rademacher(sign_key, (shape[1], 1), jnp.float32)
         return self.stored[which] * signs
 
-    def precision(self, sequence: Parameters) -> Parameters:
+    def covariance(self, rows: int) -> Float[Array, "P P"] | None:
         """Return that of the stored noise."""
-        return self.noise.precision(sequence)
+        return self.noise.covariance(rows)
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` if the store has another shape."""

@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Key, Scalar, Vector
+from jaxplore._types import ControlVector, Key, Rows, Scalar, Vector
 from jaxplore.control.adaptation import CovarianceAdaptation
 from jaxplore.control.noise import Noise, WhiteNoise
 from jaxplore.control.parameterisations import (
@@ -40,6 +39,11 @@ class Surroundings(eqx.Module):
     def rest(self) -> ControlVector:
         """The parameters (nu,) of a robot that is left alone."""
         return self.parameterisation.rest(self.space)
+
+    @property
+    def controls(self) -> Sequence:
+        """The controls (T, nu) of the nominal."""
+        return self.parameterisation.controls(self.nominal, self.space)
 
     def encode(self, controls: Sequence) -> Parameters:
         """Return the parameters (P, nu) of controls (T, nu), or the nearest to them."""
@@ -134,7 +138,7 @@ class GaussianProposal(Proposal):
         self,
         noise_std: Vector | None = None,
         *,
-        noise_covariance: ArrayLike | None = None,
+        noise_covariance: Rows | None = None,
         mean: Vector | None = None,
         noise: Noise | None = None,
         adaptation: CovarianceAdaptation | None = None,
@@ -268,7 +272,7 @@ def _standard_deviation(value: Vector) -> ControlVector:
     return jnp.asarray(value, jnp.float32)
 
 
-def _covariance(value: ArrayLike) -> Float[Array, "nu nu"]:
+def _covariance(value: Rows) -> Float[Array, "nu nu"]:
     if not isinstance(value, jax.core.Tracer):
         matrix = np.asarray(value, np.float64)
         square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0

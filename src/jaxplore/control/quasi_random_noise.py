@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import Key
 from jaxplore.control.noise import Noise, Shape
-from jaxplore.control.parameterisations import Parameters, Samples
+from jaxplore.control.parameterisations import Samples
 
 BITS = 24
 """Binary digits of a point: those of a float32 between 0 and 1."""
@@ -43,9 +43,8 @@ class SobolNoise(Noise):
             points = points ^ (directions[:, digit, None] & chosen)
         return _normal(points).reshape(shape)
 
-    def precision(self, sequence: Parameters) -> Parameters:
-        """Return the sequence: the rows are uncorrelated."""
-        return sequence
+    def covariance(self, rows: int) -> None:
+        """Return None: the rows are uncorrelated."""
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` for more dimensions than there are directions."""
@@ -69,9 +68,8 @@ class HaltonNoise(Noise):
         shift = jax.random.bits(key, (rows * size, 1)) >> (32 - BITS)
         return _normal((points + shift) & jnp.uint32(2**BITS - 1)).reshape(shape)
 
-    def precision(self, sequence: Parameters) -> Parameters:
-        """Return the sequence: the rows are uncorrelated."""
-        return sequence
+    def covariance(self, rows: int) -> None:
+        """Return None: the rows are uncorrelated."""
 
 
 def _normal(points: Array) -> Float[Array, "D K"]:

@@ -1,5 +1,6 @@
 """Rollouts: what many control sequences lead to and cost."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
@@ -70,6 +71,7 @@ def rollout_costs(
         ValueError: a model or a cost that returns another shape than it should.
     """
     horizon, _, num_samples = controls.shape
+    check_costs(dynamics, cost, horizon, belief)
     lanes = _lanes(num_samples)
     if outcomes is None:
         shape: tuple[int, ...] = (lanes,)
@@ -89,9 +91,7 @@ def rollout_costs(
         check_state(dynamics, jnp.shape(reached))
         # The cost reads what the model has computed; fused, it would compute the step again.
         reached = jnp.stack(cut(tuple(reached)))
-        paid = cost.stage(State(reached, dynamics), control, t, belief)
-        check_cost(cost, "stage", jnp.shape(paid))
-        return reached, paid
+        return reached, cost.stage(State(reached, dynamics), control, t, belief)
 
     step_all = jax.vmap(sample_step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
     if outcomes is not None:
@@ -117,9 +117,7 @@ def rollout_costs(
     )
 
     def final(components: tuple[Array, ...]) -> Array:
-        paid = cost.terminal(State(jnp.stack(components), dynamics), belief)
-        check_cost(cost, "terminal", jnp.shape(paid))
-        return paid
+        return cost.terminal(State(jnp.stack(components), dynamics), belief)
 
     for _ in shape:
         final = jax.vmap(final)
@@ -150,9 +148,7 @@ def _sequence_costs(
     before = dynamics.default_control if applied is None else applied
 
     def one(sequence: Array) -> Array:
-        paid = cost.sequence(sequence, before, dt, dynamics)
-        check_cost(cost, "sequence", jnp.shape(paid))
-        return paid
+        return cost.sequence(sequence, before, dt, dynamics)
 
     paid: Array = jax.vmap(one, in_axes=-1)(controls)
     return paid
@@ -168,12 +164,25 @@ def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
         )
 
 
-def check_cost(cost: Cost, method: str, shape: tuple[int, ...]) -> None:
-    """Raise a `ValueError` if a cost returns something else than a number."""
-    if shape != ():
-        raise ValueError(
-            f"{method} of {type(cost).__name__} returns shape {shape}; accepted: (), one number"
-        )
+def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> None:
+    """Raise a `ValueError` that names a term of a cost which returns something else than numbers.
+
+    Nothing is computed.
+    """
+    number, control = jnp.zeros(()), jnp.zeros(dynamics.control_size)
+    values, controls = jnp.zeros(dynamics.state_size), jnp.zeros((horizon, dynamics.control_size))
+    for name, term in cost.terms():
+        calls: dict[str, Callable[..., Array]] = {
+            "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics), u, t, b),
+            "terminal": lambda x, u, us, t, b, term=term: term.terminal(State(x, dynamics), b),
+            "sequence": lambda x, u, us, t, b, term=term: term.sequence(us, u, t, dynamics),
+        }
+        for method, call in calls.items():
+            paid = jax.eval_shape(call, values, control, controls, number, belief)
+            if paid.shape != ():
+                raise ValueError(
+                    f"{method} of {name} returns shape {paid.shape}; accepted: (), one number"
+                )
 
 
 class Trajectory(NamedTuple):

@@ -1,6 +1,7 @@
 """How much each rollout counts."""
 
 import abc
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -93,16 +94,29 @@ class AdaptiveSoftmax(Weighting):
         scale = jnp.where(jnp.isfinite(spread) & (spread > 0.0), spread, 1.0)
         offset = self.importance * log_ratio
 
-        def halve(_: int, bounds: tuple[Array, Array]) -> tuple[Array, Array]:
-            low, high = bounds
-            middle = 0.5 * (low + high)
-            size = effective_sample_size(_softmax(costs, scale * jnp.exp(middle), offset))
-            is_low = size < self.effective_sample_size
-            return jnp.where(is_low, middle, low), jnp.where(is_low, high, middle)
+        def excess(logarithm: Scalar) -> Scalar:
+            weights = _softmax(costs, scale * jnp.exp(logarithm), offset)
+            return effective_sample_size(weights) - self.effective_sample_size
 
-        decades = 8.0 * jnp.log(10.0)
-        bounds: tuple[Array, Array] = jax.lax.fori_loop(0, 22, halve, (-decades, decades))
-        return scale * jnp.exp(0.5 * (bounds[0] + bounds[1]))
+        def bisect(function: Callable[[Scalar], Scalar], start: Scalar) -> Scalar:
+            def halve(bounds: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], None]:
+                low, high = bounds
+                middle = 0.5 * (low + high)
+                is_low = function(middle) < 0.0
+                return (jnp.where(is_low, middle, low), jnp.where(is_low, high, middle)), None
+
+            decades = 8.0 * jnp.log(10.0)
+            ends, _ = jax.lax.scan(halve, (start - decades, start + decades), None, length=22)
+            return 0.5 * (ends[0] + ends[1])
+
+        def solve(slope: Callable[[Scalar], Scalar], value: Scalar) -> Scalar:
+            # Where the size does not depend on the temperature, neither does the temperature on it.
+            rise = slope(jnp.ones(()))
+            return jnp.where(rise != 0.0, value / jnp.where(rise != 0.0, rise, 1.0), 0.0)
+
+        # The root's derivative is that of the implicit function, not that of halving intervals.
+        root: Scalar = jax.lax.custom_root(excess, jnp.zeros(()), bisect, solve)
+        return scale * jnp.exp(root)
 
 
 class Elite(Weighting):

@@ -8,10 +8,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Scalar, Vector
-
-Rows = ArrayLike | Sequence[Vector]
-"""What is accepted where rows of numbers are given by hand."""
+from jaxplore._types import Scalar
 
 
 def array(

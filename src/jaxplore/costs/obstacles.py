@@ -8,8 +8,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar, Vector
-from jaxplore.costs._arguments import Rows, array
+from jaxplore._types import ControlVector, Rows, Scalar, Vector
+from jaxplore.costs._arguments import array
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import add_up, least
 from jaxplore.costs.base import Cost
