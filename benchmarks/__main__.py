@@ -12,7 +12,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import control_step, exploration, information
+from benchmarks import control, control_step, exploration, information
 from jaxplore import __version__
 
 
@@ -21,9 +21,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("--seeds", type=int, default=5, help="runs on each map [default: 5]")
     parser.add_argument("--steps", type=int, default=2000, help="steps timed [default: 2000]")
+    parser.add_argument(
+        "--endurance-steps",
+        type=int,
+        default=1_000_000,
+        help="control steps while memory is watched [default: 1000000]",
+    )
     parser.add_argument("--out", type=Path, default=Path("benchmarks/results.json"))
     arguments = parser.parse_args()
     console = Console(width=180)
+    controller = control.measure(arguments.endurance_steps)
+    for title, name in (
+        ("A command, and its peers'", "peers"),
+        ("Growth", "growth"),
+        ("Several controllers in one call", "fleet"),
+        ("Sources of noise, K = 1024", "noise"),
+        ("Weightings", "weighting"),
+        ("Feedback", "feedback"),
+        ("Two CPU devices", "devices"),
+        ("Endurance", "endurance"),
+    ):
+        console.print(_table(title, controller[name]))
     engine = information.measure()
     for title, table in (
         ("Local field: 20 x 20 nodes, 8 yaws, 12 beams, 10 m", engine["local_field"]),
@@ -47,6 +65,7 @@ def main() -> None:
         "python": platform.python_version(),
         "device": jax.devices()[0].device_kind,
         "cpu_count": os.cpu_count(),
+        "control": controller,
         "information": engine,
         "control_step": step,
         "exploration": summary,

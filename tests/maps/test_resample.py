@@ -92,7 +92,7 @@ def test_the_most_cautious_value_wins(met, expected):
         (3, 0.1, 0.3, 1),
         (2, 0.3, 0.1, 6),
         (5, 0.05, 100.0, 1),
-        (5, 1e-300, 1e300, 1),
+        (5, 1e-30, 1e30, 1),
     ],
 )
 def test_size(size, old, new, expected):
@@ -124,6 +124,7 @@ def test_the_grid_keeps_its_corner():
         (np.zeros((2, 2)), math.nan, 0.1, "resolution is nan"),
         (np.zeros((2, 2)), 0.1, -1.0, "new_resolution is -1.0"),
         (np.zeros((2, 2)), 0.1, math.inf, "new_resolution is inf"),
+        (np.zeros((2, 2)), 0.1, 1e300, "new_resolution is 1e+300"),
         (np.zeros((2, 2)), 0.1, 1e-320, "new_resolution is"),
         (np.zeros((2000, 2000)), 0.05, 0.01, "10000 x 10000"),
         (np.zeros((2, 2, 2)), 0.1, 0.1, "shape (2, 2, 2)"),

@@ -4,12 +4,16 @@ import abc
 import functools
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.interpolate
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+
+CONDITION = 3e4
+"""Greatest condition number of a kernel's matrix: times the rounding of float32, 2e-3."""
 
 Times = Float[Array, " N"]
 Weights = Float[Array, "N P"]
@@ -96,18 +100,31 @@ class Kernel(Interpolation):
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
         """Return the weights of the kernel."""
         knots = jnp.linspace(0.0, end, num_knots)
-        among = self.covariance(jnp.abs(knots[:, None] - knots))
-        spacing = end / max(num_knots - 1, 1)
-        limit = 4.0 * spacing
-        if num_knots > 1 and self.length_scale > limit:
-            raise ValueError(
-                f"length_scale is {self.length_scale}; accepted: at most {limit:.3g}, four times "
-                f"the {spacing:.3g} steps between {num_knots} knots, beyond which they depend on "
-                "each other"
-            )
         across = self.covariance(jnp.abs(times[:, None] - knots))
-        solved: Array = jnp.linalg.solve(among, across.T)
-        return solved.T
+        return across @ jnp.asarray(self._inverse(num_knots, end), jnp.float32)
+
+    def _inverse(self, num_knots: int, end: float) -> np.ndarray:
+        """Return `k(t_knots, t_knots)^-1` (P, P), computed when compiled, in double precision."""
+        knots = np.linspace(0.0, end, num_knots)
+        distance = np.abs(knots[:, None] - knots)
+
+        def among(length_scale: float) -> np.ndarray:
+            scaled = distance * (self.length_scale / length_scale)
+            with jax.ensure_compile_time_eval():
+                return np.asarray(self.covariance(jnp.asarray(scaled, jnp.float32)), np.float64)
+
+        matrix = among(self.length_scale)
+        if np.linalg.cond(matrix) <= CONDITION:
+            return np.asarray(np.linalg.inv(matrix))
+        low, high = 0.0, self.length_scale
+        for _ in range(20):
+            middle = 0.5 * (low + high)
+            is_fine = np.linalg.cond(among(middle)) <= CONDITION
+            low, high = (middle, high) if is_fine else (low, middle)
+        raise ValueError(
+            f"length_scale is {self.length_scale}; accepted: at most {low:.3g} model steps for "
+            f"{num_knots} knots over {end:g}, which cannot be told apart beyond that"
+        )
 
 
 class RBFKernel(Kernel):
@@ -159,7 +176,9 @@ class MaternKernel(Kernel):
 def _interval(times: Times, num_knots: int, end: float) -> tuple[Array, Array, float]:
     """Return the interval of each time, its share of it, and the intervals' width."""
     width = end / max(num_knots - 1, 1) or 1.0
-    position = jnp.clip(times / width, 0.0, float(max(num_knots - 1, 0)))
+    # Multiplied first: at a knot the quotient is then a whole number exactly.
+    position = times * max(num_knots - 1, 0) / (end or 1.0)
+    position = jnp.clip(position, 0.0, float(max(num_knots - 1, 0)))
     index = jnp.clip(jnp.floor(position), 0.0, float(max(num_knots - 2, 0)))
     return index.astype(jnp.int32), position - index, width
 

@@ -184,12 +184,13 @@ class GaussianProposal(Proposal):
 
     def draw(self, memory: Any, shape: tuple[int, ...], num_samples: int, *, key: Key) -> Samples:
         """Return noise (P, nu, K) of mean 0 for parameters of shape (P, nu, ...)."""
-        unit = self.noise.draw((shape[0], shape[1], num_samples), key=key)
-        if self.adaptation is not None:
-            unit = memory[:, :, None] * unit
+        drawn = self.noise.draw((shape[0], shape[1], num_samples), key=key)
         if self.noise_std is not None:
-            return self.noise_std[:, None] * unit
-        return jnp.einsum("uv,pvk->puk", jnp.linalg.cholesky(self.noise_covariance), unit)
+            drawn = self.noise_std[:, None] * drawn
+        else:
+            factor = jnp.linalg.cholesky(self.noise_covariance)
+            drawn = jnp.einsum("uv,pvk->puk", factor, drawn)
+        return drawn if self.adaptation is None else memory[:, :, None] * drawn
 
     def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
         """Return the ratio for the nominal as the mean (K,)."""

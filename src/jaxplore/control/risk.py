@@ -68,7 +68,7 @@ class MeanVariance(Risk):
         """Return the discounted variance of the step (K,)."""
         if paid.shape[0] == 1:
             return jnp.zeros(paid.shape[1])
-        return self.discount ** (t / dt - 1.0) * jnp.var(paid, axis=0, ddof=1)
+        return self.discount ** (jnp.round(t / dt) - 1.0) * jnp.var(paid, axis=0, ddof=1)
 
 
 class WorstCase(Risk):
@@ -146,9 +146,13 @@ class Entropic(Risk):
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:
         """Return the entropic risk (K,)."""
-        exponent = self.theta * totals
-        mean = jax.nn.logsumexp(exponent, axis=0) - np.float32(np.log(totals.shape[0]))
-        return mean / self.theta
+        mean = jnp.mean(totals, axis=0)
+        exponent = self.theta * (totals - mean)
+        # Near 0 the logarithm of a sum of numbers near 1 would lose all digits.
+        near = jnp.log1p(jnp.mean(jnp.expm1(jnp.clip(exponent, -1.0, 1.0)), axis=0))
+        far = jax.nn.logsumexp(exponent, axis=0) - np.float32(np.log(totals.shape[0]))
+        is_near = jnp.max(jnp.abs(exponent), axis=0) < 1.0
+        return mean + jnp.where(is_near, near, far) / self.theta
 
 
 def _quantile(totals: Totals, level: Scalar) -> Costs:

@@ -62,8 +62,8 @@ class AdaptiveSoftmax(Weighting):
     """The softmax at the temperature that gives a wanted effective sample size.
 
     Costs need no scale then: `1 / sum w^2` grows with the temperature, so the one wanted is found
-    by bisection of its logarithm, over 16 decades around the range of the costs. What cannot be
-    reached, because fewer rollouts are finite or several are equally good, is approached.
+    by bisection of its logarithm, from 43 decades below the range of the costs to 8 above. What
+    cannot be reached, because fewer rollouts are finite or several are equally good, is approached.
 
     Args:
         effective_sample_size: wanted, in samples.
@@ -91,11 +91,11 @@ class AdaptiveSoftmax(Weighting):
         is_finite = jnp.isfinite(costs)
         least = jnp.min(jnp.where(is_finite, costs, jnp.inf))
         spread = jnp.max(jnp.where(is_finite, costs, -jnp.inf)) - least
-        scale = jnp.where(jnp.isfinite(spread) & (spread > 0.0), spread, 1.0)
+        scale = jnp.log(jnp.where(jnp.isfinite(spread) & (spread > 0.0), spread, 1.0))
         offset = self.importance * log_ratio
 
         def excess(logarithm: Scalar) -> Scalar:
-            weights = _softmax(costs, scale * jnp.exp(logarithm), offset)
+            weights = _softmax(costs, jnp.exp(logarithm), offset)
             return effective_sample_size(weights) - self.effective_sample_size
 
         def bisect(function: Callable[[Scalar], Scalar], start: Scalar) -> Scalar:
@@ -105,8 +105,9 @@ class AdaptiveSoftmax(Weighting):
                 is_low = function(middle) < 0.0
                 return (jnp.where(is_low, middle, low), jnp.where(is_low, high, middle)), None
 
-            decades = 8.0 * jnp.log(10.0)
-            ends, _ = jax.lax.scan(halve, (start - decades, start + decades), None, length=22)
+            # A penalty may be 30 decades above the differences that matter; within float32.
+            ends = (jnp.maximum(start - 100.0, -80.0), jnp.minimum(start + 18.0, 85.0))
+            ends, _ = jax.lax.scan(halve, ends, None, length=30)
             return 0.5 * (ends[0] + ends[1])
 
         def solve(slope: Callable[[Scalar], Scalar], value: Scalar) -> Scalar:
@@ -115,8 +116,8 @@ class AdaptiveSoftmax(Weighting):
             return jnp.where(rise != 0.0, value / jnp.where(rise != 0.0, rise, 1.0), 0.0)
 
         # The root's derivative is that of the implicit function, not that of halving intervals.
-        root: Scalar = jax.lax.custom_root(excess, jnp.zeros(()), bisect, solve)
-        return scale * jnp.exp(root)
+        root: Scalar = jax.lax.custom_root(excess, jax.lax.stop_gradient(scale), bisect, solve)
+        return jnp.exp(root)
 
 
 class Elite(Weighting):
@@ -156,8 +157,11 @@ def effective_sample_size(weights: Weights) -> Scalar:
 
 def _softmax(costs: Costs, temperature: Scalar, offset: Costs) -> Weights:
     is_finite = jnp.isfinite(costs) & jnp.isfinite(offset)
-    # Guarded before dividing, so that derivatives stay finite too.
-    exponent = jnp.where(is_finite, costs, 0.0) / temperature + jnp.where(is_finite, offset, 0.0)
+    # Guarded before dividing, so that derivatives stay finite too; and differences are divided, not
+    # costs, whose quotient may be infinite.
+    cheapest = jnp.min(jnp.where(is_finite, costs, jnp.inf))
+    above = jnp.where(is_finite, costs - cheapest, 0.0)
+    exponent = above / temperature + jnp.where(is_finite, offset, 0.0)
     exponent = jnp.where(is_finite, exponent, jnp.inf)
     least = jnp.min(exponent)
     relative = jnp.exp(jnp.where(jnp.isfinite(least), least, 0.0) - exponent)

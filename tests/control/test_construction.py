@@ -1,0 +1,348 @@
+"""What does not fit is said where it is built; what cannot be computed stays out of the result."""
+
+import math
+import re
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jaxtyping
+import numpy as np
+import pytest
+
+from jaxplore import (
+    MPPI,
+    AdaptiveSoftmax,
+    BiasedProposal,
+    ColouredNoise,
+    ConditionalValueAtRisk,
+    ControlNoise,
+    Cost,
+    CovarianceAdaptation,
+    CubicSpline,
+    Direct,
+    Dynamics,
+    Elite,
+    Entropic,
+    FeedbackMPPI,
+    GaussianProposal,
+    InjectedProposal,
+    Knots,
+    LinearInterpolation,
+    LogNormalNoise,
+    MeanVariance,
+    ModelEnsemble,
+    NoiseBank,
+    PointMass,
+    RBFKernel,
+    SavitzkyGolay,
+    Smooth,
+    SobolNoise,
+    Softmax,
+    StateCost,
+    StateNoise,
+    ValueAtRisk,
+    WorstCase,
+)
+
+ROBOT = PointMass(2)
+COST = StateCost({"x": 1.0, "y": 1.0}, {"x": 1.0})
+GAUSSIAN = GaussianProposal([0.5, 0.5])
+
+
+def make(robot=ROBOT, cost=COST, **changes) -> MPPI:
+    settings = {"horizon": 6, "num_samples": 16, "noise_std": [0.5, 0.5], "dt": 0.1, **changes}
+    if "proposal" in changes:
+        del settings["noise_std"]
+    return MPPI(robot, cost, **settings)
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: make(horizon=0), "horizon is 0"),
+        (lambda: make(horizon=True), "horizon is True"),
+        (lambda: make(num_samples=0), "num_samples is 0"),
+        (lambda: make(temperature=0.0), "temperature is 0.0"),
+        (lambda: make(temperature=-1.0), "temperature is -1.0"),
+        (lambda: make(temperature=np.ones(2)), "temperature has shape (2,); accepted: one number"),
+        (lambda: make(dt=0.0), "dt is 0.0"),
+        (lambda: make(dt=math.inf), "dt is inf"),
+        (lambda: make(control_period=0.0), "control_period is 0.0"),
+        (lambda: make().at_period(-0.1), "control_period is -0.1"),
+        (lambda: make(noise_std=[0.5, 0.0]), "noise_std is [0.5, 0.0]"),
+        (lambda: make(noise_std=[0.5] * 3), "noise_std has shape (3,); accepted: (2,)"),
+        (lambda: make(noise_std=None), "accepted: one of them"),
+        (lambda: make(temperature=1.0, weighting=Elite()), "accepted: one of them"),
+        (lambda: make(risk=WorstCase()), "without a disturbance"),
+        (lambda: make(num_outcomes=3), "without a disturbance"),
+        (lambda: make(disturbance=StateNoise([0.1] * 4), num_outcomes=0), "num_outcomes is 0"),
+        (lambda: make(disturbance=StateNoise([0.1])), "std has shape (1,); accepted: (4,)"),
+        (lambda: make(disturbance=ControlNoise([0.1])), "std has shape (1,); accepted: (2,)"),
+        (
+            lambda: make(disturbance=ModelEnsemble(ROBOT, PointMass(drag=0.5)), num_outcomes=3),
+            "num_outcomes is 3; accepted: 2",
+        ),
+        (lambda: ModelEnsemble(ROBOT, PointMass(3)), "models have 2 structures"),
+        (lambda: ModelEnsemble(), "models have 0 structures"),
+        (lambda: make(parameterisation=Knots(7)), "num_knots is 7; accepted: at most the horizon"),
+        (lambda: Knots(0), "num_knots is 0"),
+        (lambda: make(parameterisation=Knots(6, RBFKernel(5.0))), "length_scale is 5.0"),
+        (lambda: RBFKernel(0.0), "length_scale is 0.0"),
+        (lambda: Smooth(0.0), "max_rate is 0.0"),
+        (
+            lambda: make(proposal=GaussianProposal(noise_covariance=np.eye(3))),
+            "noise_covariance has shape (3, 3); accepted: (2, 2)",
+        ),
+        (
+            lambda: GaussianProposal(noise_covariance=np.array([[1.0, 2.0], [2.0, 1.0]])),
+            "eigenvalue of -1",
+        ),
+        (
+            lambda: GaussianProposal(noise_covariance=np.array([[1.0, 1.0], [1.0, 1.0]])),
+            "positive definite",
+        ),
+        (
+            lambda: GaussianProposal(noise_covariance=np.array([[1.0, 0.5], [0.0, 1.0]])),
+            "symmetric",
+        ),
+        (lambda: GaussianProposal(noise_covariance=np.full((2, 2), np.nan)), "noise_covariance"),
+        (lambda: GaussianProposal(noise_covariance=np.ones((2, 3))), "noise_covariance"),
+        (lambda: GaussianProposal(), "noise_std is None and noise_covariance is None"),
+        (lambda: GaussianProposal([1.0], mean=[1.0, 2.0]), "mean"),
+        (lambda: BiasedProposal(GAUSSIAN, np.zeros((6, 2)), 1.5), "fraction is 1.5"),
+        (lambda: BiasedProposal(GAUSSIAN, np.zeros((6, 2)), -0.1), "fraction is -0.1"),
+        (lambda: BiasedProposal(GAUSSIAN, np.zeros(6)), "reference has shape (6,)"),
+        (
+            lambda: make(proposal=BiasedProposal(GAUSSIAN, np.zeros((5, 2)))),
+            "reference has shape (5, 2); accepted: (6, 2)",
+        ),
+        (lambda: InjectedProposal(GAUSSIAN), "at least one of them"),
+        (
+            lambda: make(proposal=InjectedProposal(GAUSSIAN, np.zeros((1, 6, 3)))),
+            "sequences has shape (1, 6, 3)",
+        ),
+        (
+            lambda: make(
+                proposal=InjectedProposal(GAUSSIAN, np.zeros((16, 6, 2)), null_action=True)
+            ),
+            "17 sequences are to be injected; accepted: at most num_samples, 16",
+        ),
+        (lambda: Softmax(0.0), "temperature is 0.0"),
+        (lambda: Softmax(1.0, 1.1), "importance is 1.1"),
+        (lambda: AdaptiveSoftmax(0.5), "effective_sample_size is 0.5"),
+        (lambda: AdaptiveSoftmax(4.0, -1.0), "importance is -1.0"),
+        (lambda: Elite(0.0), "fraction is 0.0"),
+        (lambda: Elite(1.5), "fraction is 1.5"),
+        (lambda: CovarianceAdaptation(rate=1.5), "rate is 1.5"),
+        (lambda: CovarianceAdaptation(floor=0.0), "floor is 0.0"),
+        (lambda: CovarianceAdaptation(floor=0.5, ceiling=0.4), "ceiling is 0.4"),
+        (lambda: ColouredNoise(5.0), "exponent is 5.0"),
+        (lambda: LogNormalNoise(-1.0), "spread is -1.0"),
+        (
+            lambda: make(
+                proposal=GaussianProposal(
+                    [0.5, 0.5], noise=NoiseBank((6, 2, 8), key=jax.random.key(0), num_draws=2)
+                )
+            ),
+            "NoiseBank holds draws of shape (6, 2, 8); accepted: (6, 2, 16)",
+        ),
+        (
+            lambda: make(
+                proposal=GaussianProposal([0.5, 0.5], noise=ColouredNoise(1.0, SobolNoise())),
+                horizon=20000,
+            ),
+            "at most 21201",
+        ),
+        (lambda: SavitzkyGolay(4), "window is 4"),
+        (lambda: SavitzkyGolay(5, 5), "order is 5"),
+        (lambda: make(smoothing=SavitzkyGolay(13, 2)), "window is 13; accepted: at most 11"),
+        (lambda: FeedbackMPPI(make(), commands_per_plan=0), "commands_per_plan is 0"),
+        (lambda: FeedbackMPPI(make()).at_period(0.0), "control_period is 0.0"),
+        (lambda: ValueAtRisk(1.0), "level is 1.0"),
+        (lambda: ConditionalValueAtRisk(1.0), "level is 1.0"),
+        (lambda: Entropic(0.0), "theta is 0.0"),
+        (lambda: MeanVariance(discount=1.5), "discount is 1.5"),
+        (lambda: StateNoise([-0.1]), "std is [-0.1]"),
+    ],
+)
+def test_what_does_not_fit_is_named(build, message: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build()
+
+
+class Model(Dynamics):
+    state_names: ClassVar[tuple[str, ...]] = ("x", "y")
+    control_names: ClassVar[tuple[str, ...]] = ("u", "v")
+    control_min: jax.Array = eqx.field(default_factory=lambda: -jnp.ones(2))
+    control_max: jax.Array = eqx.field(default_factory=lambda: jnp.ones(2))
+    radius: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(0.2))
+
+    def step(self, state, control, dt):
+        return state + dt * control
+
+
+@pytest.fixture
+def unchecked():
+    """Turn the run-time types of the tests off, which users do not have: they would raise first."""
+    before = jaxtyping.config.jaxtyping_disable
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", before)
+
+
+class LongerStep(Model):
+    def step(self, state, control, dt):
+        return jnp.append(state, 0.0)
+
+
+class ScalarStep(Model):
+    def step(self, state, control, dt):
+        return jnp.sum(state)
+
+
+@pytest.mark.parametrize(("model", "shape"), [(LongerStep, "(3,)"), (ScalarStep, "()")])
+def test_a_model_of_another_shape_is_named(model, shape: str, unchecked) -> None:
+    message = f"step of {model.__name__} returns shape {shape}; accepted: (2,)"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        make(model())
+
+
+def test_bounds_must_fit_and_be_in_order() -> None:
+    swapped = Model(control_min=jnp.ones(2), control_max=-jnp.ones(2))
+    with pytest.raises(ValueError, match=r"control_min of Model is .* at most"):
+        make(swapped)
+    with pytest.raises(ValueError, match=r"control_max of Model has shape \(3,\)"):
+        make(Model(control_max=jnp.ones(3)))
+    with pytest.raises(ValueError, match=r"control_min of Model has shape \(\)"):
+        make(Model(control_min=jnp.zeros(())))
+    make(Model(control_min=jnp.zeros(2), control_max=jnp.zeros(2)))
+
+
+class VectorStage(Cost):
+    def stage(self, state, control, t, belief):
+        return state.position
+
+
+class VectorTerminal(Cost):
+    def stage(self, state, control, t, belief):
+        return jnp.zeros(())
+
+    def terminal(self, state, belief):
+        return state.position
+
+
+class VectorSequence(Cost):
+    def stage(self, state, control, t, belief):
+        return jnp.zeros(())
+
+    def sequence(self, controls, applied, dt, dynamics):
+        return controls[:, 0]
+
+
+class ReadsBelief(Cost):
+    def stage(self, state, control, t, belief):
+        return state.position - belief
+
+
+def build_and_step(cost: Cost) -> None:
+    mppi = make(Model(), cost)
+    mppi.step(mppi.init(), jnp.zeros(2), key=jax.random.key(0))
+
+
+WRONG = [
+    (VectorStage, "stage", "(2,)"),
+    (VectorTerminal, "terminal", "(2,)"),
+    (VectorSequence, "sequence", "(6,)"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "method", "shape"), WRONG)
+def test_a_cost_of_another_shape_is_named(wrong, method: str, shape: str, unchecked) -> None:
+    message = f"{method} of {wrong.__name__} returns shape {shape}; accepted: ()"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        build_and_step(wrong())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "weight"),
+    [(VectorStage, 1.0), (VectorStage, 0.5), (VectorTerminal, 1.0), (VectorSequence, 1.0)],
+)
+def test_a_wrong_cost_within_a_sum_is_named(wrong, weight: float, unchecked) -> None:
+    part = wrong() if weight == 1.0 else weight * wrong()
+    with pytest.raises(ValueError, match=wrong.__name__):
+        build_and_step(COST + (part + COST))
+
+
+def test_a_cost_that_reads_the_belief_is_checked_when_first_stepped(unchecked) -> None:
+    mppi = make(Model(), ReadsBelief())
+    with pytest.raises(ValueError, match=re.escape("stage of ReadsBelief returns shape (2,)")):
+        mppi.step(mppi.init(), jnp.zeros(2), jnp.ones(2), key=jax.random.key(0))
+
+
+class Sometimes(Cost):
+    """Not a number where the first control is positive; everywhere, if it is said so."""
+
+    everywhere: jax.Array
+
+    def stage(self, state, control, t, belief):
+        bad = (control[0] > 0.3) | (self.everywhere > 0.0)
+        return jnp.where(bad, jnp.nan, jnp.sum((state.position - 1.0) ** 2))
+
+
+@pytest.mark.parametrize(
+    ("parameterisation", "weighting", "adaptation"),
+    [
+        (Direct(), Softmax(0.5), None),
+        (Direct(), AdaptiveSoftmax(4.0), CovarianceAdaptation()),
+        (Direct(), Elite(0.25), CovarianceAdaptation()),
+        (Smooth(), AdaptiveSoftmax(4.0, 0.5), None),
+        (Smooth(), Softmax(0.5), CovarianceAdaptation()),
+        (Knots(3, CubicSpline()), Elite(0.25), CovarianceAdaptation()),
+        (Knots(3, RBFKernel(2.0)), Softmax(0.5, 0.0), None),
+        (Knots(4, LinearInterpolation()), AdaptiveSoftmax(4.0), None),
+    ],
+)
+def test_rollouts_that_are_no_numbers_stay_out(parameterisation, weighting, adaptation) -> None:
+    std = [3.0, 3.0] if isinstance(parameterisation, Smooth) else [0.3, 0.3]
+    mppi = make(
+        cost=Sometimes(jnp.zeros(())),
+        proposal=GaussianProposal(std, adaptation=adaptation),
+        parameterisation=parameterisation,
+        weighting=weighting,
+        num_samples=32,
+    )
+    rows = np.linspace(-0.4, 0.2, 6)[:, None] * [1.0, -1.0]
+    state = mppi.init(jnp.asarray(rows, jnp.float32))
+    step = eqx.filter_jit(lambda mppi, state, x, key: mppi.step(state, x, key=key))
+    control, after, info = step(mppi, state, jnp.zeros(4), jax.random.key(0))
+    bad = np.isinf(info.costs)
+    assert bad.any()
+    assert not bad.all()
+    np.testing.assert_array_equal(np.asarray(info.weights)[bad], 0.0)
+    assert float(info.weights.sum()) == pytest.approx(1.0, abs=1e-5)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves((control, after)))
+
+    worse = eqx.tree_at(lambda m: m.cost.everywhere, mppi, jnp.ones(()))
+    for program, observation in ((worse, jnp.zeros(4)), (mppi, jnp.full(4, jnp.nan))):
+        control, after, info = step(program, state, observation, jax.random.key(0))
+        assert not bool(info.is_finite)
+        assert float(info.effective_sample_size) == 0.0
+        shifted = mppi._shift(state)
+        space = mppi._space
+        expected = parameterisation.controls(
+            parameterisation.update(
+                shifted.nominal, parameterisation.centre(shifted.nominal), space
+            ),
+            space,
+        )
+        np.testing.assert_allclose(info.controls, expected, atol=1e-5)
+        np.testing.assert_allclose(control, expected[0], atol=1e-5)
+        for kept, was in zip(
+            jax.tree.leaves(after.proposal), jax.tree.leaves(shifted.proposal), strict=True
+        ):
+            np.testing.assert_allclose(kept, was, atol=1e-5)
+        # The next observation finds everything as it should be.
+        _, _, again = step(mppi, after, jnp.zeros(4), jax.random.key(1))
+        assert bool(again.is_finite)
