@@ -7,6 +7,7 @@ working directory, and no test runner can spread them over several workers.
 """
 
 import contextlib
+import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,9 @@ from jaxtyping import install_import_hook
 from sybil import Sybil
 from sybil.parsers.markdown import PythonCodeBlockParser
 
+# Tests compile far more than they compute: without LLVM's optimisations a fifth is saved.
+# XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 with install_import_hook("jaxplore", "beartype.beartype"):

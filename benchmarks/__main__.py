@@ -33,6 +33,7 @@ def main() -> None:
     controller = control.measure(arguments.endurance_steps)
     for title, name in (
         ("A command, and its peers'", "peers"),
+        ("A differential drive on a map of costs", "on_a_map"),
         ("Growth", "growth"),
         ("Several controllers in one call", "fleet"),
         ("Sources of noise, K = 1024", "noise"),

@@ -5,7 +5,6 @@ import math
 import os
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -15,8 +14,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from benchmarks import control_peers
+from benchmarks.control_problems import (
+    KEY,
+    ToGoal,
+    build,
+    map_problem,
+    quadrotor_problem,
+    step,
+    timed_step,
+)
 from benchmarks.timing import Timed, timed
 from jaxplore import (
     MPPI,
@@ -24,36 +33,16 @@ from jaxplore import (
     AdaptiveSoftmax,
     AntitheticNoise,
     ColouredNoise,
-    Controller,
-    ControlRateCost,
-    Cost,
     CovarianceAdaptation,
-    DifferentialDrive,
-    Dynamics,
     Elite,
+    Euler,
     FeedbackMPPI,
     GaussianProposal,
-    Knots,
     NoiseBank,
     PointMass,
-    Quadrotor,
-    RBFKernel,
-    Smooth,
     SobolNoise,
-    Softmax,
-    State,
     WhiteNoise,
-    clearance_field,
-    office,
-    start_pose,
 )
-from jaxplore.maps.field import ScalarField
-from jaxplore.maps.frame import GridFrame
-
-PEERS = Path(__file__).parent / ".peers"
-TORCH_PEER = PEERS / "torch"
-KEY = jax.random.key(0)
-Problem = dict[str, Any]
 
 
 def measure(endurance_steps: int = 1_000_000) -> dict[str, Any]:
@@ -63,7 +52,8 @@ def measure(endurance_steps: int = 1_000_000) -> dict[str, Any]:
         endurance_steps: control steps of the run that memory is watched over.
     """
     return {
-        "peers": _peers(),
+        "peers": control_peers.measure(),
+        "on_a_map": _on_a_map(),
         "growth": _growth(),
         "fleet": _fleet(),
         "noise": _noise(),
@@ -74,224 +64,27 @@ def measure(endurance_steps: int = 1_000_000) -> dict[str, Any]:
     }
 
 
-class ToGoal(Cost):
-    """Squared distance from a goal plus effort, in plain sums.
+def _on_a_map() -> list[dict[str, Any]]:
+    """A differential drive on a cost map, 100 steps, with both integrators and two noises.
 
-    `jnp.sum` over a handful of numbers is a reduction, which XLA's CPU back end does slowly.
+    For nav2's C++ (Euler steps) the paper on MPPI-Generic (arXiv 2409.07563) gives 3.4 and 6.7 ms, on
+    its own problem and machine.
     """
-
-    goal: Float[Array, " n"]
-
-    def stage(self, state: State, control: Array, t: Array, belief: Any) -> Array:
-        """Return it."""
-        total = 0.01 * sum((u * u for u in control), jnp.zeros(()))
-        for name, wanted in zip("xyz", self.goal, strict=False):
-            total = total + (state[name] - wanted) ** 2
-        return total
-
-
-class OnMap(Cost):
-    """What a map says of the position, plus the distance from a goal."""
-
-    field: ScalarField
-    goal: Float[Array, "2"]
-
-    def stage(self, state: State, control: Array, t: Array, belief: Any) -> Array:
-        """Return it."""
-        position = state.position
-        x, y = position[0] - self.goal[0], position[1] - self.goal[1]
-        return self.field(position) + jnp.sqrt(x * x + y * y)
-
-
-def _quadrotor_problem(num_samples: int = 1000, horizon: int = 40) -> Problem:
-    model = Quadrotor()
-    probe = np.tile([10.0, 0.3, -0.2, 0.1], (horizon, 1))
-    return {
-        "start": model.at_pose(0.0, 0.0, 0.0),
-        "goal": [5.0, 5.0, -2.0],
-        "noise_std": [2.0, 0.5, 0.5, 0.5],
-        "probe": probe,
-        "dt": 0.05,
-        **_shared(model, num_samples, horizon),
-    }
-
-
-def _map_problem(num_samples: int) -> Problem:
-    """A robot among the walls and the furniture of an office, 20 x 20 m in cells of 5 cm."""
-    world = office(seed=5, width=20.0, height=20.0, resolution=0.05)
-    clearance = clearance_field(~world.is_free, world.frame, 1.0)
-    model, horizon = DifferentialDrive(), 100
-    return {
-        "start": model.at_pose(*start_pose(world)),
-        "goal": [15.0, 12.0],
-        "noise_std": [0.5, 1.0],
-        "probe": np.tile([0.8, -0.2], (horizon, 1)),
-        "dt": 0.02,
-        "cost_map": 10.0 * jnp.exp(-clearance.values / 0.2),
-        "resolution": world.resolution,
-        "origin": world.frame.origin[:2],
-        **_shared(model, num_samples, horizon),
-    }
-
-
-def _shared(model: Dynamics, num_samples: int, horizon: int) -> Problem:
-    return {
-        "control_min": model.control_min,
-        "control_max": model.control_max,
-        "default_control": model.default_control,
-        "num_samples": num_samples,
-        "horizon": horizon,
-        "temperature": 1.0,
-        "smoothness_weight": 1.0,
-        "num_knots": 10,
-        "length_scale": 4.0,
-    }
-
-
-def _controller(problem: Problem, variant: str = "plain", **changes: Any) -> MPPI:
-    model: Dynamics = Quadrotor()
-    goal = jnp.asarray(problem["goal"])
-    cost: Cost = ToGoal(goal)
-    if "cost_map" in problem:
-        model = DifferentialDrive(integrator=RK4())
-        frame = GridFrame(problem["resolution"], (*map(float, problem["origin"]), 0.0))
-        field = ScalarField(problem["cost_map"], frame, jnp.max(problem["cost_map"]))
-        cost = OnMap(field, goal)
-    std = np.asarray(problem["noise_std"])
-    parts: dict[str, Any] = {}
-    if variant == "smooth":
-        # Rates whose effect in one command is that of the plain variant's noise.
-        std = std / problem["dt"]
-        rate = ControlRateCost(np.ones(std.shape), include_applied=False)
-        cost = cost + problem["smoothness_weight"] * rate
-        parts["parameterisation"] = Smooth()
-    if variant == "kernel":
-        kernel = RBFKernel(problem["length_scale"])
-        parts["parameterisation"] = Knots(problem["num_knots"], kernel)
-    parts |= {"weighting": Softmax(problem["temperature"]), "proposal": GaussianProposal(std)}
-    parts |= {name: problem[name] for name in ("dt", "num_samples", "horizon")}
-    return MPPI(model, cost, **{**parts, **changes})
-
-
-def _step(controller: Controller, state: Any, observation: Array, key: Array) -> Any:
-    return controller.step(state, observation, key=key)
-
-
-def _timed_step(controller: MPPI, start: Array, runs: int = 200) -> Timed:
-    return timed(_step, controller, controller.init(), start, KEY, runs=runs)
-
-
-def _peers() -> list[dict[str, Any]]:
-    """Commands of ours and of the peers, turn by turn.
-
-    All drive the same models; jax_mppi's differential drive also goes backwards and wraps its
-    heading.
-    """
-    quadrotor = _quadrotor_problem()
     rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for name, problem, variant in (
-            ("quadrotor, plain", quadrotor, "plain"),
-            ("quadrotor, smooth", quadrotor, "smooth"),
-            ("quadrotor, 10 knots and a kernel", quadrotor, "kernel"),
-            ("differential drive on a map", _map_problem(1024), "plain"),
-            ("differential drive on a map", _map_problem(2048), "plain"),
-        ):
-            file = Path(folder) / "problem.npz"
-            _save(file, problem)
-            controller = _controller(problem, variant)
-            ours = [_timed_step(controller, problem["start"])]
-            theirs: list[dict[str, Any]] = []
-            paid = _probe(controller, problem)
-            for peer, command in _commands(file, variant).items():
-                result = _run_peer(peer, command, folder)
-                ours.append(_timed_step(controller, problem["start"]))
-                # Those of our runs before and after it.
-                beside = float(np.mean([one.p50_ms for one in ours[-2:]]))
-                for suffix, times in _variants(result):
-                    row = _peer_row(peer + suffix, times)
-                    if result is not None and times is not None:
-                        row["times_as_long_as_jaxplore"] = times["p50_ms"] / beside
-                        row["problem_differs_by"] = abs(result["probe_cost"] - paid) / abs(paid)
-                    theirs.append(row)
-            times = {
-                "p50_ms": float(np.median([one.p50_ms for one in ours])),
-                "p99_ms": float(np.median([one.p99_ms for one in ours])),
-                "compile_seconds": ours[0].compile_seconds,
-            }
-            title = f"{name}, K = {problem['num_samples']}, T = {problem['horizon']}"
-            rows.append({"": title, **_peer_row("jaxplore", times)})
-            rows.extend({"": title, **row} for row in theirs)
+    for samples in (1024, 2048):
+        problem = map_problem(samples)
+        variants: dict[str, dict[str, Any]] = {
+            "Euler": {"integrator": Euler()},
+            "Euler, Sobol noise": {
+                "integrator": Euler(),
+                "proposal": GaussianProposal(problem["noise_std"], noise=SobolNoise()),
+            },
+            "RK4": {"integrator": RK4()},
+        }
+        for name, changes in variants.items():
+            took = timed_step(build(problem, **changes), problem["start"])
+            rows.append(_growth_row(f"K = {samples}, T = 100, {name}", took, samples, 100))
     return rows
-
-
-def _variants(result: dict[str, Any] | None) -> list[tuple[str, dict[str, Any] | None]]:
-    """Return a peer's times as it comes and, if it has that, compiled."""
-    if result is None or "compiled" not in result:
-        return [("", result)]
-    return [("", result), (", compiled", result["compiled"])]
-
-
-def _peer_row(library: str, times: dict[str, Any] | None) -> dict[str, Any]:
-    names = {"ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
-    row = {short: None if times is None else times[name] for short, name in names.items()}
-    return {
-        "library": library,
-        **row,
-        "times_as_long_as_jaxplore": None,
-        "problem_differs_by": None,
-    }
-
-
-def _save(file: Path, problem: Problem) -> None:
-    arrays: dict[str, Any] = {}
-    for name, value in problem.items():
-        array = np.asarray(value)
-        arrays[name] = array.astype(np.float32) if array.dtype.kind == "f" else array
-    np.savez(file, **arrays)
-
-
-def _commands(problem: Path, variant: str) -> dict[str, list[str]]:
-    scripts = Path(__file__).parent / "peers"
-    source = str(PEERS / "jax_mppi")
-    return {
-        "jax_mppi": [
-            str(PEERS / "bin" / "python"),
-            str(scripts / "jax_mppi_control.py"),
-            source,
-            str(problem),
-            variant,
-        ],
-        "pytorch_mppi": [
-            str(TORCH_PEER / "bin" / "python"),
-            str(scripts / "pytorch_mppi_control.py"),
-            str(problem),
-            variant,
-        ],
-    }
-
-
-def _run_peer(name: str, command: list[str], folder: str) -> dict[str, Any] | None:
-    """Run a peer on a problem, where `make bench` has set it up."""
-    if not Path(command[0]).exists():
-        print(f"{name} is not installed at {command[0]}: left out", file=sys.stderr)
-        return None
-    # What torch compiles is not kept: first calls are what they are for a newcomer.
-    environment = {**os.environ, "TORCHINDUCTOR_CACHE_DIR": str(Path(folder) / "inductor")}
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, env=environment)
-    result: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
-    return result
-
-
-def _probe(controller: MPPI, problem: Problem) -> float:
-    """Return the stage costs of the problem's given controls."""
-    model, total = controller.dynamics, 0.0
-    state, cost = jnp.asarray(problem["start"]), _controller(problem).cost
-    step = eqx.filter_jit(model.step)
-    for control in jnp.asarray(problem["probe"], jnp.float32):
-        state = step(state, control, controller.dt)
-        total += float(cost.stage(State(state, model), control, jnp.zeros(()), None))
-    return total
 
 
 def _growth() -> list[dict[str, Any]]:
@@ -299,8 +92,8 @@ def _growth() -> list[dict[str, Any]]:
     rows = []
     sizes = [(samples, 40) for samples in (256, 1024, 4096, 16384)]
     for samples, horizon in [*sizes, *((1024, horizon) for horizon in (10, 20, 40, 80, 160))]:
-        problem = _quadrotor_problem(samples, horizon)
-        took = _timed_step(_controller(problem), problem["start"], runs=100)
+        problem = quadrotor_problem(samples, horizon)
+        took = timed_step(build(problem), problem["start"], runs=100)
         rows.append(_growth_row(f"K = {samples}, T = {horizon}", took, samples, horizon))
     return rows
 
@@ -317,18 +110,18 @@ def _growth_row(name: str, took: Timed, rollouts: int, horizon: int) -> dict[str
 
 def _fleet() -> list[dict[str, Any]]:
     """Commands of several controllers in one compiled call: all at once, and one after another."""
-    problem = _quadrotor_problem()
-    controller, rows = _controller(problem), []
+    problem = quadrotor_problem()
+    controller, rows = build(problem), []
     samples, horizon = controller.num_samples, controller.horizon
 
     def one_by_one(controller: MPPI, *arguments: Any) -> Any:
-        return jax.lax.map(lambda one: _step(controller, *one), arguments)
+        return jax.lax.map(lambda one: step(controller, *one), arguments)
 
     for count in (1, 2, 4, 8, 16):
         states = jax.vmap(lambda _: controller.init())(jnp.arange(count))
         starts = problem["start"] + 0.1 * jnp.arange(count, dtype=jnp.float32)[:, None]
         arguments = (controller, states, starts, jax.random.split(KEY, count))
-        together = jax.vmap(_step, in_axes=(None, 0, 0, 0))
+        together = jax.vmap(step, in_axes=(None, 0, 0, 0))
         for name, function in (("vmap", together), ("lax.map", one_by_one)):
             took = timed(function, *arguments, runs=50)
             title = f"{count} controllers by {name}, K = {samples}, T = {horizon}"
@@ -338,7 +131,7 @@ def _fleet() -> list[dict[str, Any]]:
 
 def _noise() -> list[dict[str, Any]]:
     """A command with noise from each source; K is a power of two, as Sobol points want it."""
-    problem = _quadrotor_problem(1024)
+    problem = quadrotor_problem(1024)
     shape = (problem["horizon"], len(problem["noise_std"]), problem["num_samples"])
     rows = []
     for name, noise in {
@@ -349,7 +142,7 @@ def _noise() -> list[dict[str, Any]]:
         "bank of 16 draws": NoiseBank(shape, key=KEY),
     }.items():
         proposal = GaussianProposal(problem["noise_std"], noise=noise)
-        took = _timed_step(_controller(problem, proposal=proposal), problem["start"])
+        took = timed_step(build(problem, proposal=proposal), problem["start"])
         drawn = timed(lambda source, key: source.draw(shape, key=key), noise, KEY)
         rows.append(
             {"": name, "ms": took.p50_ms, "p99_ms": took.p99_ms, "draw_alone_ms": drawn.p50_ms}
@@ -359,7 +152,7 @@ def _noise() -> list[dict[str, Any]]:
 
 def _weighting() -> list[dict[str, Any]]:
     """A command with each way of weighing."""
-    problem, rows = _quadrotor_problem(), []
+    problem, rows = quadrotor_problem(), []
     adapting = GaussianProposal(problem["noise_std"], adaptation=CovarianceAdaptation())
     variants: dict[str, dict[str, Any]] = {
         "softmax": {},
@@ -368,18 +161,18 @@ def _weighting() -> list[dict[str, Any]]:
         "elite and adapting covariance (CEM)": {"weighting": Elite(), "proposal": adapting},
     }
     for name, changes in variants.items():
-        took = _timed_step(_controller(problem, **changes), problem["start"])
+        took = timed_step(build(problem, **changes), problem["start"])
         rows.append({"": name, "ms": took.p50_ms, "p99_ms": took.p99_ms})
     return rows
 
 
 def _feedback() -> list[dict[str, Any]]:
     """Plans with gains, and the commands between plans."""
-    problem = _quadrotor_problem()
-    planner, start = _controller(problem), problem["start"]
+    problem = quadrotor_problem()
+    planner, start = build(problem), problem["start"]
     commands = 1000
     controller = FeedbackMPPI(planner, commands_per_plan=1_000_000)
-    _, planned, _ = eqx.filter_jit(_step)(controller, controller.init(), start, KEY)
+    _, planned, _ = eqx.filter_jit(step)(controller, controller.init(), start, KEY)
 
     def in_between(controller: FeedbackMPPI, state: Any, start: Array) -> Any:
         def advance(carry: Any, _: None) -> tuple[Any, Array]:
@@ -393,10 +186,10 @@ def _feedback() -> list[dict[str, Any]]:
         lambda c, s, x, k: c.step_with_gains(s, x, key=k), planner, planner.init(), start, KEY
     )
     rows = {
-        "plan": (_timed_step(planner, start), 1),
+        "plan": (timed_step(planner, start), 1),
         "plan with gains": (gains, 1),
         "command in between, called from Python": (
-            timed(_step, controller, planned, start, KEY, runs=1000),
+            timed(step, controller, planned, start, KEY, runs=1000),
             1,
         ),
         "command in between, in a compiled loop": (
@@ -428,8 +221,8 @@ def _devices() -> list[dict[str, Any]]:
     )
     rows: list[dict[str, Any]] = json.loads(done.stdout.splitlines()[-1])
     for row in rows:
-        problem = _quadrotor_problem(row.pop("samples"))
-        took = _timed_step(_controller(problem), problem["start"], runs=50)
+        problem = quadrotor_problem(row.pop("samples"))
+        took = timed_step(build(problem), problem["start"], runs=50)
         row["process_of_one_device_ms"] = took.p50_ms
     return rows
 
@@ -438,15 +231,15 @@ def _over_devices() -> list[dict[str, Any]]:
     rows = []
     mesh = Mesh(np.asarray(jax.devices()), ("samples",))
     for samples in (1024, 4096, 16384):
-        problem = _quadrotor_problem(samples)
+        problem = quadrotor_problem(samples)
         start = problem["start"]
-        one, spread = _controller(problem), _controller(problem, mesh=mesh)
+        one, spread = build(problem), build(problem, mesh=mesh)
         taken: dict[str, list[float]] = {"one": [], "all": []}
         for _ in range(3):
-            taken["one"].append(_timed_step(one, start, runs=30).p50_ms)
-            taken["all"].append(_timed_step(spread, start, runs=30).p50_ms)
+            taken["one"].append(timed_step(one, start, runs=30).p50_ms)
+            taken["all"].append(timed_step(spread, start, runs=30).p50_ms)
         alone, together = (float(np.median(times)) for times in taken.values())
-        controls = [eqx.filter_jit(_step)(c, c.init(), start, KEY)[0] for c in (one, spread)]
+        controls = [eqx.filter_jit(step)(c, c.init(), start, KEY)[0] for c in (one, spread)]
         rows.append(
             {
                 "": f"K = {samples}, T = 40, {mesh.size} devices",
