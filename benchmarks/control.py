@@ -67,8 +67,8 @@ def measure(endurance_steps: int = 1_000_000) -> dict[str, Any]:
 def _on_a_map() -> list[dict[str, Any]]:
     """A differential drive on a cost map, 100 steps, with both integrators and two noises.
 
-    For nav2 (C++, Euler steps) the paper on MPPI-Generic (arXiv 2409.07563) gives 3.4 and 6.7 ms, on
-    its own problem and machine.
+    For nav2 (C++, Euler steps) the paper on MPPI-Generic (arXiv 2409.07563) gives 3.4 and 6.7 ms,
+    on its own problem and machine.
     """
     rows = []
     for samples in (1024, 2048):
