@@ -1,6 +1,7 @@
 import itertools
 import math
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,8 +9,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import InverseSensorModel, expected_gain, update_gain
+from jaxplore import (
+    FieldSensor,
+    InverseSensorModel,
+    Lidar,
+    OccupancyGrid,
+    PoseInformation,
+    expected_gain,
+    update_gain,
+)
 from jaxplore.information.gain import IdealSensor, cell_gains
+from jaxplore.information.noise import GaussianNoise
 
 WIDE = InverseSensorModel(occupied=0.85, free=-0.4, minimum=-30.0, maximum=30.0)
 
@@ -140,3 +150,102 @@ def test_scan_recursion_is_the_expectation_over_all_maps() -> None:
         for i in reversed(range(7)):
             value = b[i] + (1 - p[i]) * value
         assert value == pytest.approx(total, rel=1e-5)
+
+
+DECISIVE = InverseSensorModel.line_of_sight()
+# The same numbers, taken at their word.
+LITERAL = InverseSensorModel(
+    DECISIVE.occupied, DECISIVE.free, DECISIVE.minimum, DECISIVE.maximum, is_decisive=False
+)
+LIDAR = Lidar(num_beams=16, max_range=2.0, range_noise=0.0)
+HALL = np.full((16, 20), 0.01, np.float32)
+HALL[0] = HALL[-1] = HALL[:, 0] = HALL[:, -1] = HALL[4:7, 12] = 0.99
+
+
+def divergence(after: float, before: float) -> float:
+    """KL(after || before) of two Bernoulli variables."""
+    return after * math.log(after / before) + (1 - after) * math.log((1 - after) / (1 - before))
+
+
+def test_what_a_decisive_look_is_worth() -> None:
+    p = jnp.asarray([0.5, 0.3, 0.01, 0.64])
+    free = np.asarray(update_gain(p, DECISIVE.free, DECISIVE))
+    expected = [divergence(0.01, before) for before in (0.5, 0.3, 0.01, 0.64)]
+    np.testing.assert_allclose(free, expected, rtol=1e-5, atol=1e-7)
+    occupied = np.asarray(update_gain(p, DECISIVE.occupied, DECISIVE))
+    # A settled cell is certain: a hit there is noise, not news.
+    expected = [divergence(0.99, 0.5), divergence(0.99, 0.3), 0.0, divergence(0.99, 0.64)]
+    np.testing.assert_allclose(occupied, expected, rtol=1e-5, atol=1e-7)
+
+
+def test_walls_that_a_beam_passes_gain_nothing() -> None:
+    p = jnp.asarray([0.66, 0.8, 0.99, 1.0])
+    np.testing.assert_array_equal(update_gain(p, DECISIVE.free, DECISIVE), 0.0)
+    np.testing.assert_array_equal(cell_gains(p, DECISIVE).free, 0.0)
+    assert (np.asarray(update_gain(p, LITERAL.free, LITERAL)) > 0.5).all()
+    # Being hit still tells something of a wall that is in doubt.
+    hit = float(update_gain(p[1], DECISIVE.occupied, DECISIVE))
+    assert hit == pytest.approx(divergence(0.99, 0.8), rel=1e-5)
+
+
+def field_sensor(method: str) -> FieldSensor:
+    return FieldSensor(LIDAR, 0.2, 16, method=method)
+
+
+@pytest.fixture(scope="module")
+def everywhere():
+    """Return what gives the information of a full turn from the middle of every cell, by hall,
+    sensor and way to compute it; compiled once for each kind of sensor."""
+    rows, columns = np.mgrid[:16, :20]
+    centres = jnp.asarray(np.stack([columns, rows], -1).reshape(-1, 2) * 0.2 + 0.1, jnp.float32)
+    headings = jnp.full(len(centres), 0.5 * LIDAR.beam_spacing)
+    sensors = {method: field_sensor(method) for method in ("scan", "doubling")}
+    cast = eqx.filter_jit(lambda pose, grid: pose(grid, centres, headings))
+    spread = eqx.filter_jit(lambda sensor, grid, model: sensor.field(grid, model).total)
+
+    def evaluate(hall: np.ndarray, model: InverseSensorModel, way: str) -> np.ndarray:
+        grid = OccupancyGrid(hall, 0.2)
+        if way == "pose":
+            return np.asarray(cast(PoseInformation(LIDAR, model), grid)).reshape(16, 20)
+        return np.asarray(spread(sensors[way], grid, model))
+
+    return evaluate
+
+
+WAYS = pytest.mark.parametrize("way", ["pose", "scan", "doubling"])
+
+
+@WAYS
+def test_a_known_hall_tells_nothing_to_who_takes_one_look_for_certain(everywhere, way: str) -> None:
+    np.testing.assert_array_equal(everywhere(HALL, DECISIVE, way), 0.0)
+    literal = everywhere(HALL, LITERAL, way)
+    assert (literal[HALL < 0.5] > 0.01).all()
+
+
+def test_noise_makes_no_news_of_a_known_hall() -> None:
+    """A range that ends in front of a known wall would be, if what is free were in doubt."""
+    grid, noise = OccupancyGrid(HALL, 0.2), GaussianNoise(0.2, truncation=3.0)
+    places, headings = jnp.asarray([[1.9, 1.3], [0.5, 0.5], [2.9, 2.7]]), jnp.zeros(3)
+    cast = eqx.filter_jit(lambda scan: scan(grid, places, headings))
+    for model, expects_news in ((DECISIVE, False), (LITERAL, True)):
+        found = np.asarray(cast(PoseInformation(LIDAR, model, noise=noise)))
+        assert (found > 1.0).all() if expects_news else (found == 0.0).all()
+
+
+@WAYS
+def test_beside_a_known_hall_only_the_unknown_counts(
+    everywhere, scan_by_definition, way: str
+) -> None:
+    """As if what is settled were 0 and 1 in the map."""
+    hall, certain = HALL.copy(), np.where(HALL < 0.5, 0.0, 1.0).astype(np.float32)
+    hall[10:14, 2:5] = certain[10:14, 2:5] = 0.5
+    found = everywhere(hall, DECISIVE, way)
+    grid = OccupancyGrid(certain, 0.2)
+    for row, column in ((8, 6), (12, 3), (8, 3), (2, 2), (3, 17)):
+        place = np.array([column, row]) * 0.2 + 0.1
+        expected = scan_by_definition(grid, place, 0.5 * LIDAR.beam_spacing, LIDAR, LITERAL)
+        # Doubling takes directions that are nearly those of the beams.
+        rtol = 0.15 if way == "doubling" else 2e-4
+        assert found[row, column] == pytest.approx(expected, rel=rtol, abs=1e-5)
+    assert found[8, 6] > 0.5
+    assert found[3, 17] == 0.0

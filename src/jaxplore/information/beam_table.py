@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxplore._types import GridValues
 from jaxplore.geometry.rays import ray_offsets
-from jaxplore.information.gain import CellSensor, cell_gains, expected_gain
+from jaxplore.information.gain import CellSensor, cell_gains, expected_gain, settled
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 
@@ -39,7 +39,7 @@ NEGLIGIBLE = 1e-6
 """Share of the readings below which noise does not reach a cell."""
 
 Read = Callable[[int, Array], Array]
-"""Gives a channel's values (rows, columns) at an offset from the nodes of a lattice."""
+"""Gives a channel's values (rows, columns) at the nodes of a lattice, from where they start."""
 
 
 class CellMaps(eqx.Module):
@@ -122,6 +122,7 @@ class BeamTable(eqx.Module):
             sensor: what a measurement does to a cell.
             margin: absorbing rows before and after, columns before and after.
         """
+        probability = settled(probability, sensor)
         if self.is_simple:
             channels = [1.0 - probability, expected_gain(probability, sensor)]
         else:
@@ -150,7 +151,7 @@ class BeamTable(eqx.Module):
         self, maps: CellMaps, first: Int[Array, "2"], shape: tuple[int, int]
     ) -> Bool[Array, "rows columns"]:
         """Say at which nodes a robot can be: on the map and not in what is known to be occupied."""
-        passing = self._read(maps, first, shape)(0, jnp.zeros(2, jnp.int32))
+        passing = self._read(maps, shape)(0, self._starts(first, jnp.zeros(2, jnp.int32)))
         return passing >= 1.0 - OCCUPIED_THRESHOLD
 
     def beams(
@@ -168,74 +169,84 @@ class BeamTable(eqx.Module):
             shape: rows and columns of nodes.
             direction: which of the D.
         """
-        read = self._read(maps, first, shape)
+        read, start = self._read(maps, shape), self._starts(first, self.offset[direction])
         if self.is_simple:
-            return self._simple(read, shape, direction)
-        return self._general(read, shape, direction)
+            return self._simple(read, start, shape, direction)
+        return self._general(read, start, shape, direction)
 
-    def _read(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Read:
-        """Return a function that gives a channel's (rows, columns) at an offset from the nodes."""
-        step, (rows, columns) = self.stride, shape
+    def _starts(self, first: Array, offset: Array) -> Array:
+        """Return where the slices of the cells at offsets (..., 2) from the nodes start, (..., 3).
 
-        def read(channel: int, offset: Array) -> Array:
-            row, column = first[0] + offset[0], first[1] + offset[1]
-            phase = (row % step) * step + column % step
-            start = (phase, row // step, column // step)
-            return jax.lax.dynamic_slice(maps.channels[channel], start, (1, rows, columns))[0]
+        For a whole ray at once: an index that each slice computed for itself would be a dozen
+        operations to compile, each time."""
+        step = self.stride
+        cell = first + offset
+        phase = cell % step
+        return jnp.concatenate([phase[..., :1] * step + phase[..., 1:], cell // step], axis=-1)
+
+    def _read(self, maps: CellMaps, shape: tuple[int, int]) -> Read:
+        """Return a function that gives a channel's (rows, columns) from where they start."""
+
+        def read(channel: int, start: Array) -> Array:
+            phase, row, column = (jax.lax.index_in_dim(start, k, keepdims=False) for k in range(3))
+            values = maps.channels[channel]
+            return jax.lax.dynamic_slice(values, (phase, row, column), (1, *shape))[0]
 
         return read
 
-    def _simple(self, read: Read, shape: tuple[int, int], direction: Array) -> Array:
+    def _simple(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
         # Rays are padded at their far end with cells of no weight, where V is still 0.
-        offset, weight = _padded(self.offset[direction]), _padded(self.weight[direction])
+        starts, weights = _padded(start), _padded(self.weight[direction])
         blocks = -(-self.length[direction] // UNROLL)
 
         def nearer(block: Array, value: Array) -> Array:
             nearest = (blocks - 1 - block) * UNROLL
-            for part in reversed(range(UNROLL)):
-                index = nearest + part
-                gain = weight[index] * read(1, offset[index])
-                value = gain + read(0, offset[index]) * value
+            cells, shares = (_parts(rows, nearest, UNROLL) for rows in (starts, weights))
+            for cell, share in zip(reversed(cells), reversed(shares), strict=True):
+                value = share * read(1, cell) + read(0, cell) * value
             return value
 
         value: Array = jax.lax.fori_loop(0, blocks, nearer, jnp.zeros(shape))
         return value
 
-    def _general(self, read: Read, shape: tuple[int, int], direction: Array) -> Array:
+    def _general(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
         taps = self.reading.shape[-1]
         width = taps // 2
         end = 1.0 if self.no_return else 0.0
         sides = (width, width)
-        offset = jnp.pad(_padded(self.offset[direction]), (sides, (0, 0)))
-        weight = jnp.pad(_padded(self.weight[direction]), sides)
-        reading = _padded(self.reading[direction])
-        kept = _padded(self.kept[direction])
-        blocks = -(-self.length[direction] // UNROLL)
+        starts = jnp.pad(_padded(start), (sides, (0, 0)))
+        weights = jnp.pad(_padded(self.weight[direction]), sides)
+        readings, kepts = _padded(self.reading[direction]), _padded(self.kept[direction])
+        length = self.length[direction]
+        blocks = -(-length // UNROLL)
 
         def nearer(block: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             value, counted = carry
             nearest = (blocks - 1 - block) * UNROLL
             # What a reading in each cell around is worth, counted from the first of them: C.
             passed, before, worth, free = jnp.zeros(shape), [], [], []
-            for part in range(UNROLL + 2 * width):
-                cell, share = offset[nearest + part], weight[nearest + part]
+            cells, shares = (
+                _parts(rows, nearest, UNROLL + 2 * width) for rows in (starts, weights)
+            )
+            for cell, share in zip(cells, shares, strict=True):
                 before.append(passed)
                 worth.append(share * read(1, cell) + passed)
                 free.append(share * read(2, cell))
                 passed = passed + free[-1]
+            reading, kept = (_parts(rows, nearest, UNROLL) for rows in (readings, kepts))
             for part in reversed(range(UNROLL)):
-                index, here = nearest + part, part + width
-                passing = read(0, offset[nearest + here])
-                terms = [reading[index, tap] * worth[part + tap] for tap in range(taps)]
-                of_hit = functools.reduce(jnp.add, terms) - kept[index] * before[here]
+                here = part + width
+                passing = read(0, cells[here])
+                terms = [reading[part][tap] * worth[part + tap] for tap in range(taps)]
+                of_hit = functools.reduce(jnp.add, terms) - kept[part] * before[here]
                 of_pass = free[here] * counted + value
                 value = (1.0 - passing) * of_hit + passing * of_pass
-                through = kept[index] * (1.0 - passing) + passing * counted
-                counted = jnp.where(index < self.length[direction], through, counted)
+                through = kept[part] * (1.0 - passing) + passing * counted
+                counted = jnp.where(nearest + part < length, through, counted)
             return value, counted
 
-        start = jnp.zeros(shape), jnp.full(shape, end)
-        result: tuple[Array, Array] = jax.lax.fori_loop(0, blocks, nearer, start)
+        nothing = jnp.zeros(shape), jnp.full(shape, end)
+        result: tuple[Array, Array] = jax.lax.fori_loop(0, blocks, nearer, nothing)
         return result[0]
 
 
@@ -277,6 +288,12 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
         return np.ones_like(entry)
     share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
     return share
+
+
+def _parts(values: Array, first: Array, count: int) -> list[Array]:
+    """Return `count` entries from the first on."""
+    some: Array = jax.lax.dynamic_slice_in_dim(values, first, count)
+    return [jax.lax.index_in_dim(some, part, keepdims=False) for part in range(count)]
 
 
 def _padded(values: Array) -> Array:

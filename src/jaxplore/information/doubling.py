@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float, Int
 from jaxplore._types import GridValues
 from jaxplore.geometry.rays import ray_offsets
 from jaxplore.information.beam_table import near_share
-from jaxplore.information.gain import CellSensor, expected_gain
+from jaxplore.information.gain import CellSensor, expected_gain, settled
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 
 WORTHWHILE = 140.0
@@ -134,6 +134,7 @@ class Doubling(eqx.Module):
 
     def beams(self, probability: GridValues, sensor: CellSensor) -> Float[Array, "D rows columns"]:
         """Return what the beams of each direction are worth from every node [nat]."""
+        probability = settled(probability, sensor)
         gain = expected_gain(probability, sensor)
         is_open = probability <= OCCUPIED_THRESHOLD
         middle, step = self.stride // 2, self.stride

@@ -233,16 +233,18 @@ class FieldSensor(eqx.Module):
         return self.table.maps(belief.probability, None, sensor, (rows, columns))
 
     def _all(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Values:
-        """Evaluate a whole lattice, strip by strip."""
+        """Evaluate a whole lattice, in strips of about equal height."""
         directions = self.table.num_directions
         start = Values(jnp.zeros((directions, *shape)), jnp.zeros((directions + 1, *shape)))
         every = jnp.ones(directions, jnp.bool_)
+        count = -(-shape[0] // TILE)
+        height = -(-shape[0] // count)
 
         def strip(index: Array, values: Values) -> Values:
-            node = jnp.stack([index * TILE, jnp.zeros((), jnp.int32)])
-            return self._renew(maps, first, node, (TILE, shape[1]), every, values)
+            node = jnp.stack([index * height, jnp.zeros((), jnp.int32)])
+            return self._renew(maps, first, node, (height, shape[1]), every, values)
 
-        values: Values = jax.lax.fori_loop(0, -(-shape[0] // TILE), strip, start)
+        values: Values = jax.lax.fori_loop(0, count, strip, start)
         return values
 
     def _renew(

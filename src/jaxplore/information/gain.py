@@ -23,6 +23,12 @@ class IdealSensor(eqx.Module):
 CellSensor = InverseSensorModel | IdealSensor
 
 
+def settled(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
+    """Return the probabilities with which beams are expected to meet something: see
+    `InverseSensorModel.settled`."""
+    return probability if isinstance(sensor, IdealSensor) else sensor.settled(probability)
+
+
 class CellGains(NamedTuple):
     """What a cell gains [nat] if it is measured `occupied` and if a beam passes it, `free`."""
 
@@ -38,7 +44,10 @@ def update_gain(
     Without the clamp this is `f(d, r) = ln((r + 1) / (r + 1/d)) - ln(d) / (r d + 1)` of Zhang,
     Henderson, Sze and Karaman, "FSMI", IJRR 2020, eq. 10, with `d = exp(log_odds_change)` and
     `r = p / (1 - p)` written there as the odds of being free. Through the clamp it is what the map
-    really gains: nothing once a cell is saturated.
+    really gains: nothing once a cell is saturated, nor where walls stay.
+
+    Settled cells of a decisive model gain nothing: what is certain is not learned. A range whose
+    noise puts the end of a beam in front of a known wall would otherwise be news.
     """
     before = model.log_odds(probability)
     after = jnp.clip(before + log_odds_change, model.minimum, model.maximum)
@@ -49,7 +58,8 @@ def update_gain(
     before = jnp.where(is_likely, -before, before)
     posterior = jax.nn.sigmoid(after)
     gain = posterior * (after - before) + jax.nn.softplus(before) - jax.nn.softplus(after)
-    return jnp.maximum(gain, 0.0)
+    is_kept = model.stays(probability, log_odds_change) | model.is_settled(probability)
+    return jnp.where(is_kept, 0.0, jnp.maximum(gain, 0.0))
 
 
 def cell_gains(probability: Float[Array, "*N"], sensor: CellSensor) -> CellGains:

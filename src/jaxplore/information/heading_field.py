@@ -36,9 +36,12 @@ class HeadingField(eqx.Module):
         floor = jnp.floor(turn)
         share = turn - floor
         first = jnp.mod(floor.astype(jnp.int32), count)
-        by_heading = jnp.moveaxis(self.values, -1, 0)
-        before = gather(by_heading, around, 0.0, first)
-        after = gather(by_heading, around, 0.0, jnp.mod(first + 1, count))
+        # Headings are next to each other: a node's two come with one line of the cache.
+        flat = self.values.reshape(-1, 1)
+        before, after = (
+            gather(flat, around._replace(nodes=around.nodes * count + heading), 0.0)
+            for heading in (first, jnp.mod(first + 1, count))
+        )
         return jnp.where(is_finite, before + share * (after - before), 0.0)
 
     @property

@@ -12,7 +12,7 @@ from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.beam import contributions
-from jaxplore.information.gain import CellGains, CellSensor, cell_gains
+from jaxplore.information.gain import CellGains, CellSensor, cell_gains, settled
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -112,7 +112,8 @@ class PoseInformation(eqx.Module):
                 cells = _only_crossed(cells)
             in_range = cells.exit <= length
             is_cell = in_range & cells.is_crossed
-            probability = jnp.where(is_cell, grid.at_cell(cells.cell), 0.0)
+            found = settled(grid.at_cell(cells.cell), self.sensor)
+            probability = jnp.where(is_cell, found, 0.0)
             counts = is_cell & grid.contains(cells.cell) & is_open
             gains = cell_gains(probability, self.sensor)
             gains = CellGains(*(jnp.where(counts, gain, 0.0) for gain in gains))
