@@ -2,8 +2,6 @@
 
 import io
 import os
-import reprlib
-import secrets
 import struct
 import warnings
 import zlib
@@ -14,27 +12,21 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image, ImageFile, UnidentifiedImageError
+from PIL import Image, ImageFile
 
 from jaxplore import _checks
+from jaxplore.maps._files import MALFORMED, name_of, read_yaml, reason_of, replace_files, show
 
 MODES = ("trinary", "scale", "raw")
 """How grey becomes probability; see `read_map`."""
 PIXEL_LIMIT = 64_000_000
 """Largest image read or written [pixels]."""
-YAML_LIMIT = 100_000
-"""Largest YAML file read [bytes]."""
 
 _UNKNOWN = 0.5
-_YAML_DEPTH = 20
 _SUFFIXES = (".yaml", ".yml")
 _IMAGE_FORMATS = ("PPM", "PNG", "BMP")
 _IMAGE_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
-# What PyYAML and Pillow let out, beside their own errors, when a file is malformed.
-_MALFORMED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError)
-_YAML_ERRORS = (*_MALFORMED, yaml.YAMLError)
-_IMAGE_ERRORS = (*_MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
-_SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
+_IMAGE_ERRORS = (*MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
 
 
 class _Settings(NamedTuple):
@@ -128,9 +120,9 @@ def write_map(
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"path is {_name(path)}; accepted: a name that ends in .yaml or .yml")
+        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in .yaml or .yml")
     if mode not in MODES:
-        raise ValueError(f"mode is {_show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"mode is {show(mode)}; accepted: {', '.join(MODES)}")
     values = np.asarray(probability)
     if values.ndim != 2 or not 0 < values.size <= PIXEL_LIMIT:
         raise ValueError(
@@ -161,12 +153,12 @@ def write_map(
     )
     image = io.BytesIO()
     _image_of(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
-    _replace([(image_path, image.getvalue()), (path, text.encode())])
+    replace_files([(image_path, image.getvalue()), (path, text.encode())])
 
 
 def _settings(path: Path) -> _Settings:
-    entries = _read_yaml(path)
-    where = _name(path)
+    entries = read_yaml(path)
+    where = name_of(path)
     for key in ("image", "resolution", "origin"):
         if key not in entries:
             raise ValueError(f"{where}: {key} is missing; accepted: image, resolution and origin")
@@ -181,10 +173,10 @@ def _settings(path: Path) -> _Settings:
         )
     mode = entries.get("mode", "trinary")
     if not isinstance(mode, str) or mode not in MODES:
-        raise ValueError(f"{where}: mode is {_show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"{where}: mode is {show(mode)}; accepted: {', '.join(MODES)}")
     negate = entries.get("negate", 0)
     if not isinstance(negate, int) or negate not in (0, 1):
-        raise ValueError(f"{where}: negate is {_show(negate)}; accepted: 0, 1, true, false")
+        raise ValueError(f"{where}: negate is {show(negate)}; accepted: 0, 1, true, false")
     return _Settings(
         image=_image_path(path, entries["image"]),
         resolution=_number(f"{where}: resolution", entries["resolution"], above=0.0),
@@ -196,50 +188,16 @@ def _settings(path: Path) -> _Settings:
     )
 
 
-def _read_yaml(path: Path) -> dict[object, object]:
-    where = _name(path)
-    try:
-        if not path.is_file():
-            raise ValueError(f"{where} is not there or not a file; accepted: a map's YAML file")
-        with path.open("rb") as file:
-            data = file.read(YAML_LIMIT + 1)
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {_reason(error)}") from None
-    if len(data) > YAML_LIMIT:
-        raise ValueError(f"{where} is too large; accepted: at most {YAML_LIMIT} bytes of YAML")
-    try:
-        _refuse_intricate(data)
-        entries = yaml.safe_load(data)
-    except _YAML_ERRORS as error:
-        raise ValueError(f"{where} is not a map's YAML: {_reason(error)}") from None
-    if not isinstance(entries, dict):
-        raise ValueError(f"{where} holds {_show(entries)}; accepted: a YAML mapping of a map")
-    return entries
-
-
-def _refuse_intricate(data: bytes) -> None:
-    # A few nested aliases can stand for more entries than fit in memory, and the time PyYAML takes
-    # grows with the square of the depth. A map's YAML is a flat mapping with one list.
-    depth = 0
-    for event in yaml.parse(data, yaml.SafeLoader):
-        if isinstance(event, yaml.AliasEvent):
-            raise ValueError("it uses YAML aliases")
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _YAML_DEPTH:
-            raise ValueError(f"it nests more than {_YAML_DEPTH} deep")
-
-
 def _image_path(path: Path, entry: object) -> Path:
-    where, accepted = _name(path), "the name of an image file"
+    where, accepted = name_of(path), "the name of an image file"
     if not isinstance(entry, str) or not entry or "\0" in entry:
-        raise ValueError(f"{where}: image is {_show(entry)}; accepted: {accepted}")
+        raise ValueError(f"{where}: image is {show(entry)}; accepted: {accepted}")
     try:
         folder = path.parent.resolve()
         image = (folder / entry).resolve()
         if not Path(entry).is_absolute() and not image.is_relative_to(folder):
             raise ValueError(
-                f"{where}: image is {_show(entry)}, outside the map's folder; "
+                f"{where}: image is {show(entry)}, outside the map's folder; "
                 "accepted: a name within it, or an absolute path"
             )
         found = image.is_file()
@@ -247,14 +205,14 @@ def _image_path(path: Path, entry: object) -> Path:
         found = False
     if not found:
         raise ValueError(
-            f"{where}: image is {_show(entry)}, which is not there or not a file; "
+            f"{where}: image is {show(entry)}, which is not there or not a file; "
             f"accepted: {accepted}"
         )
     return image
 
 
 def _greys(path: Path, *, alpha_is_shade: bool) -> _Greys:
-    where, accepted = f"image {_name(path)}", "a PGM, PNG or BMP image"
+    where, accepted = f"image {name_of(path)}", "a PGM, PNG or BMP image"
     too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
     # Pillow warns of large images, which are refused here, and of oddities it gets over.
     with warnings.catch_warnings():
@@ -268,7 +226,7 @@ def _greys(path: Path, *, alpha_is_shade: bool) -> _Greys:
         except Image.DecompressionBombError:
             raise ValueError(too_large) from None
         except _IMAGE_ERRORS as error:
-            reason = _reason(error)
+            reason = reason_of(error)
             raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
     if large:
         raise ValueError(too_large)
@@ -340,24 +298,6 @@ def _image_of(values: NDArray[np.floating], mode: str) -> Image.Image:
     return Image.fromarray(np.stack([grey, np.where(known, 255, 0)], axis=-1).astype(np.uint8))
 
 
-def _replace(files: Sequence[tuple[Path, bytes]]) -> None:
-    for path, _ in files:
-        # The one way the second rename fails once the first, in the same folder, has succeeded.
-        if path.is_dir():
-            raise IsADirectoryError(f"{_name(path)} is a folder")
-    staged: list[tuple[Path, Path]] = []
-    try:
-        for path, data in files:
-            staged.append((path.with_name(f".{secrets.token_hex(8)}.tmp"), path))
-            with staged[-1][0].open("xb") as file:
-                file.write(data)
-        for temporary, path in staged:
-            os.replace(temporary, path)
-    finally:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
-
-
 def _number(name: str, value: object, **bounds: float) -> float:
     # float() takes what PyYAML leaves as text, such as 5e-2; yaml-cpp reads that as a number.
     try:
@@ -365,31 +305,12 @@ def _number(name: str, value: object, **bounds: float) -> float:
             raise ValueError
         value = float(value)
     except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {_show(value)}; accepted: a finite number") from None
+        raise ValueError(f"{name} is {show(value)}; accepted: a finite number") from None
     return _checks.number(name, value, **bounds)
 
 
 def _origin(name: str, value: object) -> tuple[float, float, float]:
     if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise ValueError(f"{name} is {_show(value)}; accepted: 3 finite numbers [x, y, yaw]")
+        raise ValueError(f"{name} is {show(value)}; accepted: 3 finite numbers [x, y, yaw]")
     x, y, yaw = (_number(f"{name}[{i}]", entry) for i, entry in enumerate(value))
     return x, y, yaw
-
-
-def _show(value: object) -> str:
-    try:
-        return _SHORT.repr(value)
-    except ValueError:  # a whole number with more digits than Python prints
-        return f"a {type(value).__name__} that is too long to print"
-
-
-def _name(path: Path) -> str:
-    return str(path) if str(path).isprintable() else repr(str(path))
-
-
-def _reason(error: BaseException) -> str:
-    if isinstance(error, UnidentifiedImageError):  # its text is the open file's repr
-        return "it is none of these"
-    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    line = " ".join(text.split())
-    return _SHORT.repr(line)[1:-1] if len(line) > 200 else line or type(error).__name__

@@ -1,0 +1,409 @@
+"""A world in a file: what is there, and what of it the robot knows beforehand."""
+
+import math
+import os
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from jaxplore import _checks
+from jaxplore.maps import _files
+from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
+from jaxplore.maps.resample import CELL_LIMIT
+
+FREE_PROBABILITY = 0.01
+"""Probability of a cell in which nothing is (quadrotor design notes)."""
+UNKNOWN_PROBABILITY = 0.5
+"""Prior probability of a cell in a zone."""
+SOLID_PROBABILITY = 0.99
+"""Probability of a cell in which something solid is (quadrotor design notes)."""
+
+Row = tuple[float, ...]
+
+_SHAPES = ("walls", "rectangles", "discs")
+_OTHERS = ("origin", "size", "resolution", "wall_reach", "zones", "start", "goal")
+# Sizes that exceed a whole number of cells by less, in cells, do so from rounding.
+_SLIVER = 1e-6
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Solid things.
+
+    Args:
+        walls: segments (x1, y1, x2, y2) [m], as thick as the world's `wall_reach` says.
+        rectangles: (x_min, y_min, x_max, y_max) [m].
+        discs: (x, y, radius) [m].
+
+    Raises:
+        ValueError: an entry with another count of numbers, a number that is not finite, a wall of
+            no length, a rectangle with a minimum that is not below its maximum, a radius that is
+            not positive.
+    """
+
+    walls: tuple[Row, ...] = ()
+    rectangles: tuple[Row, ...] = ()
+    discs: tuple[Row, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in _SHAPES:
+            object.__setattr__(self, name, _CHECKS[name](name, getattr(self, name)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """A true world and the robot's prior knowledge of it: two maps with the same cells.
+
+    What is known beforehand is solid in both. A zone is unknown in the prior. What is hidden is
+    solid in the true world and absent from the prior, which calls its cells free (unknown in a
+    zone). A cell belongs to a shape if its centre does; see `jaxplore.maps.rasterise`, which also
+    says how what is smaller than a cell is kept.
+
+    Args:
+        size: width (x) and height (y) of the map [m]; where they are no whole number of cells, the
+            last row and column reach beyond.
+        start: pose (x, y, yaw) [m, m, rad].
+        goal: (x, y) or (x, y, z) [m]; may be absent. The z is as the robot takes it.
+        origin: lower corner (x, y) of the map [m].
+        resolution: side of a cell [m].
+        wall_reach: half the thickness of a wall [m].
+        known: solid things that are known beforehand.
+        zones: rectangles (x_min, y_min, x_max, y_max) [m], unknown beforehand.
+        hidden: solid things that are not known beforehand.
+
+    Raises:
+        ValueError: one line that names the entry, such as `hidden.walls[2]`: numbers that are not
+            finite or too few or many, a size or resolution that is not positive, more than 64
+            million cells, a wall reach below half a cell (walls would have gaps), a shape without
+            a cell on the map, a zone that leaves the map or holds no centre of a cell, a start or
+            goal that is off the map or in a cell that is solid in the true world.
+    """
+
+    size: tuple[float, float]
+    start: tuple[float, float, float]
+    goal: tuple[float, float] | tuple[float, float, float] | None = None
+    origin: tuple[float, float] = (0.0, 0.0)
+    resolution: float = 0.1
+    wall_reach: float = 0.2
+    known: Shapes = field(default_factory=Shapes)
+    zones: tuple[Row, ...] = ()
+    hidden: Shapes = field(default_factory=Shapes)
+
+    def __post_init__(self) -> None:
+        for name in _OTHERS:
+            object.__setattr__(self, name, _CHECKS[name](name, getattr(self, name)))
+        self._check_cells()
+        self._check_zones()
+        solid = self._checked_solid()
+        self._check_place("start", self.start, solid)
+        if self.goal is not None:
+            self._check_place("goal", self.goal, solid)
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[Any, Any]) -> "World":
+        """Return the world that entries describe, which are named as in the class.
+
+        `walls`, `rectangles` and `discs` stand at the top for what is known beforehand, and under
+        `hidden` for what is not. `size` and `start` must be given.
+
+        Raises:
+            ValueError: an unknown or missing entry, and what `World` raises.
+        """
+        _refuse_unknown("", entries, (*_OTHERS, *_SHAPES, "hidden"))
+        for key in ("size", "start"):
+            if key not in entries:
+                raise ValueError(f"{key} is missing; accepted: a world with size and start")
+        hidden = entries.get("hidden", {})
+        if not isinstance(hidden, Mapping):
+            raise ValueError(
+                f"hidden is {_files.show(hidden)}; accepted: a mapping with {', '.join(_SHAPES)}"
+            )
+        _refuse_unknown("hidden: ", hidden, _SHAPES)
+        try:
+            hidden_shapes = Shapes(**_checked(hidden, _SHAPES))
+        except ValueError as error:
+            raise ValueError(f"hidden.{error}") from None
+        known = Shapes(**_checked(entries, _SHAPES))
+        return cls(known=known, hidden=hidden_shapes, **_checked(entries, _OTHERS))
+
+    @classmethod
+    def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
+        """Read a world file: YAML with the entries of `from_dict`.
+
+        Raises:
+            ValueError: a file that is missing, unreadable, too large or no YAML mapping, and what
+                `from_dict` raises; one line that names the file.
+        """
+        entries = _files.read_yaml(Path(path))
+        try:
+            return cls.from_dict(entries)
+        except ValueError as error:
+            raise ValueError(f"{_files.name_of(Path(path))}: {error}") from None
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the entries from which `from_dict` makes this world again."""
+        entries: dict[str, object] = {
+            "origin": list(self.origin),
+            "size": list(self.size),
+            "resolution": self.resolution,
+            "wall_reach": self.wall_reach,
+            **_lists(self.known),
+            "zones": [list(zone) for zone in self.zones],
+            "hidden": _lists(self.hidden),
+            "start": list(self.start),
+        }
+        return entries if self.goal is None else {**entries, "goal": list(self.goal)}
+
+    def to_yaml(self, path: str | os.PathLike[str]) -> None:
+        """Write a world file that `from_yaml` reads as this world, whole or not at all.
+
+        Raises:
+            ValueError: a world that takes more YAML than is read.
+            OSError: the file cannot be written; an earlier one is untouched.
+        """
+        text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None, width=2**31)
+        if len(text) > _files.YAML_LIMIT:
+            raise ValueError(
+                f"the world takes {len(text)} bytes; accepted: at most {_files.YAML_LIMIT} of YAML"
+            )
+        _files.replace_files([(Path(path), text.encode())])
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the map."""
+        width, height = (max(1, math.ceil(side / self.resolution - _SLIVER)) for side in self.size)
+        return height, width
+
+    def truth(self) -> OccupancyGrid:
+        """Return the true world: 0.99 in what is known and what is hidden, 0.01 elsewhere."""
+        return self._painted(
+            (self._solid(self.known) | self._solid(self.hidden), SOLID_PROBABILITY)
+        )
+
+    def prior(self) -> OccupancyGrid:
+        """Return what the robot knows at the start.
+
+        0.01 where nothing is, over it 0.5 in zones, over that 0.99 in what is known beforehand;
+        nothing of what is hidden.
+        """
+        return self._painted(
+            (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
+            (self._solid(self.known), SOLID_PROBABILITY),
+        )
+
+    def _painted(self, *layers: tuple[NDArray[np.bool_], float]) -> OccupancyGrid:
+        probability = np.full(self.shape, FREE_PROBABILITY, np.float32)
+        for mask, value in layers:
+            probability[mask] = value
+        return OccupancyGrid(probability, self.resolution, (*self.origin, 0.0))
+
+    def _solid(self, shapes: Shapes) -> NDArray[np.bool_]:
+        mask = np.zeros(self.shape, bool)
+        for kind in _SHAPES:
+            mask |= self._cells(kind, getattr(shapes, kind))
+        return mask
+
+    def _cells(self, kind: str, rows: tuple[Row, ...]) -> NDArray[np.bool_]:
+        # Relative to the lower corner: a frame keeps its origin in single precision.
+        frame, shape, corner = GridFrame(self.resolution), self.shape, np.array(self.origin)
+        if kind == "discs":
+            return disc_mask([(*(row[:2] - corner).tolist(), row[2]) for row in rows], frame, shape)
+        local = np.reshape(rows, (-1, 4)) - np.tile(corner, 2)
+        if kind == "walls":
+            return segment_mask(local, frame, shape, self.wall_reach)
+        return rectangle_mask(local, frame, shape, is_solid=kind != "zones")
+
+    def _check_cells(self) -> None:
+        width, height = (max(1.0, side / self.resolution) for side in self.size)
+        if not width * height <= CELL_LIMIT:
+            raise ValueError(
+                f"resolution is {self.resolution}; accepted: at most {CELL_LIMIT} cells on "
+                f"{self.size[0]} m x {self.size[1]} m"
+            )
+        has_walls = self.known.walls or self.hidden.walls
+        # From half a cell on, every column that a wall crosses has a centre within reach.
+        if has_walls and self.wall_reach + TOLERANCE < self.resolution / 2:
+            raise ValueError(
+                f"wall_reach is {self.wall_reach}; accepted: at least {self.resolution / 2}, half "
+                "the resolution, so that walls have no gaps"
+            )
+
+    def _check_zones(self) -> None:
+        (x, y), (width, height) = self.origin, self.size
+        bounds = np.array([x, y, -x - width, -y - height]) - TOLERANCE
+        for index, zone in enumerate(self.zones):
+            if (np.array(zone) * [1, 1, -1, -1] < bounds).any():
+                raise ValueError(
+                    f"zones[{index}] is {list(zone)}; accepted: a rectangle on the map, "
+                    f"{self._extent()}"
+                )
+            if not self._cells("zones", (zone,)).any():
+                raise ValueError(
+                    f"zones[{index}] is {list(zone)}; accepted: a rectangle with the centre of a "
+                    f"cell of {self.resolution} m in it"
+                )
+
+    def _checked_solid(self) -> NDArray[np.bool_]:
+        """Return the solid cells of the true world, to which every shape must add one."""
+        solid = np.zeros(self.shape, bool)
+        for prefix, shapes in (("", self.known), ("hidden.", self.hidden)):
+            for kind in _SHAPES:
+                for index, row in enumerate(getattr(shapes, kind)):
+                    mask = self._cells(kind, (row,))
+                    if not mask.any():
+                        raise ValueError(
+                            f"{prefix}{kind}[{index}] is {list(row)}, off the map; accepted: "
+                            f"something with a cell on the map, {self._extent()}"
+                        )
+                    solid |= mask
+        return solid
+
+    def _check_place(self, name: str, place: Row, solid: NDArray[np.bool_]) -> None:
+        x, y = (place[axis] - self.origin[axis] for axis in (0, 1))
+        if not (0.0 <= x < self.size[0] and 0.0 <= y < self.size[1]):
+            raise ValueError(
+                f"{name} is {list(place)}; accepted: a point on the map, {self._extent()}"
+            )
+        row, column = cell_at((x, y), GridFrame(self.resolution))
+        if solid[min(row, solid.shape[0] - 1), min(column, solid.shape[1] - 1)]:
+            raise ValueError(
+                f"{name} is {list(place)}, in something solid; accepted: a point in a cell that is "
+                "free in the true world"
+            )
+
+    def _extent(self) -> str:
+        (x, y), (width, height) = self.origin, self.size
+        return f"[{x:.10g}, {x + width:.10g}) x [{y:.10g}, {y + height:.10g})"
+
+
+def is_world_file(path: str | os.PathLike[str]) -> bool:
+    """Say whether a YAML file is a world's, not a ROS map's: it has a size and no image."""
+    try:
+        entries = _files.read_yaml(Path(path))
+    except ValueError:
+        return False
+    return "size" in entries and "image" not in entries
+
+
+def three_zones() -> World:
+    """Return the environment of the quadrotor design notes: seven walls, three unknown zones.
+
+    14 m x 12 m from (-1, -1), and a goal 2 m above the ground (z down). The start is outside the
+    zones, 1 m from the nearest wall.
+    """
+    return World(
+        origin=(-1.0, -1.0),
+        size=(14.0, 12.0),
+        known=Shapes(
+            walls=(
+                (0.0, 2.0, 4.0, 2.0),
+                (0.0, 8.0, 4.0, 8.0),
+                (4.0, 2.0, 4.0, 0.0),
+                (4.0, 8.0, 4.0, 10.0),
+                (4.0, 0.0, 12.0, 0.0),
+                (4.0, 10.0, 12.0, 10.0),
+                (12.0, 0.0, 12.0, 10.0),
+            )
+        ),
+        zones=((1.0, 4.0, 4.0, 8.0), (10.0, 4.0, 13.0, 8.0), (10.0, 1.0, 13.0, 3.0)),
+        start=(0.8, 3.2, 0.0),
+        goal=(9.0, 5.0, -2.0),
+    )
+
+
+def _number(name: str, value: object, **bounds: float) -> float:
+    try:
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise ValueError
+        value = float(value)
+    except (ValueError, OverflowError):
+        raise ValueError(f"{name} is {_files.show(value)}; accepted: a finite number") from None
+    return _checks.number(name, value, **bounds)
+
+
+def _numbers(name: str, value: object, counts: Collection[int], accepted: str) -> Row:
+    if isinstance(value, (list, tuple)) and len(value) in counts:
+        try:
+            return tuple(_number(name, entry) for entry in value)
+        except ValueError:
+            pass  # the whole entry is shown instead
+    raise ValueError(f"{name} is {_files.show(value)}; accepted: {accepted}")
+
+
+def _rows(
+    name: str, value: object, count: int, accepted: str, is_accepted: Callable[[Row], bool]
+) -> tuple[Row, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise ValueError(f"{name} is {_files.show(value)}; accepted: a list of {accepted}")
+    rows = tuple(
+        _numbers(f"{name}[{index}]", row, (count,), accepted) for index, row in enumerate(value)
+    )
+    for index, row in enumerate(rows):
+        if not is_accepted(row):
+            raise ValueError(f"{name}[{index}] is {list(row)}; accepted: {accepted}")
+    return rows
+
+
+def _walls(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "4 finite numbers [x1, y1, x2, y2], two different points"
+    return _rows(name, value, 4, accepted, lambda row: row[:2] != row[2:])
+
+
+def _rectangles(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "4 finite numbers [x_min, y_min, x_max, y_max], min < max"
+    return _rows(name, value, 4, accepted, lambda row: row[0] < row[2] and row[1] < row[3])
+
+
+def _discs(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "3 finite numbers [x, y, radius], radius > 0"
+    return _rows(name, value, 3, accepted, lambda row: row[2] > 0.0)
+
+
+def _size(name: str, value: object) -> Row:
+    accepted = "2 finite numbers > 0 [width, height]"
+    size = _numbers(name, value, (2,), accepted)
+    if min(size) <= 0.0:
+        raise ValueError(f"{name} is {list(size)}; accepted: {accepted}")
+    return size
+
+
+def _goal(name: str, value: object) -> Row | None:
+    accepted = "2 or 3 finite numbers [x, y] or [x, y, z], or nothing"
+    return None if value is None else _numbers(name, value, (2, 3), accepted)
+
+
+_CHECKS: Mapping[str, Callable[[str, object], Any]] = {
+    "walls": _walls,
+    "rectangles": _rectangles,
+    "discs": _discs,
+    "zones": _rectangles,
+    "origin": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
+    "size": _size,
+    "resolution": lambda name, value: _number(name, value, above=0.0),
+    "wall_reach": lambda name, value: _number(name, value, above=0.0),
+    "start": lambda name, value: _numbers(name, value, (3,), "3 finite numbers [x, y, yaw]"),
+    "goal": _goal,
+}
+
+
+def _checked(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: _CHECKS[name](name, entries[name]) for name in names if name in entries}
+
+
+def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
+    return {kind: [list(row) for row in getattr(shapes, kind)] for kind in _SHAPES}
+
+
+def _refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[str]) -> None:
+    unknown = [key for key in entries if key not in accepted]
+    if unknown:
+        names = ", ".join(_files.show(key) for key in unknown[:5])
+        raise ValueError(f"{where}unknown entry {names}; accepted: {', '.join(accepted)}")
