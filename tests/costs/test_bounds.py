@@ -2,11 +2,12 @@ import math
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import StateBoundsCost
+from jaxplore import SpeedLimitCost, StateBoundsCost
 
 LOWER = {"x": -1.0, "v": 0.25, "z": -4.0}
 UPPER = {"x": 2.0, "yaw": 0.5, "z": -1.0}
@@ -68,3 +69,35 @@ def test_a_component_that_the_model_lacks_is_named(price, at) -> None:
 def test_traced_bounds_pass() -> None:
     made = jax.jit(lambda low: StateBoundsCost({"x": low}, {"x": 1.0}))(jnp.asarray(2.0))
     assert float(made.lower["x"]) == 2.0
+
+
+@pytest.mark.parametrize(
+    ("speed", "expected"),
+    [(0.0, 0.0), (1.5, 0.0), (2.0, 0.0), (2.25, 6.25), (3.0, 100.0), (-1.9, 0.0), (-2.5, 25.0)],
+)
+def test_only_excess_speed_costs_backwards_too(price, drone, at, speed, expected) -> None:
+    for state in (drone(v=speed), at(0.0, 0.0, v=speed)):
+        assert price(SpeedLimitCost(2.0), state) == pytest.approx(expected, rel=1e-4)
+        assert price(SpeedLimitCost(2.0, 0.5), state) == pytest.approx(expected / 25.0, rel=1e-4)
+
+
+def test_no_step_and_no_kink_at_the_speed_limit(slope, drone) -> None:
+    for speed, expected in ((1.9, 0.0), (2.0, 0.0), (0.0, 0.0), (2.5, 4.0), (-2.5, -4.0)):
+        found = slope(SpeedLimitCost(2.0, 0.5), drone(v=speed))
+        assert found[-1] == pytest.approx(expected, abs=1e-5)
+        np.testing.assert_array_equal(found[:-1], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "culprit"),
+    [
+        ({"limit": 0.0}, "limit is 0.0; accepted: a finite number > 0.0"),
+        ({"limit": -1.0}, "limit is -1.0; accepted"),
+        ({"limit": math.nan}, "limit is nan; accepted"),
+        ({"limit": np.ones(2)}, r"limit has shape \(2,\); accepted: one number"),
+        ({"limit": 1.0, "scale": 0.0}, "scale is 0.0; accepted: a finite number > 0.0"),
+    ],
+)
+def test_a_bad_speed_limit_is_named(arguments, culprit: str) -> None:
+    with pytest.raises(ValueError, match=culprit):
+        SpeedLimitCost(**arguments)

@@ -18,6 +18,7 @@ from jaxplore import (
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
+init = eqx.filter_jit(lambda perception, *arguments: perception.init(*arguments))
 observe = eqx.filter_jit(lambda perception, *arguments: perception.observe(*arguments))
 update_fields = eqx.filter_jit(lambda perception, *arguments: perception.update_fields(*arguments))
 
@@ -29,7 +30,7 @@ def room(size: tuple[int, int] = (30, 60)) -> np.ndarray:
 
 
 def fields(world: np.ndarray, pose: tuple[float, float, float], perception=PERCEPTION, times=1):
-    belief = perception.init(OccupancyGrid(world, 0.1), jnp.asarray(pose))
+    belief = init(perception, OccupancyGrid(world, 0.1), jnp.asarray(pose))
     for _ in range(times):
         belief = update_fields(perception, belief, jnp.asarray(pose), jnp.asarray(0.2))
     return belief
@@ -37,7 +38,7 @@ def fields(world: np.ndarray, pose: tuple[float, float, float], perception=PERCE
 
 def test_at_first_only_the_robot_s_own_place_is_known() -> None:
     frame = OccupancyGrid(room(), 0.1).frame
-    belief = PERCEPTION.init(OccupancyGrid.unknown((30, 60), frame), jnp.asarray([3.0, 1.5, 0.0]))
+    belief = init(PERCEPTION, OccupancyGrid.unknown((30, 60), frame), jnp.asarray([3.0, 1.5, 0.0]))
     free = np.argwhere(np.asarray(belief.grid.is_free)) * 0.1 + 0.05
     assert 0 < len(free) < 60
     assert np.hypot(free[:, 0] - 1.5, free[:, 1] - 3.0).max() < 0.45
@@ -45,7 +46,7 @@ def test_at_first_only_the_robot_s_own_place_is_known() -> None:
 
 
 def test_what_is_known_beforehand_stays() -> None:
-    belief = PERCEPTION.init(OccupancyGrid(room(), 0.1), jnp.asarray([3.0, 1.5, 0.0]))
+    belief = init(PERCEPTION, OccupancyGrid(room(), 0.1), jnp.asarray([3.0, 1.5, 0.0]))
     np.testing.assert_allclose(belief.grid.probability, room(), atol=1e-5)
 
 
@@ -140,7 +141,7 @@ def test_when_everything_is_known_guidance_is_flat() -> None:
 
 def test_observe_updates_map_and_clearance_but_not_the_fields() -> None:
     world, pose = OccupancyGrid(room(), 0.1), jnp.asarray([3.0, 1.5, 0.0])
-    before = PERCEPTION.init(OccupancyGrid.unknown((30, 60), world.frame), pose)
+    before = init(PERCEPTION, OccupancyGrid.unknown((30, 60), world.frame), pose)
     after = observe(PERCEPTION, before, LIDAR.scan(world, pose, key=jax.random.key(0)), pose)
     assert float(after.clearance(pose[:2])) > float(before.clearance(pose[:2]))
     np.testing.assert_array_equal(after.guidance.values, before.guidance.values)
@@ -177,3 +178,156 @@ def test_bad_input_is_named(argument: str, value: float) -> None:
     arguments = {"lidar": LIDAR, "resolution": 0.1, "robot_radius": 0.2, argument: value}
     with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
         Perception(**arguments)
+
+
+GOAL = np.array([5.0, 1.5])
+HOMING = Perception(LIDAR, 0.1, 0.2, num_directions=16, goal=GOAL, max_unknown=0.05)
+
+
+def beginning(world: np.ndarray, pose: tuple[float, float, float], perception=HOMING):
+    return init(perception, OccupancyGrid(world, 0.1), jnp.asarray(pose))
+
+
+@eqx.filter_jit
+def read(guidance, points: jax.Array) -> jax.Array:
+    """Return the way to go (x, y) and the cost to go at places."""
+    return jax.vmap(lambda place: jnp.append(guidance.direction(place), guidance(place)))(points)
+
+
+def at_places(belief, *places: tuple[float, float]) -> np.ndarray:
+    """Return (direction x, direction y, cost) at each; always as many, to compile once."""
+    padded = np.zeros((24, 2), np.float32)
+    padded[: len(places)] = places
+    return np.asarray(read(belief.guidance, jnp.asarray(padded)))[: len(places)]
+
+
+def along_x(belief, places: np.ndarray) -> np.ndarray:
+    return at_places(belief, *((x, 1.5) for x in places))[:, 2]
+
+
+def test_worthwhile_information_comes_before_the_goal() -> None:
+    world, pose = room(), (3.5, 1.5, 0.0)
+    world[:, :20] = 0.5
+    belief = beginning(world, pose)
+    assert not bool(belief.is_explored)
+    assert at_places(belief, pose[:2])[0, 0] < -0.9
+    # Uphill all the way to the goal, which is nearer than what is unknown.
+    assert (np.diff(along_x(belief, np.arange(2.6, 5.1, 0.2))) > 0.0).all()
+    # And no different from a robot that has no goal.
+    aimless = beginning(world, pose, PERCEPTION)
+    np.testing.assert_array_equal(belief.guidance.values, aimless.guidance.values)
+
+
+def test_with_all_explored_guidance_falls_to_the_goal_and_ends_there() -> None:
+    for start in ((0.6, 1.5, 0.0), (3.0, 0.7, 2.0)):
+        belief = beginning(room(), start)
+        assert bool(belief.is_explored)
+    values = along_x(belief, np.arange(0.6, 4.9, 0.2))
+    assert (np.diff(values) < 0.0).all()
+    # A metre nearer is a metre less where there is room.
+    assert values[0] - values[15] == pytest.approx(3.0, abs=0.1)
+    assert (np.diff(along_x(belief, np.arange(5.2, 5.7, 0.1))) > 0.0).all()
+    places = np.array([(1.0, 1.5), (4.0, 0.7), (5.6, 2.4)])
+    ways, offsets = at_places(belief, *places)[:, :2], GOAL - places
+    assert ((ways * offsets).sum(axis=1) > 0.7 * np.linalg.norm(offsets, axis=1)).all()
+
+
+def test_the_way_to_the_goal_leads_round_walls() -> None:
+    world = room()
+    world[1:20, 30] = 0.993
+    belief = beginning(world, (1.0, 0.5, 0.0))
+    below, above, behind = at_places(belief, (2.5, 0.5), (2.5, 2.4), (3.6, 0.5))[:, 2]
+    assert below > above + 1.0 > behind + 1.0
+
+
+def test_a_goal_where_the_robot_does_not_fit_is_approached() -> None:
+    corner = eqx.tree_at(lambda p: p.goal, HOMING, jnp.asarray([5.85, 2.85]))
+    guidance = beginning(room(), (1.0, 1.5, 0.0), corner).guidance
+    row, column = np.unravel_index(int(jnp.argmin(guidance.values)), guidance.values.shape)
+    found = np.asarray(guidance.frame.cell_centre(jnp.asarray([row, column], jnp.int32)))
+    assert np.hypot(*(found - (5.85, 2.85))) < 0.6
+
+
+def test_the_map_counts_as_explored_right_below_the_share_given() -> None:
+    world, pose = room(), (4.0, 1.5, 0.0)
+    world[:, :12] = 0.5
+    world[1:10, 40] = [0.14, 0.15, 0.2, 0.8, 0.85, 0.86, 0.14, 0.86, 0.14]  # four are unknown
+    share = (12 * 30 + 4) / (30 * 60)
+    for most, expected in ((share + 1e-4, True), (share - 1e-4, False)):
+        perception = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.asarray(most))
+        belief = beginning(world, pose, perception)
+        assert bool(belief.is_explored) is expected
+        # Then the goal alone counts, however much is unknown.
+        assert (at_places(belief, (3.0, 2.0))[0, 0] > 0.0) == expected
+
+
+def test_nothing_worthwhile_within_reach_is_explored_too() -> None:
+    world = room()
+    world[:, :20], world[:, 20] = 0.5, 0.993  # walled off
+    sealed = beginning(world, (3.5, 1.5, 0.0))
+    assert bool(sealed.is_explored)
+    assert (np.diff(along_x(sealed, np.arange(2.6, 4.9, 0.2))) < 0.0).all()
+
+
+def test_the_goal_comes_before_what_is_hardly_worth_it() -> None:
+    world, pose = room(), (3.6, 1.5, 0.0)
+    world[14, 14] = 0.5  # one cell
+    never = eqx.tree_at(lambda p: p.max_unknown, HOMING, jnp.asarray(0.0))
+    belief = beginning(world, pose, never)
+    worth = float(belief.information.total.max())
+    assert 0.1 * 3.0 < worth < 3.0  # left for last, not given up
+    assert bool(belief.is_explored)
+    assert at_places(belief, pose[:2])[0, 0] > 0.5
+    eager = eqx.tree_at(lambda p: p.min_information, never, jnp.asarray(0.5 * worth))
+    belief = beginning(world, pose, eager)
+    assert not bool(belief.is_explored)
+    assert at_places(belief, pose[:2])[0, 0] < -0.5
+
+
+def test_without_a_goal_nothing_is_ever_explored() -> None:
+    for world in (room(), np.full((30, 60), 0.5, np.float32)):
+        assert not bool(beginning(world, (2.0, 1.5, 0.0), PERCEPTION).is_explored)
+        assert not bool(fields(world, (2.0, 1.5, 0.0)).is_explored)
+
+
+@pytest.fixture(scope="module")
+def lost():
+    """A belief with something to see, before and after an update without a known pose."""
+    world = room()
+    world[:, :20] = 0.5
+    pose, nowhere = jnp.asarray([3.5, 1.5, 0.0]), jnp.full(3, jnp.nan)
+    before = beginning(world, (3.5, 1.5, 0.0))
+    before = update_fields(HOMING, before, pose, jnp.asarray(0.2))
+    return before, update_fields(HOMING, before, nowhere, jnp.asarray(0.2))
+
+
+def test_a_pose_that_is_not_known_poisons_nothing(lost) -> None:
+    before, after = lost
+    for leaf in jax.tree.leaves(after):
+        assert np.isfinite(leaf).all()
+    assert float(before.dwell.max()) > 0.1
+    decayed = np.asarray(before.dwell, np.float64) * math.exp(-0.2 / 60.0)
+    np.testing.assert_allclose(after.dwell, decayed, rtol=1e-5)
+    np.testing.assert_array_equal(after.information.total, before.information.total)
+
+
+def test_a_robot_that_is_lost_has_not_explored(lost) -> None:
+    before, after = lost
+    assert not bool(before.is_explored)
+    assert not bool(after.is_explored)
+
+
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [
+        ("goal", (1.0,)),
+        ("goal", (1.0, 2.0, 3.0)),
+        ("goal", (1.0, math.nan)),
+        ("max_unknown", -0.1),
+        ("max_unknown", 1.1),
+        ("max_unknown", math.nan),
+    ],
+)
+def test_a_bad_end_is_named(argument: str, value) -> None:
+    with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
+        Perception(LIDAR, 0.1, 0.2, **{argument: value})

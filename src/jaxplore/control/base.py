@@ -40,12 +40,14 @@ class SampledPlan(NamedTuple):
         best: the rollout of least cost, and its cost by term.
         samples: (N, T + 1, nx) states of some rollouts.
         weights: (N,) their weights.
+        reference: (R, D) positions that the plan is to follow [m]; none by default.
     """
 
     nominal: Trajectory
     best: Trajectory
     samples: Float[Array, "N T+1 nx"]
     weights: Float[Array, " N"]
+    reference: Float[Array, "R D"] | None = None
 
 
 class Controller(eqx.Module):

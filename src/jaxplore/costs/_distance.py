@@ -34,7 +34,10 @@ def squared(components: tuple[Scalar, ...]) -> Scalar:
 
 
 def length(components: tuple[Scalar, ...]) -> Scalar:
-    """Return the length of a vector given by its components; its gradient at zero is zero."""
+    """Return the length of a vector given by its components; its gradient at zero is zero.
+
+    That of a vector that is not a number is none: a diverged rollout is not at its goal.
+    """
     square = squared(components)
-    is_positive = square > 0.0
-    return jnp.where(is_positive, jnp.sqrt(jnp.where(is_positive, square, 1.0)), 0.0)
+    is_zero = square <= 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))

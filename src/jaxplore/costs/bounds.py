@@ -71,3 +71,27 @@ class StateBoundsCost(Cost):
             depth = inverse * depth
             total = total + depth * depth
         return total
+
+
+class SpeedLimitCost(Cost):
+    """How much too fast the robot is, `((|v| - limit)_+ / scale)^2`.
+
+    Args:
+        limit: greatest speed that costs nothing [m/s].
+        scale: excess that costs 1 [m/s].
+
+    Raises:
+        ValueError: a value that is not positive.
+    """
+
+    limit: Scalar
+    scale: Scalar
+
+    def __init__(self, limit: ArrayLike, scale: ArrayLike = 0.1) -> None:
+        self.limit = _checks.scalar("limit", limit, above=0.0)
+        self.scale = _checks.scalar("scale", scale, above=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the squared excess."""
+        excess = jnp.maximum(jnp.abs(state.speed) - self.limit, 0.0) / self.scale
+        return excess * excess

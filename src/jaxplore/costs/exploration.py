@@ -1,13 +1,19 @@
 """Costs of an exploring robot: go where there is something to learn, and face the way there."""
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
+from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore.costs._arguments import array
+from jaxplore.costs._distance import length, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief
+from jaxplore.information.belief import Belief, StrategicBelief
+
+Known = Belief | StrategicBelief
 
 
 class InformationCost(Cost):
@@ -16,7 +22,7 @@ class InformationCost(Cost):
     The field of view is that of the sensor that the belief was made for.
     """
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
         """Return minus the information of a scan per beam."""
         field = belief.information
         return -field(state.position, state.heading) / field.num_beams
@@ -45,9 +51,81 @@ class GuidanceCost(Cost):
     def __init__(self, turning: ArrayLike = 0.3) -> None:
         self.turning = _checks.scalar("turning", turning, at_least=0.0)
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
         """Return the cost to go and of the heading."""
         position, heading = state.position, state.heading
         way = belief.guidance.direction(position)
         facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
         return belief.guidance(position) + self.turning * (1.0 - facing)
+
+
+class PotentialCost(Cost):
+    """Reward for being where a scan is worth much, `-I(x, y)` or `-I(x, y, yaw)` [nat].
+
+    Reads the field around the robot that the strategic layer of `InformativeMPPI` keeps: its
+    greatest value over headings, or that of the robot's own heading.
+
+    Source: the parallel architecture of the quadrotor design notes, `J_field`.
+
+    Args:
+        by_heading: read the field at the robot's heading; static.
+    """
+
+    by_heading: bool = eqx.field(static=True, default=False)
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
+    ) -> Scalar:
+        """Return minus the information."""
+        if self.by_heading:
+            return -belief.potential(state.position, state.heading)
+        return -belief.best(state.position)
+
+
+class LocalInformationCost(Cost):
+    """Reward for what a short look from this pose tells, `-I(x, y, yaw)` [nat].
+
+    Source: the quadrotor design notes, `J_local`: Uniform-FSMI of 6 beams up to 2.5 m, here read
+    from a field of the map as it is now instead of cast for every sample.
+    """
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
+    ) -> Scalar:
+        """Return minus the information."""
+        return -belief.local(state.position, state.heading)
+
+
+class StrategyReferenceCost(Cost):
+    """Squared distance from the reference of the strategic layer, `|p - r(t)|^2` [m^2], over
+    ground."""
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
+    ) -> Scalar:
+        """Return the squared distance at the time when the state is reached."""
+        position, wanted = state.position, belief.reference_at(t)
+        x, y = position[0] - wanted[0], position[1] - wanted[1]
+        return x * x + y * y
+
+
+class HomingCost(Cost):
+    """Distance to the goal once nothing worthwhile is left to see, 0 before [m].
+
+    Source: the quadrotor design notes, where the goal attracts only when the field is spent.
+
+    Args:
+        goal: (x, y) or (x, y, z) [m].
+
+    Raises:
+        ValueError: a goal of another shape or not finite.
+    """
+
+    goal: Float[Array, " n"]
+
+    def __init__(self, goal: Vector) -> None:
+        self.goal = array("goal", goal, (2,), (3,))
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
+        """Return the distance, or 0."""
+        return jnp.where(belief.is_explored, length(offset(state, self.goal)), 0.0)

@@ -1,10 +1,13 @@
 """What the robot knows."""
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from jaxplore._types import GridValues
+from jaxplore._types import Flag, GridValues, Scalar
 from jaxplore.information.field import InformationField
 from jaxplore.information.guidance import GuidanceField
+from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -18,6 +21,8 @@ class Belief(eqx.Module):
         information: expected information of a scan at any pose [nat].
         guidance: cost to go to the remaining information [m], and the way there.
         dwell: (rows, columns) of the guidance's nodes: time recently spent near each [s].
+        is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
+            there.
     """
 
     grid: OccupancyGrid
@@ -25,3 +30,47 @@ class Belief(eqx.Module):
     information: InformationField
     guidance: GuidanceField
     dwell: GridValues
+    is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
+
+
+class StrategicBelief(eqx.Module):
+    """A belief with what a strategic layer made of it, for the costs of informative MPPI.
+
+    Args:
+        grid: as of `Belief`.
+        clearance: as of `Belief`.
+        information: as of `Belief`.
+        guidance: as of `Belief`.
+        dwell: as of `Belief`.
+        is_explored: as of `Belief`.
+        potential: information of a scan around the robot by heading [nat], as it was when the
+            strategic layer ran last.
+        best: its greatest value over headings [nat].
+        local: information of a short look by heading [nat], as of now.
+        reference: (T, 3) where to be, row i at `(i + 1) reference_period - reference_age` from now
+            [m].
+        reference_period: [s].
+        reference_age: time since the reference was made [s].
+    """
+
+    grid: OccupancyGrid
+    clearance: ScalarField
+    information: InformationField
+    guidance: GuidanceField
+    dwell: GridValues
+    is_explored: Flag
+    potential: HeadingField
+    best: ScalarField
+    local: HeadingField
+    reference: Float[Array, "T 3"]
+    reference_period: Scalar
+    reference_age: Scalar
+
+    def reference_at(self, t: Scalar) -> Float[Array, "3"]:
+        """Return where to be `t` seconds from now [m], linear between rows; the ends hold."""
+        last = self.reference.shape[0] - 1
+        row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)
+        before = jnp.floor(row)
+        index = before.astype(jnp.int32)
+        start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
+        return start + (row - before) * (end - start)

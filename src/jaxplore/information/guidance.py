@@ -1,6 +1,7 @@
 """Where to go when nothing is left to see here: remaining information spread over known space."""
 
 import functools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -9,10 +10,12 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Position, Scalar
-from jaxplore.maps.field import Stencil, gather, stencil
+from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
 from jaxplore.maps.frame import GridFrame
 
 DIAGONAL = 2.0**0.5
+ROOMY = 3.0
+"""Clearance, in units of the required one, beyond which more room makes no path shorter."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
@@ -44,6 +47,56 @@ class GuidanceField(eqx.Module):
     def _around(self, position: Position) -> Stencil:
         height, width = self.values.shape
         return stencil((height, width), self.frame.to_grid(position))
+
+
+class Roadmap(NamedTuple):
+    """Where a disc fits, on a lattice: the `frame`, the `slowness` (H, W) [m per node spacing] and
+    which nodes are open (H, W)."""
+
+    frame: GridFrame
+    slowness: Float[Array, "H W"]
+    is_open: Bool[Array, "H W"]
+
+
+def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
+    """Return where a robot fits, on a lattice with one node for each block of cells.
+
+    A node is open if the robot fits at any cell of its block. Ways count double where it just fits,
+    so that paths keep to the middle.
+
+    Args:
+        clearance: distance to what may not be entered [m].
+        required: clearance that the robot needs [m].
+        stride: cells on a side of a block; static.
+    """
+    frame = clearance.frame.coarsen(stride, stride / 2.0)
+    height, width = clearance.values.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    padded = jnp.pad(clearance.values, ((0, rows * stride - height), (0, columns * stride - width)))
+    room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
+    spare = (room - required) / required
+    tightness = 1.0 - spare / (ROOMY - 1.0)
+    slowness = frame.resolution * (1.0 + jnp.clip(tightness, 0.0, 1.0))
+    return Roadmap(frame, slowness, room >= required - 1e-4)
+
+
+def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -> GuidanceField:
+    """Return a cost to go on a lattice as a field, continued into what is closed.
+
+    Args:
+        distance: (H, W) from `geodesic` [m].
+        frame: of the lattice.
+        num_layers: nodes deep into what is closed that the field is continued; static.
+    """
+    along_row, along_column = descent(distance, num_layers)
+    cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
+    direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
+    return GuidanceField(
+        values=extend(distance, num_layers, jnp.asarray(3.0 * frame.resolution)),
+        descent=jnp.stack(direction),
+        frame=frame,
+        outside=jnp.asarray(1e4),
+    )
 
 
 def geodesic(

@@ -13,6 +13,7 @@ from jaxplore.information.beam_table import BeamTable, window_maps
 from jaxplore.information.gain import CellSensor
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.information.pose import PoseInformation
+from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 LANES = 8
@@ -47,6 +48,7 @@ class LocalFieldSensor(eqx.Module):
     sensor: CellSensor
     beams_of_heading: Float[Array, "N D"]
     num_nodes: int = eqx.field(static=True)
+    spacing: float = eqx.field(static=True)
 
     def __init__(
         self,
@@ -85,6 +87,13 @@ class LocalFieldSensor(eqx.Module):
         self.beams_of_heading = jnp.asarray(membership)
         self.sensor = pose.sensor
         self.num_nodes = round(2.0 * extent / spacing)
+        self.spacing = self.table.stride * resolution
+
+    def empty(self) -> HeadingField:
+        """Return a field like that of `field`, without any information."""
+        headings = self.beams_of_heading.shape[0]
+        values = jnp.zeros((self.num_nodes, self.num_nodes, headings))
+        return HeadingField(values, GridFrame(self.spacing))
 
     def field(self, grid: OccupancyGrid, position: Position) -> HeadingField:
         """Return the field around a position.

@@ -1,5 +1,6 @@
 """From scans to a belief: the map at the sensor's rate, the fields derived from it at theirs."""
 
+import dataclasses
 import math
 
 import equinox as eqx
@@ -8,21 +9,23 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Pose, Scalar
+from jaxplore._types import Flag, Pose, Position, Scalar, Vector
 from jaxplore.information.belief import Belief
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.information.guidance import GuidanceField, descent, extend, geodesic
+from jaxplore.information.guidance import ROOMY, GuidanceField, downhill, geodesic, roadmap
+from jaxplore.information.zones import unknown_fraction
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
+from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar, Scan
 
 LEFTOVER_DETOUR = 1e3
 """How much farther away a place with little information counts [m]."""
-ROOMY = 3.0
-"""Clearance, in units of the required one, beyond which more room makes no path shorter."""
+GOAL_DETOUR = 5e2
+"""How much farther away the goal counts while there is more to see [m]; leftovers come later."""
 LAYERS = 4
 """How many nodes deep into what is closed the guidance is continued."""
 LEFTOVER_SHARE = 0.1
@@ -47,6 +50,9 @@ class Perception(eqx.Module):
     W below `min_information`, mostly cells near walls between which noise goes to and fro, count
     as a kilometre farther away: they come last, whatever is near.
 
+    A goal is one more place worth going to: after all worthwhile information, before what is left
+    over, and alone as soon as less than `max_unknown` of the map is unknown.
+
     Args:
         lidar: the sensor.
         resolution: side of a map cell [m].
@@ -61,6 +67,9 @@ class Perception(eqx.Module):
         min_information: places with less are left for last [nat]; with less than a tenth, for good.
         patience: time near a place after which its pull has faded to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
+        goal: (x, y) to go to in the end [m]; none when absent.
+        max_unknown: share of the map's cells with `4 p (1 - p) > 1/2` below which it counts as
+            explored, if there is a goal.
 
     Raises:
         ValueError: a size, rate or length out of its range.
@@ -76,6 +85,8 @@ class Perception(eqx.Module):
     min_information: Scalar
     patience: Scalar
     memory: Scalar
+    goal: Position | None
+    max_unknown: Scalar
 
     def __init__(
         self,
@@ -92,6 +103,8 @@ class Perception(eqx.Module):
         min_information: ArrayLike = 3.0,
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
+        goal: Vector | None = None,
+        max_unknown: ArrayLike = 0.05,
     ) -> None:
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.lidar = lidar
@@ -115,6 +128,8 @@ class Perception(eqx.Module):
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
+        self.goal = None if goal is None else _checks.vector("goal", goal, 2)
+        self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief of a robot that has seen nothing: free where it stands.
@@ -136,15 +151,15 @@ class Perception(eqx.Module):
         clearance = self._clearance(grid)
         information = self.field_sensor.field(grid, self.sensor_model)
         dwell = jnp.zeros_like(information.total)
-        guidance = self._guidance(clearance, information, dwell)
-        return Belief(grid, clearance, information, guidance, dwell)
+        is_known = self._is_known(grid)
+        guidance = self._guidance(clearance, information, dwell, is_known)
+        is_explored = is_known | self._is_goal_next(guidance, pose)
+        return Belief(grid, clearance, information, guidance, dwell, is_explored)
 
     def observe(self, belief: Belief, scan: Scan, pose: Pose) -> Belief:
         """Return the belief after a scan: the map and the clearance."""
         grid = self.lidar.update(belief.grid, scan, pose, self.sensor_model)
-        return Belief(
-            grid, self._clearance(grid), belief.information, belief.guidance, belief.dwell
-        )
+        return dataclasses.replace(belief, grid=grid, clearance=self._clearance(grid))
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with its information and guidance brought up to date.
@@ -160,45 +175,55 @@ class Perception(eqx.Module):
         nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
         distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
         stay = elapsed * jnp.exp(-0.5 * (distance / 0.5) ** 2)
-        dwell = belief.dwell * jnp.exp(-elapsed / self.memory) + stay
-        guidance = self._guidance(belief.clearance, information, dwell)
-        return Belief(belief.grid, belief.clearance, information, guidance, dwell)
+        dwell = belief.dwell * jnp.exp(-elapsed / self.memory)
+        dwell = dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)  # of a pose that is not known
+        is_known = self._is_known(belief.grid)
+        guidance = self._guidance(belief.clearance, information, dwell, is_known)
+        is_explored = is_known | self._is_goal_next(guidance, pose)
+        return Belief(belief.grid, belief.clearance, information, guidance, dwell, is_explored)
+
+    def _is_known(self, grid: OccupancyGrid) -> Flag:
+        """Say whether the map counts as explored."""
+        if self.goal is None:
+            return jnp.array(False)
+        return unknown_fraction(grid) < self.max_unknown
+
+    def _is_goal_next(self, guidance: GuidanceField, pose: Pose) -> Flag:
+        """Say whether nothing worthwhile can be reached any more, from a place on the map."""
+        if self.goal is None:
+            return jnp.array(False)
+        cost = guidance(pose[:2])
+        return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)
 
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
         return clearance_field(~grid.is_free, grid.frame, self.max_clearance)
 
     def _guidance(
-        self, clearance: ScalarField, information: InformationField, dwell: Array
+        self, clearance: ScalarField, information: InformationField, dwell: Array, is_known: Flag
     ) -> GuidanceField:
-        stride = self.field_sensor.stride
-        frame = clearance.frame.coarsen(stride, stride / 2.0)
-        rows, columns = information.total.shape
-        height, width = clearance.values.shape
-        padded = jnp.pad(
-            clearance.values, ((0, rows * stride - height), (0, columns * stride - width))
-        )
-        room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
-        is_open = room >= self.required_clearance - 1e-4
-        # Twice as long where the robot just fits, so that paths keep to the middle.
-        spare = (room - self.required_clearance) / self.required_clearance
-        tightness = 1.0 - spare / (ROOMY - 1.0)
-        slowness = frame.resolution * (1.0 + jnp.clip(tightness, 0.0, 1.0))
+        roads = roadmap(clearance, self.required_clearance, self.field_sensor.stride)
+        frame, is_open = roads.frame, roads.is_open
         worth = information.total * jnp.exp(-dwell / self.patience)
         pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
         is_leftover = worth < self.min_information
         detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
         is_source = worth >= LEFTOVER_SHARE * self.min_information
         source = jnp.where(is_source, detour - pull, jnp.inf)
-        distance = geodesic(source, slowness, is_open)
-        along_row, along_column = descent(distance, LAYERS)
-        cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
-        direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
-        return GuidanceField(
-            values=extend(distance, LAYERS, jnp.asarray(3.0 * frame.resolution)),
-            descent=jnp.stack(direction),
-            frame=frame,
-            outside=jnp.asarray(1e4),
-        )
+        if self.goal is not None:
+            source = self._with_goal(source, frame, is_open, is_known)
+        distance = geodesic(source, roads.slowness, is_open)
+        return downhill(distance, frame, LAYERS)
+
+    def _with_goal(self, source: Array, frame: GridFrame, is_open: Array, is_known: Flag) -> Array:
+        """Return the sources with the goal among them: the open nodes nearest to it."""
+        assert self.goal is not None
+        rows, columns = source.shape
+        centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
+        offset = centres - self.goal
+        distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+        is_nearest = distance <= distance.min() + frame.resolution
+        at_goal = jnp.where(is_nearest, distance + GOAL_DETOUR, jnp.inf)
+        return jnp.minimum(jnp.where(is_known, jnp.inf, source), at_goal)
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
