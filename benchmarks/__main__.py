@@ -4,6 +4,7 @@ import argparse
 import json
 import os
 import platform
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import control, control_step, exploration, information
+from benchmarks import control, control_step, exploration, information, informative
 from jaxplore import __version__
 
 
@@ -27,9 +28,34 @@ def main() -> None:
         default=1_000_000,
         help="control steps while memory is watched [default: 1000000]",
     )
-    parser.add_argument("--out", type=Path, default=Path("benchmarks/results.json"))
+    parser.add_argument("--only", choices=list(SECTIONS), help="run this one [default: all]")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="where the numbers go [default: benchmarks/results.json, nowhere with --only]",
+    )
     arguments = parser.parse_args()
+    out = arguments.out
+    if out is None and arguments.only is None:
+        out = Path("benchmarks/results.json")
     console = Console(width=180)
+    results = {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "jaxplore": __version__,
+        "jax": jax.__version__,
+        "python": platform.python_version(),
+        "device": jax.devices()[0].device_kind,
+        "cpu_count": os.cpu_count(),
+    }
+    for name, section in SECTIONS.items():
+        if arguments.only in (None, name):
+            results.update(section(arguments, console))
+    if out is not None:
+        out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        console.print(f"Written to {out}")
+
+
+def _control(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     controller = control.measure(arguments.endurance_steps)
     for title, name in (
         ("A command, and its peers'", "peers"),
@@ -43,6 +69,10 @@ def main() -> None:
         ("Endurance", "endurance"),
     ):
         console.print(_table(title, controller[name]))
+    return {"control": controller}
+
+
+def _information(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     engine = information.measure()
     for title, table in (
         ("Local field: 20 x 20 nodes, 8 yaws, 12 beams, 10 m", engine["local_field"]),
@@ -54,26 +84,42 @@ def main() -> None:
         ("Information of a trajectory: 50 poses, 16 beams, 5 m", engine["trajectories"]),
     ):
         console.print(_table(title, table))
+    return {"information": engine}
+
+
+def _control_step(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     step = control_step.measure(arguments.steps)
     console.print(_step_table(step))
+    return {"control_step": step}
+
+
+def _informative(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    times = informative.measure()
+    sizes = f"K = {times['samples']}, T = {times['horizon']}, {times['cells']} cells"
+    for title, name in (
+        (f"Informative MPPI, a control step of the closed loop: {sizes}", "loop"),
+        ("The same, times as long as jaxplore", "ratios"),
+        ("Informative MPPI, part by part", "parts"),
+    ):
+        if times[name]:
+            console.print(_table(title, times[name]))
+    return {"informative": times}
+
+
+def _exploration(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = exploration.measure(arguments.seeds)
     summary = exploration.summarise(rows)
     console.print(_table("Exploration, medians over seeds", summary))
-    results = {
-        "date": datetime.now(UTC).isoformat(timespec="seconds"),
-        "jaxplore": __version__,
-        "jax": jax.__version__,
-        "python": platform.python_version(),
-        "device": jax.devices()[0].device_kind,
-        "cpu_count": os.cpu_count(),
-        "control": controller,
-        "information": engine,
-        "control_step": step,
-        "exploration": summary,
-        "runs": rows,
-    }
-    arguments.out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
-    console.print(f"Written to {arguments.out}")
+    return {"exploration": summary, "runs": rows}
+
+
+SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
+    "control": _control,
+    "information": _information,
+    "control_step": _control_step,
+    "informative": _informative,
+    "exploration": _exploration,
+}
 
 
 def _step_table(step: dict[str, Any]) -> Table:

@@ -9,6 +9,7 @@ import numpy as np
 
 from benchmarks.setting import available_sites, experiment
 from benchmarks.timing import timed
+from jaxplore import MPPI
 from jaxplore.simulation.closed_loop import initial_loop_state, robot_pose, run_chunk
 
 CHUNK = 50
@@ -43,6 +44,7 @@ def measure(steps: int) -> dict[str, Any]:
     every = int(scenario.steps_per_field)
     phases = [float(np.median(times[phase::every])) for phase in range(every)]
     p50, p99 = np.percentile(times, [50, 99])
+    assert isinstance(controller, MPPI)
     return {
         "map": site.name,
         "cells": list(scenario.world.shape),

@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.cli import main
+from jaxplore.settings import build, comparable, make_settings
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
@@ -82,9 +84,8 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
     jx.OccupancyGrid(np.zeros((80, 80)), 0.05).to_ros(tmp_path / "fine.yaml")
     jx.OccupancyGrid(np.zeros((20, 20)), 0.2).to_ros(tmp_path / "coarse.yaml")
     for name, expected in (("fine", 0.1), ("coarse", 0.2)):
-        arguments = ["run", f"{name}.yaml", "--start", "2", "2", "0", "--time-limit", "0.1"]
-        main([*arguments, *SMALL, "--out", name, "--no-animation"])
-        assert np.load(f"{name}/arrays.npz")["resolution"] == pytest.approx(expected)
+        made = build(make_settings({"map": f"{name}.yaml", "start": (2.0, 2.0, 0.0)}))
+        assert made.scenario.world.resolution == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,10 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
         (["run", "office", "--resolution", "-0.1"], "setting resolution is -0.1"),
         (["run", "office", "--robot", "submarine"], "robot.model is 'submarine'; accepted: 'diff"),
         (["run", "office", "--set", "robot.wings=2"], "unknown setting robot.wings; accepted here"),
-        (["run", "office", "--set", "wings=2"], "unknown setting wings; accepted here: map, start"),
+        (
+            ["run", "office", "--set", "wings=2"],
+            "unknown setting wings; accepted here: map, architecture",
+        ),
         (["run", "office", "--set", "robot"], "--set is 'robot'; accepted: NAME=VALUE"),
         (["run", "office", "--set", "seed=[1"], "accepted: a value in YAML"),
         (["run", "office", "--set", "lidar=3", "--set", "lidar.x=1"], "lidar is 3"),
@@ -166,7 +170,7 @@ def test_a_disk_that_fills_leaves_nothing(ros_map: Path, capsys, monkeypatch) ->
     before = sorted(os.listdir())
     arguments = ["run", str(ros_map), "--start", "1", "1", "0", "--time-limit", "0.1", *SMALL]
     with pytest.raises(SystemExit) as exit_:
-        main([*arguments, "--out", "out"])
+        main([*arguments, "--range", "2.0", "--out", "out"])  # compiled before, above
     assert exit_.value.code == 2
     assert "No space left on device" in capsys.readouterr().err
     assert sorted(os.listdir()) == before
@@ -204,3 +208,163 @@ def test_importing_is_light_and_changes_nothing_global() -> None:
         "assert dict(jax.config.values) == before; assert 'matplotlib' not in sys.modules"
     )
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+ALL = ["two-layer", "parallel", "sequential", "random-walk", "goal"]
+ROOM = {"size": [4.0, 3.0], "resolution": 0.2, "start": [1.0, 1.5, 0.0]}
+FEW = ["--samples", "8", "--beams", "8", "--range", "1", "--set", "fields.num_directions=4"]
+for number in ("horizon=4", "field_range=1", "field_noise=0", "local_range=1", "local_extent=1"):
+    FEW += ["--set", f"informative.{number}"]
+ZONE, GOAL = {"zones": [[2.0, 0.0, 4.0, 3.0]]}, {"goal": [3.0, 1.5, -2.0]}
+
+
+class Asked(NamedTuple):
+    """What a command asked to be compared."""
+
+    experiments: dict[str, tuple[Any, jx.Scenario, int]]
+    seeds: list[int]
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
+    """Compare nothing, as if it was interrupted at once, and return the list of what was asked."""
+    asked: list[Asked] = []
+
+    def compare(experiments: dict[str, Any], seeds: range, *, progress: bool) -> jx.Comparison:
+        assert progress
+        asked.append(Asked(dict(experiments), list(seeds)))
+        return jx.Comparison(dict.fromkeys(experiments, ()), {}, is_interrupted=True)
+
+    monkeypatch.setattr("jaxplore.cli.compare_runs", compare)
+    return asked
+
+
+@pytest.fixture
+def chosen(asked: list[Asked], monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
+    """The same with settings in place of controllers: nothing is built."""
+    monkeypatch.setattr("jaxplore.cli.build", lambda settings: (settings, None, 1, None))
+    return asked
+
+
+@pytest.fixture
+def room() -> Path:
+    Path("room.yaml").write_text(yaml.safe_dump(ROOM))
+    return Path("room.yaml")
+
+
+@pytest.mark.parametrize(
+    ("entries", "more", "expected"),
+    [
+        (None, {"map": "zones"}, ALL),
+        (None, {"map": "office"}, ["two-layer", "parallel", "random-walk"]),
+        (None, {"map": "office", "goal": (3.0, 3.0)}, ["two-layer", "parallel", *ALL[3:]]),
+        ({}, {}, ["two-layer", "parallel", "random-walk"]),
+        (ZONE, {}, ["two-layer", "parallel", "random-walk"]),
+        (GOAL, {}, ["two-layer", "parallel", "random-walk", "goal"]),
+        (ZONE, {"goal": (3.0, 1.5)}, ALL),
+        (ZONE | GOAL, {}, ALL),
+    ],
+)
+def test_a_map_says_what_can_be_compared_on_it(
+    entries: dict[str, Any] | None, more: dict[str, Any], expected: list[str]
+) -> None:
+    if entries is not None:
+        Path("room.yaml").write_text(yaml.safe_dump(ROOM | entries))
+        more = {"map": "room.yaml", **more}
+    assert list(comparable(make_settings({"architecture": "two-layer", **more}))) == expected
+
+
+def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(
+    room: Path, asked: list[Asked], capsys: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(2):
+        main(["compare", str(room), "--seed", "7", "--seeds", "3", *FEW, "--time-limit", "2"])
+    captured = capsys.readouterr()
+    for experiments, seeds in asked:
+        assert list(experiments) == ["two-layer", "parallel", "random-walk"]
+        assert seeds == [7, 8, 9]
+        assert {num_steps for *_, num_steps in experiments.values()} == {100}
+    assert "runs/room-comparison-2/table.md" in captured.out.splitlines()
+    assert captured.err.count("Interrupted: the runs that were done before") == 2
+    names = {"metrics.json", "table.md", "curves.png", "settings.yaml"}
+    for folder in ("room-comparison", "room-comparison-2"):
+        assert {path.name for path in (Path("runs") / folder).iterdir()} == names
+    assert json.loads(Path("runs/room-comparison/metrics.json").read_text())["is_interrupted"]
+
+
+def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[Asked]) -> None:
+    main(["compare", str(room), "--architectures", "random-walk,two-layer", *FEW, "--out", "it"])
+    ((experiments, seeds),) = asked
+    assert list(experiments) == ["random-walk", "two-layer"]
+    assert seeds == list(range(20))
+    for controller, *_ in experiments.values():
+        assert (controller.mppi.num_samples, controller.mppi.horizon) == (8, 4)
+    used = yaml.safe_load(Path("it/settings.yaml").read_text())
+    assert used["controller"]["num_samples"] == used["informative"]["num_samples"] == 8
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["compare"], "setting map is missing"),
+        (["compare", "gone.yaml"], "gone.yaml"),
+        (["compare", "MAP"], "start is missing; accepted: a pose in free space"),
+        (["compare", "ROOM", "--seeds", "0"], "--seeds is 0; accepted: a whole number >= 1"),
+        (["compare", "ROOM", "--seeds", "-2"], "--seeds is -2; accepted: a whole number >= 1"),
+        (["compare", "ROOM", "--seeds", "two"], "--seeds"),
+        (
+            ["compare", "ROOM", "--architectures", "two-layer,three-layer"],
+            "setting architecture is 'three-layer'; accepted: 'explorer', 'two-layer'",
+        ),
+        (["compare", "ROOM", "--architectures", ""], "setting architecture is ''; accepted"),
+        (["compare", "ROOM", "--architectures", "goal"], "goal is missing; accepted: a position"),
+        (["compare", "ROOM", "--architectures", "sequential"], "accepted: a world with both"),
+        (["compare", "ROOM", "--samples", "0"], "num_samples is 0"),
+        # It would be taken for a choice of what to compare.
+        (["compare", "ROOM", "--architecture", "parallel"], "--architecture"),
+        (
+            ["compare", "ROOM", "--architectures", "random-walk,explorer"],
+            "'random-walk,explorer', of which explorer drives another robot with another sensor",
+        ),
+        (["compare", "ROOM", "--out", "taken"], "taken' exists"),
+        (["compare", "ROOM", "--out", "former"], "former' holds a former run"),
+        (["compare", "ROOM", "--out", "taken", "--overwrite"], "taken' exists"),
+        (["compare", "ROOM", "--out", "file/inside"], "file"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_line(
+    ros_map: Path, room: Path, asked: list[Asked], capsys, arguments: list[str], reason: str
+) -> None:
+    for name in ("taken", "former"):
+        Path(name).mkdir()
+    Path("former/metrics.json").write_text("{}")
+    Path("file").write_text("")
+    before = sorted(Path.cwd().rglob("*"))
+    places = {"MAP": str(ros_map), "ROOM": str(room)}
+    assert reason in fails(capsys, *(places.get(each, each) for each in arguments))
+    assert asked == []
+    assert sorted(Path.cwd().rglob("*")) == before
+
+
+def test_the_table_of_a_comparison_keeps_its_units(
+    room: Path, chosen: list[Asked], capsys, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    main(["compare", str(room), "--architectures", "random-walk", "--out", "it"])
+    shown = capsys.readouterr().out
+    header = Path("it/table.md").read_text().splitlines()[0]
+    for cell in (each.strip() for each in header.split("|")):
+        assert cell in shown
+    assert "it: medians [quartiles]" in shown
+
+
+def test_all_that_is_compared_differs_in_the_architecture_only(
+    room: Path, chosen: list[Asked]
+) -> None:
+    main(["compare", str(room), "--architectures", "random-walk,parallel", "--out", "it"])
+    assert chosen
+    for experiments, _ in chosen:
+        first, second = (
+            settings.model_dump(exclude={"architecture"}) for settings, *_ in experiments.values()
+        )
+        assert first == second

@@ -1,7 +1,7 @@
 """The command line."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +9,23 @@ import click
 import yaml
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from jaxplore._version import __version__
+from jaxplore.report.comparison import Comparison
 from jaxplore.report.folder import check_folder
 from jaxplore.report.metrics import Metrics
-from jaxplore.runs import simulate
-from jaxplore.settings import OFFICE, Settings, build, make_settings, read_settings
+from jaxplore.runs import compare as compare_runs
+from jaxplore.runs import progress_bar, simulate
+from jaxplore.settings import (
+    OFFICE,
+    ZONES,
+    Settings,
+    build,
+    comparable,
+    make_settings,
+    read_settings,
+)
 
 # Options that stand for a setting: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
@@ -22,7 +33,13 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--time-limit", "time_limit", float, "Simulated time [s]."),
     ("--target-coverage", "target_coverage", float, "Share of reachable cells at which to stop."),
     ("--resolution", "resolution", float, "Side of a map cell [m]; finer maps are resampled."),
-    ("--robot", "robot.model", str, "Model of the robot: differential_drive."),
+    ("--robot", "robot.model", str, "Model of the robot: differential_drive or quadrotor."),
+    (
+        "--architecture",
+        "architecture",
+        str,
+        "explorer; for quadrotors two-layer, parallel, sequential, random-walk, goal.",
+    ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
     ("--beams", "lidar.num_beams", int, "Beams of the lidar."),
@@ -31,16 +48,103 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
 )
 
 
-def _options(command: Any) -> Any:
-    defaults = Settings(map=OFFICE).model_dump()
-    for flag, setting, kind, text in reversed(_OPTIONS):
-        value: Any = defaults
-        for part in setting.split("."):
-            value = value[part]
-        command = click.option(
-            flag, setting.replace(".", "__"), type=kind, help=f"{text}  [default: {value}]"
-        )(command)
-    return command
+DEFAULTS = tuple(
+    make_settings({"map": OFFICE, "architecture": name}).model_dump()
+    for name in ("explorer", "two-layer")
+)
+"""Of ground robots and of quadrotors."""
+
+
+def _default(defaults: dict[str, Any], setting: str) -> Any:
+    value: Any = defaults
+    for part in setting.split("."):
+        value = value[part]
+    return value
+
+
+def _options(*without: str) -> Callable[[Any], Any]:
+    """Return a decorator that adds what says what is run: the map, where, and every setting."""
+    options = [
+        click.argument("map_", metavar="[MAP.yaml | office | zones]", required=False),
+        click.option(
+            "--start",
+            nargs=3,
+            type=float,
+            metavar="X Y YAW",
+            help="Where the robot starts [m, m, rad]; office and zones have a start of their own.",
+        ),
+        click.option(
+            "--goal",
+            nargs=2,
+            type=float,
+            metavar="X Y",
+            help="Where the robot is to be in the end [m]; zones have a goal of their own.",
+        ),
+    ]
+    for flag, setting, kind, text in _OPTIONS:
+        if setting in without:
+            continue
+        ground, flying = (_default(each, setting) for each in DEFAULTS)
+        value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
+        name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
+        options.append(click.option(flag, name, type=kind, help=text))
+    options += [
+        click.option(
+            "--settings",
+            "settings_file",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help="Settings in YAML, for example the settings.yaml of a run; options win over it.",
+        ),
+        click.option(
+            "--set",
+            "assignments",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
+            "settings').",
+        ),
+        click.option("--overwrite", is_flag=True, help="Replace a run folder that is there."),
+    ]
+
+    def add(command: Any) -> Any:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
+
+
+def _entries(
+    map_: str | None,
+    start: tuple[float, float, float] | None,
+    goal: tuple[float, float] | None,
+    settings_file: Path | None,
+    assignments: tuple[str, ...],
+    options: dict[str, Any],
+) -> dict[str, Any]:
+    """Return the settings given by a command's options."""
+    entries = {} if settings_file is None else read_settings(settings_file)
+    if map_ is not None:
+        entries["map"] = map_ if map_ in (OFFICE, ZONES) else str(Path(map_).absolute())
+    if start is not None:
+        entries["start"] = start
+    if goal is not None:
+        entries["goal"] = goal
+    for name, value in options.items():
+        if value is not None:
+            _assign(entries, name.replace("__", "."), value)
+    if options["controller__num_samples"] is not None:
+        _assign(entries, "informative.num_samples", options["controller__num_samples"])
+    for assignment in assignments:
+        name, separator, text = assignment.partition("=")
+        if not separator:
+            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
+        try:
+            _assign(entries, name.strip(), yaml.safe_load(text))
+        except yaml.YAMLError:
+            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None
+    return entries
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -50,37 +154,15 @@ def cli() -> None:
 
 
 @cli.command()
-@click.argument("map_", metavar="[MAP.yaml | office]", required=False)
-@click.option(
-    "--start",
-    nargs=3,
-    type=float,
-    metavar="X Y YAW",
-    help="Where the robot starts [m, m, rad]; the office has a start of its own.",
-)
+@_options()
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
 )
-@_options
-@click.option(
-    "--settings",
-    "settings_file",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Settings in YAML, for example the settings.yaml of a run; options win over it.",
-)
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore settings').",
-)
-@click.option("--overwrite", is_flag=True, help="Replace a run folder that is there.")
 @click.option("--animation/--no-animation", default=True, help="Draw exploration.gif.")
 def run(
     map_: str | None,
     start: tuple[float, float, float] | None,
+    goal: tuple[float, float] | None,
     out: Path | None,
     settings_file: Path | None,
     assignments: tuple[str, ...],
@@ -88,33 +170,19 @@ def run(
     animation: bool,
     **options: Any,
 ) -> None:
-    """Let a robot explore a ROS map (or a generated office) of which it knows nothing.
+    """Let a robot explore a ROS map, a world file, a generated office or the three zones.
 
     Writes a run folder with metrics, arrays, pictures, an animation and the settings used:
 
     \b
       jaxplore run office
+      jaxplore run zones --architecture parallel
       jaxplore run maps/depot.yaml --start 4.62 7.73 0 --out runs/depot
       jaxplore run --settings runs/depot/settings.yaml --out runs/again
 
     Ctrl-C ends the run and keeps what was done.
     """
-    entries = {} if settings_file is None else read_settings(settings_file)
-    if map_ is not None:
-        entries["map"] = map_ if map_ == OFFICE else str(Path(map_).absolute())
-    if start is not None:
-        entries["start"] = start
-    for name, value in options.items():
-        if value is not None:
-            _assign(entries, name.replace("__", "."), value)
-    for assignment in assignments:
-        name, separator, text = assignment.partition("=")
-        if not separator:
-            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
-        try:
-            _assign(entries, name.strip(), yaml.safe_load(text))
-        except yaml.YAMLError:
-            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None
+    entries = _entries(map_, start, goal, settings_file, assignments, options)
     settings = make_settings(entries)
     folder = _free_name(Path("runs") / Path(settings.map).stem) if out is None else out
     check_folder(folder, overwrite=overwrite)
@@ -130,6 +198,79 @@ def run(
     _show(result.metrics, folder)
     if result.metrics.is_interrupted:
         click.echo("Interrupted: what was done before is in the run folder.", err=True)
+
+
+@cli.command()
+@_options("architecture")
+@click.option(
+    "--architectures",
+    metavar="NAME,NAME",
+    help="What to compare.  [default: all that the map allows]",
+)
+@click.option("--seeds", type=int, default=20, show_default=True, help="Runs of each.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder.  [default: runs/MAP-comparison]",
+)
+@click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
+def compare(
+    map_: str | None,
+    start: tuple[float, float, float] | None,
+    goal: tuple[float, float] | None,
+    architectures: str | None,
+    seeds: int,
+    out: Path | None,
+    settings_file: Path | None,
+    assignments: tuple[str, ...],
+    overwrite: bool,
+    animation: bool,
+    **options: Any,
+) -> None:
+    """Compare a quadrotor's architectures on a map, with the same seeds for all.
+
+    Writes a folder with a table, curves of coverage and of what is unknown, all metrics, and an
+    animation of the first run of each:
+
+    \b
+      jaxplore compare zones
+      jaxplore compare zones --architectures two-layer,parallel --seeds 5
+      jaxplore compare maps/depot.yaml --start 4.62 7.73 0 --range 5 --seeds 5 --time-limit 240
+
+    Ctrl-C ends the comparison and keeps the runs that were done.
+    """
+    entries = _entries(map_, start, goal, settings_file, assignments, options)
+    if seeds < 1:
+        raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
+    if architectures is None:
+        names = comparable(make_settings({**entries, "architecture": "two-layer"}))
+    else:
+        names = tuple(name.strip() for name in architectures.split(","))
+    settings = {name: make_settings({**entries, "architecture": name}) for name in names}
+    if "explorer" in names and len(names) > 1:
+        raise ValueError(
+            f"--architectures is {architectures!r}, of which explorer drives another robot with "
+            "another sensor; accepted: explorer alone, or the others"
+        )
+    common = settings[names[0]]
+    first = common.seed
+    folder = out
+    if folder is None:
+        folder = _free_name(Path("runs") / f"{Path(common.map).stem}-comparison")
+    check_folder(folder, overwrite=overwrite)
+    experiments = {str(name): build(each)[:3] for name, each in settings.items()}
+    result = compare_runs(experiments, range(first, first + seeds), progress=True)
+    kept = common.model_dump(mode="json", exclude={"architecture"})
+    with progress_bar("drawing", enabled=animation) as advance:
+        result.save(
+            folder,
+            overwrite=overwrite,
+            animation=animation,
+            settings=kept,
+            on_progress=lambda share: advance(share, ""),
+        )
+    _show_comparison(result, folder)
 
 
 @cli.command("settings")
@@ -165,6 +306,21 @@ def _show(metrics: Metrics, folder: Path) -> None:
     for name in ("map.png", "coverage.png", "exploration.gif", "metrics.json"):
         if (folder / name).exists():
             click.echo(str(folder / name))
+
+
+def _show_comparison(comparison: Comparison, folder: Path) -> None:
+    header, *rows = comparison.rows()
+    # As text: square brackets are units and quartiles here, not markup.
+    table = Table(title=Text(f"{folder}: medians [quartiles]"))
+    for cell in header:
+        table.add_column(Text(cell))
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table)
+    for path in sorted(folder.iterdir()):
+        click.echo(str(path))
+    if comparison.is_interrupted:
+        click.echo("Interrupted: the runs that were done before are in the folder.", err=True)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -1,8 +1,11 @@
 """Simulate, judge and save in three lines."""
 
+import contextlib
 import dataclasses
+import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import jax
@@ -12,6 +15,7 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Te
 
 from jaxplore._types import Key
 from jaxplore.control.base import Controller
+from jaxplore.report.comparison import Comparison, check_names
 from jaxplore.report.metrics import Metrics, compute_metrics
 from jaxplore.report.save import save_recording
 from jaxplore.simulation import simulate as simulation
@@ -54,7 +58,7 @@ class Run:
         Raises:
             ValueError: the folder exists, or cannot be written.
         """
-        with _bar("drawing", enabled=progress and animation) as advance:
+        with progress_bar("drawing", enabled=progress and animation) as advance:
             save_recording(
                 self.recording,
                 self.metrics,
@@ -89,7 +93,7 @@ def simulate(
     Raises:
         ValueError: a number of steps < 1.
     """
-    with _bar("exploring", enabled=progress) as advance:
+    with progress_bar("exploring", enabled=progress) as advance:
 
         def show(now: simulation.Progress) -> None:
             speed = now.time / max(now.seconds, 1e-9)
@@ -107,8 +111,65 @@ def simulate(
     return Run(recording, compute_metrics(recording, seed=seed))
 
 
+def compare(
+    experiments: Mapping[str, tuple[Controller, Scenario, int]],
+    seeds: Sequence[int],
+    *,
+    progress: bool = False,
+) -> Comparison:
+    """Run several controllers with the same seeds.
+
+    Seed by seed, so that Ctrl-C leaves as many runs of each controller, and what was done is kept.
+
+    Args:
+        experiments: by name, what `simulate` takes: controller, scenario, number of steps.
+        seeds: of the runs.
+        progress: show how far it is.
+
+    Raises:
+        ValueError: nothing to compare, no seeds, a seed twice, a name that is no file's.
+    """
+    if not experiments:
+        raise ValueError("experiments is empty; accepted: at least one controller")
+    check_names(experiments)
+    if not seeds or len(set(seeds)) != len(seeds):
+        raise ValueError(f"seeds is {list(seeds)}; accepted: different whole numbers, at least one")
+    runs: dict[str, list[Metrics]] = {name: [] for name in experiments}
+    recordings: dict[str, Recording] = {}
+    total, done, is_interrupted = len(seeds) * len(experiments), 0, False
+    with progress_bar("comparing", enabled=progress) as advance:
+        began = time.perf_counter()
+        for seed in seeds:
+            for name, (controller, scenario, num_steps) in experiments.items():
+                left = (time.perf_counter() - began) / done * (total - done) if done else math.nan
+                advance(
+                    done / total,
+                    f"{name}, seed {seed}, run {done + 1} of {total}"
+                    + (f", about {left:.0f} s left" if done else ""),
+                )
+                # Also where Ctrl-C is not waited for, while something compiles.
+                with contextlib.suppress(KeyboardInterrupt):
+                    recording = simulation.record_run(
+                        controller, scenario, num_steps, key=jax.random.key(seed)
+                    )
+                    if not recording.is_interrupted:
+                        runs[name].append(compute_metrics(recording, seed=seed))
+                        recordings.setdefault(name, recording)
+                        done += 1
+                        continue
+                is_interrupted = True
+                break
+            if is_interrupted:
+                break
+        if not is_interrupted:
+            advance(1.0, f"{total} runs")
+    return Comparison(
+        {name: tuple(metrics) for name, metrics in runs.items()}, recordings, is_interrupted
+    )
+
+
 @contextmanager
-def _bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
+def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
     """Yield a function that shows a share done and a text; on a terminal as a bar."""
     if not enabled:
         yield lambda share, text: None

@@ -61,6 +61,8 @@ def make_recording() -> Callable[..., Recording]:
                     samples=(here + ahead).astype(np.float32),
                     weights=np.array([0.5, 0.1, 1e-3, 1e-9, 0.0, 0.3], np.float32),
                     plan=(here + ahead[0]).astype(np.float32),
+                    heading=float(pose[2]),
+                    reference=np.zeros((0, 2), np.float32),
                     terms={"ControlCost": 1.0},
                 )
             )
@@ -69,11 +71,14 @@ def make_recording() -> Callable[..., Recording]:
             control=np.zeros((steps, 2), np.float32),
             coverage=np.array(coverage, np.float32),
             entropy=np.linspace(90.0, 10.0, steps).astype(np.float32),
+            unknown=np.linspace(0.9, 0.1, steps).astype(np.float32),
             clearance=np.full(steps, 0.3, np.float32),
             is_collision=np.zeros(steps, bool),
             effective_sample_size=np.full(steps, 8.0, np.float32),
             is_finite=np.ones(steps, bool),
+            is_faulty=np.zeros(steps, bool),
         )
+        covered = np.flatnonzero(records.coverage >= np.float32(0.99))
         recording = Recording(
             records=records,
             frames=tuple(frames),
@@ -89,6 +94,10 @@ def make_recording() -> Callable[..., Recording]:
             start=states[0],
             initial_coverage=0.01,
             initial_entropy=100.0,
+            initial_unknown=1.0,
+            goal=None,
+            finished_step=int(covered[0]) + 1 if covered.size else None,
+            control_half_range=np.array([1.0, 2.0], np.float32),
             state_names=NAMES,
             robot_radius=0.2,
             target_coverage=float(np.float32(0.99)),

@@ -136,3 +136,28 @@ def test_text_is_aligned_and_names_the_run(recording):
     assert metrics.versions["device"]
     interrupted = compute_metrics(dataclasses.replace(recording, is_interrupted=True))
     assert "interrupted" in str(interrupted)
+
+
+def test_unknown_is_what_the_step_begins_with_and_stays_after_the_last(recording) -> None:
+    metrics = compute_metrics(recording)
+    assert metrics.coverage_curve["time"] == [0.5 * k for k in range(11)]
+    # The records say 0.9 to 0.1 in ten steps; nothing is sensed after the last one.
+    expected = [0.9 - 0.8 * k / 9 for k in range(10)] + [0.1]
+    assert metrics.coverage_curve["unknown"] == pytest.approx(expected, abs=1e-5)
+    assert metrics.final_unknown == pytest.approx(0.1)
+
+
+def test_unknown_has_the_points_of_the_other_curves(make_recording) -> None:
+    recording = make_recording([(0.1, 0.0)] * 8, [0.5] * 7, control_period=0.2)
+    unknown = np.array([0.75, 0.5, 0.25, 0.5, 1 / 3, 0.0, 0.125], np.float32)
+    records = recording.records._replace(unknown=unknown)
+    curve = compute_metrics(dataclasses.replace(recording, records=records)).coverage_curve
+    assert curve["unknown"] == [0.75, 0.25, 0.33333, 0.125, 0.125]
+    assert {len(values) for values in curve.values()} == {5}
+
+
+def test_unknown_without_a_step_is_what_it_was_at_the_start(no_step) -> None:
+    changed = dataclasses.replace(no_step, initial_unknown=0.375)
+    metrics = compute_metrics(changed)
+    assert metrics.coverage_curve["unknown"] == [0.375]
+    assert metrics.final_unknown == metrics.initial_unknown == 0.375

@@ -8,8 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxplore import (
+    DifferentialDrive,
+    InverseSensorModel,
+    Lidar,
+    OccupancyGrid,
+    Perception,
+    Scenario,
+)
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.rollout import Trajectory
 from jaxplore.information.belief import Belief
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.closed_loop import (
+    Progress,
+    _is_finished,
+    initial_loop_state,
+    run_chunk,
+)
 from jaxplore.simulation.simulate import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
@@ -126,7 +141,8 @@ def test_senses_and_plans_at_the_rates_given(make) -> None:
     changed = [not np.array_equal(a, b) for a, b in itertools.pairwise(maps)]
     replanned = [not np.array_equal(a, b) for a, b in itertools.pairwise(guidances)]
     assert set(np.flatnonzero(changed) + 1) <= {5, 10, 15, 20}
-    assert set(np.flatnonzero(replanned) + 1) == {10, 20}
+    # At the end of each period; besides at the first step.
+    assert set(np.flatnonzero(replanned) + 1) == {9, 19}
 
 
 def test_stops_at_the_target(make) -> None:
@@ -180,3 +196,155 @@ def test_runs_outside_the_main_thread(make) -> None:
 def test_num_steps_must_be_positive(make) -> None:
     with pytest.raises(ValueError, match="num_steps is 0"):
         record_run(*make(), 0, key=jax.random.key(0))
+
+
+class Forward(Controller):
+    """Goes ahead, come what may."""
+
+    command: jax.Array
+
+    def init(self):
+        return ()
+
+    def step(self, state, observation, belief=None, *, key):
+        one = jnp.ones(())
+        info = Info(self.command[None], one[None], one[None], one, jnp.array(True))
+        return self.command, state, info
+
+    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
+        alone = Trajectory(jnp.stack([observation] * 2), self.command[None], {})
+        return SampledPlan(alone, alone, alone.states[None], jnp.ones(1))
+
+    def at_period(self, control_period):
+        return self
+
+
+HALL = np.full((30, 40), 0.01, np.float32)
+HALL[0], HALL[-1], HALL[:, 0], HALL[:, -1] = 0.99, 0.99, 0.99, 0.99
+ROBOT, SHORT_LIDAR = DifferentialDrive(max_speed=1.0), Lidar(72, 1.0, range_noise=0.0)
+AHEAD, GOAL, SHORT_CHUNK = Forward(jnp.asarray([1.0, 0.0])), (2.5, 1.5), 10
+
+
+def hall_scenario(
+    prior: np.ndarray | None = HALL, world: np.ndarray = HALL, *, goal=GOAL, x=0.6, **arguments
+) -> Scenario:
+    """A robot at 20 Hz in a hall of 4 m x 3 m; one compiled loop for all that have a goal."""
+    perception = Perception(
+        SHORT_LIDAR,
+        0.1,
+        0.2,
+        sensor_model=InverseSensorModel.line_of_sight(),
+        num_directions=4,
+        goal=goal,
+    )
+    return Scenario(
+        OccupancyGrid(world, 0.1),
+        ROBOT,
+        SHORT_LIDAR,
+        (x, 1.5, 0.0),
+        perception=perception,
+        prior=None if prior is None else OccupancyGrid(prior, 0.1),
+        goal=goal,
+        control_rate=20.0,
+        sensing_rate=10.0,
+        field_rate=5.0,
+        **arguments,
+    )
+
+
+def drive(scenario: Scenario, steps: int = 60):
+    return record_run(AHEAD, scenario, steps, key=jax.random.key(0))
+
+
+@pytest.mark.parametrize("is_there", [False, True])
+@pytest.mark.parametrize("is_known", [False, True])
+@pytest.mark.parametrize("is_covered", [False, True])
+def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> None:
+    scenario = hall_scenario(goal_radius=0.5, max_unknown=0.25, target_coverage=0.75)
+    # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
+    # coverage itself is enough.
+    robot = ROBOT.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
+    progress = Progress(
+        jnp.asarray(0.75 if is_covered else 0.74),
+        jnp.zeros(()),
+        jnp.asarray(0.249 if is_known else 0.25),
+    )
+    found = bool(_is_finished(scenario, robot, progress))
+    assert found == (is_there and (is_known or is_covered))
+    aimless = hall_scenario(goal=None, target_coverage=0.75)
+    assert bool(_is_finished(aimless, robot, progress)) == is_covered
+
+
+def test_the_prior_is_what_is_known_at_first() -> None:
+    prior = np.random.default_rng(0).uniform(0.0, 1.0, HALL.shape).astype(np.float32)
+    scenario = hall_scenario(prior, HALL)
+    state = initial_loop_state(AHEAD, scenario)
+    belief = np.asarray(state.belief.grid.probability)
+    rows, columns = np.mgrid[:30, :40]
+    away = np.hypot(columns * 0.1 + 0.05 - 0.6, rows * 0.1 + 0.05 - 1.5)
+    np.testing.assert_array_equal(belief[away > 0.45], prior[away > 0.45])
+    np.testing.assert_allclose(belief[away < 0.25], 0.01, rtol=1e-5)
+    assert float(state.progress.unknown) == pytest.approx(np.mean(4 * belief * (1 - belief) > 0.5))
+    np.testing.assert_array_equal(scenario.world.probability, HALL)
+
+
+def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
+    world = HALL.copy()
+    world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
+    scenario = hall_scenario(HALL, world, goal=(3.4, 1.5), goal_radius=0.3)
+    state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
+    known = np.asarray(state.belief.grid.probability)
+    np.testing.assert_allclose(known, HALL, rtol=1e-6)
+    collisions = 0
+    for _ in range(80):
+        reach = float(state.robot[0]) + 1.0
+        state, records, _ = run_chunk(AHEAD, scenario, state, key, jnp.asarray(1), SHORT_CHUNK)
+        known = np.asarray(state.belief.grid.probability)
+        assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
+        assert float(state.robot[0]) <= 2.8 - 0.2 + 1e-4
+        collisions += int(records.is_collision[0])
+    assert collisions > 10
+    np.testing.assert_allclose(known[13:17, 28], 0.99, rtol=1e-5)
+    np.testing.assert_array_equal(known[:, 30:], HALL[:, 30:])
+    assert int(state.finished) == 0
+
+
+def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None:
+    recording = drive(hall_scenario(goal_radius=0.3))
+    distance = np.hypot(*(recording.positions[1:] - np.float32(GOAL)).T)
+    last = int(np.argmax(distance < 0.3))
+    assert 10 < last < 59
+    assert recording.num_steps == recording.finished_step == last + 1
+    assert recording.initial_unknown == 0.0
+    np.testing.assert_allclose(recording.goal, GOAL)
+    hovering = drive(hall_scenario(goal_radius=0.3, hover_time=0.7))
+    assert hovering.num_steps == last + 1 + 14
+    assert hovering.finished_step == last + 1
+    np.testing.assert_array_equal(hovering.records.state[: last + 1], recording.records.state)
+    # A run that is cut off while it hovers was finished all the same.
+    cut = drive(hall_scenario(goal_radius=0.3, hover_time=0.7), last + 1 + 5)
+    assert (cut.num_steps, cut.finished_step) == (last + 1 + 5, last + 1)
+    short = drive(hall_scenario(goal_radius=0.3), last)
+    assert (short.num_steps, short.finished_step) == (last, None)
+
+
+def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
+    passing = drive(hall_scenario(None, max_unknown=0.0, target_coverage=1.0))
+    unknown = passing.records.unknown
+    distance = np.hypot(*(passing.positions[1:] - np.float32(GOAL)).T)
+    assert (distance < 1.5).any()
+    assert (passing.num_steps, passing.finished_step) == (60, None)
+    assert passing.initial_unknown > 0.9
+    for most, radius in ((0.7, 1.5), (0.6, 1.5), (0.6, 0.6), (0.95, 1.0)):
+        is_over = (distance < radius) & (unknown < most)
+        expected = int(np.argmax(is_over)) + 1 if is_over.any() else None
+        found = drive(
+            hall_scenario(None, max_unknown=most, goal_radius=radius, target_coverage=1.0)
+        )
+        assert found.finished_step == expected
+        assert found.num_steps == (60 if expected is None else expected)
+
+
+def test_at_the_goal_with_all_known_one_step_is_the_run() -> None:
+    recording = drive(hall_scenario(x=2.5))
+    assert (recording.num_steps, recording.finished_step) == (1, 1)

@@ -8,7 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario
+from jaxplore import (
+    DifferentialDrive,
+    Faults,
+    Lidar,
+    OccupancyGrid,
+    Perception,
+    Quadrotor,
+    Scenario,
+)
 from jaxplore.simulation.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.reachability import open_spot, reachable_cells
 
@@ -133,3 +141,113 @@ def test_a_perception_must_fit_the_scenario() -> None:
     for perception in (Perception(LIDAR, 0.2, 0.2), Perception(Lidar(16, 2.0), 0.1, 0.2)):
         with pytest.raises(ValueError, match=r"perception is for .*; accepted: .* 1 m and 0.1 m"):
             Scenario(grid, ROBOT, LIDAR, (1.5, 0.5, 0.0), perception=perception)
+
+
+GRID, START = OccupancyGrid(WORLD, 0.1), (1.5, 0.5, 0.0)
+
+
+def scenario(**arguments) -> Scenario:
+    return Scenario(GRID, ROBOT, LIDAR, START, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"goal": (1.5, 1.05)}, r"goal is \[1.5, 1.0.*\]; accepted: a place in free space"),
+        ({"goal": (1.5, 2.05)}, "goal is .*; accepted: a place in free space"),
+        ({"goal": (-0.1, 0.5)}, "goal is .*; accepted: a place in free space"),
+        ({"goal": (1.5, 3.01)}, "goal is .*; accepted: a place in free space"),
+        ({"goal": (1.5,)}, "goal is .*; accepted: 2 finite numbers"),
+        ({"goal": (1.5, 0.5, 0.0)}, "goal is .*; accepted: 2 finite numbers"),
+        ({"goal": (math.nan, 0.5)}, "goal is .*; accepted: 2 finite numbers"),
+        ({"goal_radius": 0.0}, "goal_radius is 0.0; accepted: a finite number > 0.0"),
+        ({"goal_radius": math.inf}, "goal_radius is inf; accepted"),
+        ({"max_unknown": -0.1}, "max_unknown is -0.1; accepted"),
+        ({"max_unknown": 1.1}, "max_unknown is 1.1; accepted"),
+        ({"hover_time": -1.0}, "hover_time is -1.0; accepted"),
+        ({"hover_time": math.nan}, "hover_time is nan; accepted"),
+        (
+            {"prior": OccupancyGrid(np.zeros((30, 31)), 0.1)},
+            r"prior has shape \(30, 31\); accepted: the world's, \(30, 30\)",
+        ),
+        (
+            {"faults": Faults(walls=np.zeros((31, 30), bool))},
+            r"walls has shape \(31, 30\); accepted: the world's, \(30, 30\)",
+        ),
+    ],
+)
+def test_a_bad_end_or_prior_is_named(arguments: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        scenario(**arguments)
+
+
+@pytest.mark.parametrize("name", ["sensing_rate", "field_rate"])
+@pytest.mark.parametrize(
+    ("rate", "accepted"), [(15.0, "16.6667"), (20.0, "25"), (49.0, "50"), (30.0, "25")]
+)
+def test_a_rate_must_divide_the_control_rate(name: str, rate: float, accepted: str) -> None:
+    message = f"{name} is {rate}; accepted: a whole fraction of .* 50 Hz, such as {accepted}$"
+    with pytest.raises(ValueError, match=message):
+        scenario(**{name: rate})
+
+
+@pytest.mark.parametrize(
+    ("control", "sensing", "field", "steps"),
+    [(50.0, 50.0, 1.0, (1, 50)), (30.0, 10.0, 7.5, (3, 4)), (50.0, 16.6667, 50 / 7, (3, 7))],
+)
+def test_rates_that_divide_become_whole_steps(control, sensing, field, steps) -> None:
+    made = scenario(control_rate=control, sensing_rate=sensing, field_rate=field)
+    assert (int(made.steps_per_scan), int(made.steps_per_field)) == steps
+    assert float(made.control_period) == pytest.approx(1.0 / control)
+
+
+def test_hover_time_is_whole_steps() -> None:
+    made = scenario(hover_time=1.5, control_rate=20.0, sensing_rate=10.0, field_rate=5.0)
+    assert int(made.hover_steps) == 30
+    assert int(scenario().hover_steps) == 0
+
+
+def test_the_perception_shares_the_goal() -> None:
+    goal = (2.5, 0.5)
+    made = scenario(goal=goal, max_unknown=0.2)
+    np.testing.assert_allclose(made.perception.goal, goal)
+    assert float(made.perception.max_unknown) == pytest.approx(0.2)
+    assert scenario().perception.goal is None
+    with_goal = Perception(LIDAR, 0.1, 0.2, goal=goal)
+    assert scenario(goal=goal, perception=with_goal).perception is with_goal
+    with pytest.raises(ValueError, match=r"perception has the goal .*; accepted: .*, None"):
+        scenario(perception=with_goal)
+    with pytest.raises(ValueError, match=r"perception has the goal None; accepted: .*2\.5"):
+        scenario(goal=goal, perception=Perception(LIDAR, 0.1, 0.2))
+
+
+def test_a_perception_for_another_goal_is_refused() -> None:
+    with pytest.raises(ValueError, match="perception has the goal"):
+        scenario(goal=(2.5, 0.5), perception=Perception(LIDAR, 0.1, 0.2, goal=(0.5, 0.5)))
+
+
+@pytest.mark.parametrize(
+    "prior", [OccupancyGrid(WORLD, 0.2), OccupancyGrid(WORLD, 0.1, (5.0, 0.0, 0.0))]
+)
+def test_a_prior_of_other_cells_is_refused(prior: OccupancyGrid) -> None:
+    with pytest.raises(ValueError, match="prior"):
+        scenario(prior=prior)
+
+
+def test_without_a_prior_nothing_is_known() -> None:
+    np.testing.assert_array_equal(scenario().prior.probability, 0.5)
+    prior = OccupancyGrid(np.full((30, 30), 0.2), 0.1)
+    assert scenario(prior=prior).prior is prior
+
+
+def test_altitude_is_the_start_of_robots_that_fly() -> None:
+    robot = Quadrotor()
+    expected = np.array(robot.at_pose(1.5, 0.5, 0.0))
+    assert robot.state_names[2] == "z"
+    assert expected[2] == 0.0
+    expected[2] = -1.25
+    made = Scenario(GRID, robot, LIDAR, START, altitude=-1.25)
+    np.testing.assert_array_equal(made.start, expected)
+    np.testing.assert_array_equal(scenario(altitude=-1.25).start, [1.5, 0.5, 0.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="altitude is nan; accepted"):
+        Scenario(GRID, robot, LIDAR, START, altitude=math.nan)

@@ -34,6 +34,7 @@ LIDAR_AREA, LIDAR_RAY = (42, 170, 150, 26), (42, 170, 150, 64)
 TRAIL = (31, 111, 178)
 FAINT, STRONG = (132, 94, 194, 70), (118, 56, 190, 235)
 PLAN, ROBOT = (214, 40, 85), (214, 40, 85)
+REFERENCE = (64, 145, 62)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,13 +261,20 @@ def _draw_robot(canvas: _Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> Non
     for index in np.argsort(weights):
         is_strong = weights[index] > 0.0 and weights[index] >= bold
         line(frame.samples[index], STRONG if is_strong else FAINT, 1.5 if is_strong else 1.0)
+    if len(frame.reference) > 1:
+        line(frame.reference, REFERENCE, 3.0)
     line(frame.plan, PLAN, 2.0)
+    if recording.goal is not None:
+        x, y = pixels(recording.goal)
+        for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
+            reach = size * SUPERSAMPLING
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
     x, y = pixels(here)
     radius = max(recording.robot_radius * canvas.scale, 6.5) * SUPERSAMPLING
     box = (x - radius, y - radius, x + radius, y + radius)
     draw.ellipse(box, ROBOT, PAPER, round(1.2 * SUPERSAMPLING))
-    if "yaw" in names:
-        angle = float(frame.state[names.index("yaw")] - recording.origin[2])
+    if np.isfinite(frame.heading):
+        angle = frame.heading - float(recording.origin[2])
         ahead = np.array([np.cos(angle), -np.sin(angle)])
         aside = np.array([ahead[1], -ahead[0]])
         middle = np.array([x, y])
@@ -297,6 +305,8 @@ def _draw_footer(canvas: _Canvas, frame: Frame, image: Image.Image) -> None:
             ("lidar", LIDAR_RAY[:3]),
             ("unseen wall", HIDDEN_WALL),
         ]
+        if canvas.recording.goal is not None:
+            entries[4] = ("reference, goal", REFERENCE)
         for index, (name, colour) in enumerate(entries):
             x, y = 190 + 108 * (index // 2), top + 20 + 30 * (index % 2)
             draw.rounded_rectangle((x, y + 2, x + 16, y + 11), 3, colour)
@@ -337,7 +347,7 @@ def _palette(canvas: _Canvas, frames: list[Frame]) -> Image.Image:
     Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
     pure and as they fade into the ground; the rest is found from a few frames side by side.
     """
-    lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
+    lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
     given += [_blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     given += [_blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]

@@ -54,7 +54,8 @@ class Metrics:
         num_steps: control periods done.
         coverage: share of the reachable cells known to be free, at the end.
         target_coverage: at which exploration is finished.
-        is_finished: the target was reached.
+        is_finished: the target was reached, or with a goal its end: at the goal, the map known.
+        finished_at: when that was [s]; None if it was not.
         is_interrupted: the user stopped the run.
         time_to: for each level of coverage ("50", "90", "95", "99" percent) when it was first
             reached [s]; None if never. The record of step k holds the coverage measured at the
@@ -63,6 +64,15 @@ class Metrics:
         path_length: in all [m].
         initial_entropy: of the belief over the reachable cells before the first step [nat].
         final_entropy: the same at the end [nat].
+        initial_unknown: share of the map's cells with `4 p (1 - p) > 1/2` before the first step.
+        final_unknown: the same at the end.
+        information_per_metre: entropy lost over the reachable cells for each metre travelled
+            [nat/m]; None if the robot did not move.
+        goal_distance: from the goal at the end [m]; None if there is no goal.
+        command_jerk: root mean square over steps and controls of the second difference of the
+            commands, `(u_{t+1} - 2 u_t + u_{t-1}) / period^2`, in halves of the range between
+            their bounds [1/s^2].
+        fault_steps: steps during which a fault of the scenario was active.
         collisions: contacts; successive steps in contact are one.
         collision_steps: steps that would have led into something.
         minimum_clearance: from the robot's edge to the nearest solid cell [m], as far as the
@@ -77,8 +87,8 @@ class Metrics:
         compute: wall-clock cost.
         seed: of the run, if known.
         versions: of the software, and the machine.
-        coverage_curve: "time" [s], "coverage", "entropy" [nat] and "path" [m] every half second,
-            the end included.
+        coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
+            half second, the end included.
     """
 
     duration: float
@@ -86,12 +96,19 @@ class Metrics:
     coverage: float
     target_coverage: float
     is_finished: bool
+    finished_at: float | None
     is_interrupted: bool
     time_to: dict[str, float | None]
     path_to: dict[str, float | None]
     path_length: float
     initial_entropy: float | None
     final_entropy: float | None
+    initial_unknown: float
+    final_unknown: float
+    information_per_metre: float | None
+    goal_distance: float | None
+    command_jerk: float | None
+    fault_steps: int
     collisions: int
     collision_steps: int
     minimum_clearance: float | None
@@ -117,6 +134,10 @@ class Metrics:
             ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
             ("path", f"{self.path_length:.2f} m"),
         ]
+        if self.finished_at is not None and self.goal_distance is not None:
+            rows.append(("finished", f"after {self.finished_at:.2f} s"))
+        if self.goal_distance is not None:
+            rows.append(("goal", f"{self.goal_distance:.2f} m away"))
         if self.is_interrupted:
             rows.append(("interrupted", "by the user"))
         for level, seconds in self.time_to.items():
@@ -127,11 +148,18 @@ class Metrics:
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
             ("entropy", f"{_text(self.initial_entropy, 0)} -> {_text(self.final_entropy, 0)} nat"),
+            (
+                "unknown",
+                f"{_percent(self.initial_unknown)} -> {_percent(self.final_unknown)} of all cells",
+            ),
+            ("information", f"{_text(self.information_per_metre, 1)} nat/m"),
+            ("command jerk", f"{_text(self.command_jerk, 1)} ranges/s²"),
             ("collisions", f"{self.collisions} ({self.collision_steps} steps)"),
             ("clearance", f"{_text(self.minimum_clearance, 3)} m at least"),
             ("longest stall", f"{self.longest_stall:.2f} s"),
             ("sample size", f"{_text(sizes[0], 1)} effective, {_text(sizes[1], 1)} at least"),
             ("non-finite", f"{self.non_finite_steps} steps"),
+            *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
             (
                 "step",
                 f"{_text(compute.step_ms_p50, 2)} ms p50, {_text(compute.step_ms_p99, 2)} ms p99",
@@ -167,19 +195,38 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
     sample_size = sample_size[np.isfinite(sample_size)]
     stride = max(1, round(CURVE_PERIOD / period))
     kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
-    curve = {"time": time, "coverage": coverage, "entropy": entropy, "path": path}
+    unknown = np.append(
+        np.asarray(records.unknown), records.unknown[-1:] if steps else [recording.initial_unknown]
+    )
+    curve = {
+        "time": time,
+        "coverage": coverage,
+        "entropy": entropy,
+        "path": path,
+        "unknown": unknown,
+    }
+    finished_at = _finished_at(recording, float(coverage[-1]))
     return Metrics(
         duration=steps * period,
         num_steps=steps,
         coverage=float(coverage[-1]),
         target_coverage=recording.target_coverage,
-        is_finished=bool(coverage[-1] >= np.float32(recording.target_coverage)),
+        is_finished=finished_at is not None,
+        finished_at=finished_at,
         is_interrupted=recording.is_interrupted,
         time_to={name: None if k is None else k * period for name, k in reached.items()},
         path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
         path_length=float(path[-1]),
         initial_entropy=_finite(recording.initial_entropy),
         final_entropy=_finite(entropy[-1]),
+        initial_unknown=recording.initial_unknown,
+        final_unknown=float(records.unknown[-1]) if steps else recording.initial_unknown,
+        information_per_metre=(
+            _finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
+        ),
+        goal_distance=_goal_distance(recording),
+        command_jerk=_command_jerk(recording),
+        fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
         collisions=int(begins.sum()),
         collision_steps=int(in_contact.sum()),
         minimum_clearance=_finite(np.min(records.clearance, initial=np.inf)),
@@ -243,6 +290,29 @@ def _longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
                     queue.popleft()
         longest = max(longest, last - first)
     return longest
+
+
+def _finished_at(recording: Recording, coverage: float) -> float | None:
+    if recording.finished_step is not None:
+        return recording.finished_step * recording.control_period
+    is_covered = recording.goal is None and coverage >= np.float32(recording.target_coverage)
+    return 0.0 if is_covered and recording.num_steps == 0 else None
+
+
+def _goal_distance(recording: Recording) -> float | None:
+    if recording.goal is None:
+        return None
+    return float(np.hypot(*(recording.positions[-1] - recording.goal)))
+
+
+def _command_jerk(recording: Recording) -> float | None:
+    controls = np.asarray(recording.records.control, np.float64)
+    if len(controls) < 3:
+        return None
+    jerk = np.diff(controls, 2, axis=0) / (
+        recording.control_half_range * recording.control_period**2
+    )
+    return _finite(np.sqrt(np.mean(jerk**2)))
 
 
 def _compute(timing: Timing, period: float) -> Compute:

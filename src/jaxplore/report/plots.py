@@ -172,6 +172,9 @@ def map_figure(recording: Recording) -> "Figure":
         "zorder": 5.0,
     }
     axes.plot(*track[0], marker="o", color="#2a9d5c", label="start", **marks)
+    if recording.goal is not None:
+        spot = (window.place(recording.goal[None]) + window.corner)[0]
+        axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **marks)
     axes.plot(*track[-1], marker="s", color="#e07a1f", label="end", **marks)
     outline = true_outline(recording, window) + window.corner
     axes.add_collection(

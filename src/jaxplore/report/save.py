@@ -45,7 +45,7 @@ def save_recording(
     Raises:
         ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
     """
-    document = None if settings is None else _document(settings)
+    document = None if settings is None else settings_document(settings)
     report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
     with run_folder(path, overwrite=overwrite) as folder:
         on_progress(0.0)
@@ -98,7 +98,12 @@ def _write_arrays(path: Path, recording: Recording) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays(recording))
 
 
-def _document(settings: Mapping[str, object]) -> str:
+def settings_document(settings: Mapping[str, object]) -> str:
+    """Return settings as YAML.
+
+    Raises:
+        ValueError: what YAML cannot hold.
+    """
     try:
         return str(yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True))
     except yaml.YAMLError as error:

@@ -21,6 +21,8 @@ class Frame:
         samples: (N, T + 1, 2) positions of some rollouts [m].
         weights: (N,) their weights.
         plan: (T + 1, 2) positions along the nominal [m].
+        heading: of the robot [rad].
+        reference: (R, 2) positions that the plan is to follow [m]; empty if there are none.
         terms: what the nominal pays for each term of the cost.
     """
 
@@ -33,6 +35,8 @@ class Frame:
     samples: np.ndarray
     weights: np.ndarray
     plan: np.ndarray
+    heading: float
+    reference: np.ndarray
     terms: dict[str, float]
 
 
@@ -73,6 +77,11 @@ class Recording:
         start: (nx,) state at the start.
         initial_coverage: before the first step.
         initial_entropy: of the belief over the reachable cells before the first step [nat].
+        initial_unknown: share of unknown cells before the first step.
+        goal: (2,) where to be in the end [m]; None if there is no goal.
+        finished_step: steps done when the scenario was finished; None if it was not, or before the
+            first step.
+        control_half_range: (nu,) half the range between the bounds of each control.
         state_names: of the robot's state.
         robot_radius: [m].
         target_coverage: at which exploration is finished.
@@ -93,6 +102,10 @@ class Recording:
     start: np.ndarray
     initial_coverage: float
     initial_entropy: float
+    initial_unknown: float
+    goal: np.ndarray | None
+    finished_step: int | None
+    control_half_range: np.ndarray
     state_names: tuple[str, ...]
     robot_radius: float
     target_coverage: float

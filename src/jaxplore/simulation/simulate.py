@@ -21,8 +21,10 @@ from jaxplore.simulation.closed_loop import (
     LoopState,
     Record,
     initial_loop_state,
+    is_unfinished,
     robot_pose,
     run_chunk,
+    world_at,
 )
 from jaxplore.simulation.recording import Frame, Recording, Timing
 from jaxplore.simulation.scenario import Scenario
@@ -74,7 +76,7 @@ def record_run(
     controller = controller.at_period(scenario.control_period)
     began = time.perf_counter()
     state = initial_loop_state(controller, scenario)
-    initial_coverage, initial_entropy = float(state.coverage), float(state.entropy)
+    beginning = state.progress
     chunk = max(1, round(CHUNK_SECONDS / period))
 
     def run(current: LoopState, steps: int) -> tuple[LoopState, Record, int, float]:
@@ -96,7 +98,7 @@ def record_run(
     pieces, frames, step_seconds = [rows], [look(state)], []
     loop_seconds, loop_steps, total, chunks, every = 0.0, 0, 0, 0, 1
     started = time.perf_counter()
-    finished = initial_coverage >= float(scenario.target_coverage)
+    finished = not bool(is_unfinished(scenario, state))
     with _stop_on_interrupt() as stop_requested:
         while total < limit and not finished and not stop_requested():
             chunks += 1
@@ -110,7 +112,7 @@ def record_run(
                     step_seconds.append(seconds)
                 else:
                     loop_seconds, loop_steps = loop_seconds + seconds, loop_steps + done
-                finished = float(state.coverage) >= float(scenario.target_coverage)
+                finished = not bool(is_unfinished(scenario, state))
                 if finished:
                     break
             if chunks % every == 0:
@@ -118,7 +120,9 @@ def record_run(
             if len(frames) > MAX_FRAMES:
                 frames, every = frames[::2], every * 2
             elapsed = time.perf_counter() - started
-            on_progress(Progress(total * period, limit * period, float(state.coverage), elapsed))
+            on_progress(
+                Progress(total * period, limit * period, float(state.progress.coverage), elapsed)
+            )
         is_interrupted = stop_requested()
     if frames[-1].step != total:
         frames.append(look(state))
@@ -136,8 +140,14 @@ def record_run(
         field_origin=np.asarray(belief.information.frame.origin),
         field_resolution=belief.information.frame.resolution,
         start=np.asarray(scenario.start),
-        initial_coverage=initial_coverage,
-        initial_entropy=initial_entropy,
+        initial_coverage=float(beginning.coverage),
+        initial_entropy=float(beginning.entropy),
+        initial_unknown=float(beginning.unknown),
+        goal=None if scenario.goal is None else np.asarray(scenario.goal),
+        control_half_range=np.asarray(
+            0.5 * (scenario.robot.control_max - scenario.robot.control_min)
+        ),
+        finished_step=total - int(state.finished) + 1 if int(state.finished) else None,
         state_names=scenario.robot.state_names,
         robot_radius=float(scenario.robot.radius),
         target_coverage=float(scenario.target_coverage),
@@ -155,6 +165,8 @@ class _Look(NamedTuple):
     samples: Array
     weights: Array
     plan: Array
+    heading: Array
+    reference: Array
     terms: dict[str, Array]
 
 
@@ -164,7 +176,7 @@ def _look(
 ) -> _Look:
     scan_key, plan_key = jax.random.split(jax.random.fold_in(key, state.step))
     pose = robot_pose(scenario.robot, state.robot)
-    scan = scenario.lidar.scan(scenario.world, pose, key=scan_key)
+    scan = scenario.lidar.scan(world_at(scenario, state.step), pose, key=scan_key)
     angles = pose[2] + jnp.asarray(scenario.lidar.beam_angles)
     ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     plan: SampledPlan = controller.inspect(
@@ -183,6 +195,8 @@ def _look(
         samples=jax.vmap(position)(plan.samples),
         weights=plan.weights,
         plan=position(plan.nominal.states),
+        heading=pose[2],
+        reference=jnp.zeros((0, 2)) if plan.reference is None else plan.reference[:, :2],
         terms=plan.nominal.terms,
     )
 
@@ -190,8 +204,9 @@ def _look(
 def _frame(look: _Look, step: int, seconds: float) -> Frame:
     arrays = look._asdict()
     terms = {name: float(value) for name, value in arrays.pop("terms").items()}
+    heading = float(arrays.pop("heading"))
     kept = {name: np.asarray(value) for name, value in arrays.items()}
-    return Frame(step=step, time=seconds, terms=terms, **kept)
+    return Frame(step=step, time=seconds, terms=terms, heading=heading, **kept)
 
 
 @contextmanager

@@ -1,0 +1,116 @@
+"""What goes wrong in a run on purpose: sensors that fail, commands that come late, new walls."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Flag, GridMask, Scalar, StateVector, Vector
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+
+NEVER = (0.0, 0.0)
+
+
+class Faults(eqx.Module):
+    """Faults of a run; each lasts from a beginning up to an end [s], both from the start.
+
+    Args:
+        scan_dropout: no scans arrive.
+        lost_odometry: the controller is told that its state is not a number.
+        frozen_odometry: the controller is told the state at which the fault began.
+        control_delay: control periods between a command and its effect, 0 for none; static.
+        walls: (H, W) cells that become solid.
+        walls_from: when they do [s].
+
+    Raises:
+        ValueError: a time that is negative or not finite, an end before its beginning, a delay that
+            is not a whole number >= 0, walls that are not a map's cells.
+    """
+
+    scan_dropout: Float[Array, "2"]
+    lost_odometry: Float[Array, "2"]
+    frozen_odometry: Float[Array, "2"]
+    walls: GridMask | None
+    walls_from: Scalar
+    control_delay: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        *,
+        scan_dropout: Vector = NEVER,
+        lost_odometry: Vector = NEVER,
+        frozen_odometry: Vector = NEVER,
+        control_delay: int = 0,
+        walls: ArrayLike | None = None,
+        walls_from: ArrayLike = 0.0,
+    ) -> None:
+        self.scan_dropout = _interval("scan_dropout", scan_dropout)
+        self.lost_odometry = _interval("lost_odometry", lost_odometry)
+        self.frozen_odometry = _interval("frozen_odometry", frozen_odometry)
+        self.control_delay = _checks.whole_number("control_delay", control_delay, at_least=0)
+        self.walls_from = _checks.scalar("walls_from", walls_from, at_least=0.0)
+        self.walls = None
+        if walls is not None:
+            mask = np.asarray(walls)
+            if mask.dtype != bool or mask.ndim != 2:
+                raise ValueError(
+                    f"walls has type {mask.dtype} and shape {mask.shape}; accepted: (H, W) bool"
+                )
+            self.walls = jnp.asarray(mask)
+
+    def world(self, world: OccupancyGrid, time: Scalar) -> OccupancyGrid:
+        """Return the world as it is by now."""
+        if self.walls is None:
+            return world
+        is_solid = self.walls & (time >= self.walls_from)
+        probability = jnp.where(is_solid, 1.0, world.probability)
+        return OccupancyGrid(probability, world.resolution, world.frame.origin)
+
+    def is_blind(self, time: Scalar) -> Flag:
+        """Say whether no scan arrives."""
+        return _during(self.scan_dropout, time)
+
+    def observe(
+        self, state: StateVector, last: StateVector, time: Scalar, period: Scalar
+    ) -> StateVector:
+        """Return the state (nx,) that the controller is told.
+
+        Args:
+            state: of the robot.
+            last: what the controller was told before.
+            time: since the start [s].
+            period: since it was told that [s].
+        """
+        frozen = self.frozen_odometry
+        is_stuck = _during(frozen, time) & _during(frozen, time - period)
+        told = jnp.where(is_stuck, last, state)
+        return jnp.where(_during(self.lost_odometry, time), jnp.nan, told)
+
+    def is_active(self, time: Scalar) -> Flag:
+        """Say whether scans or odometry fail."""
+        intervals = (self.scan_dropout, self.lost_odometry, self.frozen_odometry)
+        return jnp.stack([_during(interval, time) for interval in intervals]).any()
+
+    def delay(
+        self, pending: Float[Array, "D nu"], control: ControlVector
+    ) -> tuple[Float[Array, "D nu"], ControlVector]:
+        """Return the commands under way (D, nu), oldest first, and the one that takes effect."""
+        queue = jnp.concatenate([pending, control[None]])
+        return queue[1:], queue[0]
+
+
+def _interval(name: str, value: Vector) -> Array:
+    given = _checks.vector(name, value, 2)
+    if not _checks.is_traced(given) and not 0.0 <= float(given[0]) <= float(given[1]):
+        raise ValueError(
+            f"{name} is {given.tolist()}; accepted: beginning and end [s], 0 <= beginning <= end"
+        )
+    return given
+
+
+def _during(interval: Array, time: Scalar) -> Flag:
+    # Times are multiples of a rounded period: a millisecond early is in time.
+    return (time >= interval[0] - 1e-3) & (time < interval[1] - 1e-3)

@@ -1,0 +1,352 @@
+"""Both architectures in the closed loop: against a plain Python loop over their parts, and whether
+they explore."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from jaxplore import (
+    MPPI,
+    GoalCost,
+    InformativeMPPI,
+    InverseSensorModel,
+    Lidar,
+    Perception,
+    Quadrotor,
+    Scenario,
+    informative_mppi,
+    three_zones,
+    unknown_fraction,
+)
+from jaxplore.control.mixtures import BiasedProposal
+from jaxplore.dynamics.base import State
+from jaxplore.information.belief import StrategicBelief
+from jaxplore.information.heading_field import HeadingField
+from jaxplore.planning.architectures import ARCHITECTURES, FieldNumbers, Flight
+from jaxplore.simulation.closed_loop import LoopState, Record, initial_loop_state, run_chunk
+
+CHUNK, PERIOD = 50, 0.05
+WORLD = dataclasses.replace(three_zones(), resolution=0.2)
+ROBOT = Quadrotor()
+MODEL = InverseSensorModel.line_of_sight()
+LIDAR = Lidar(36, 3.0, range_noise=0.0)
+FLIGHT = Flight(horizon=10, num_samples=64, noise_std=(2.0, 1.0, 1.0, 1.0))
+FIELDS = FieldNumbers(
+    field_beams=4,
+    field_range=3.0,
+    field_noise=0.0,
+    field_spacing=0.8,
+    field_extent=3.2,
+    local_beams=4,
+    local_range=1.5,
+)
+RATES = {"control_rate": 20.0, "sensing_rate": 10.0, "field_rate": 5.0}
+every = pytest.mark.parametrize("architecture", ARCHITECTURES)
+
+
+def controller_of(architecture: str, flight: Flight = FLIGHT, **changes: Any) -> InformativeMPPI:
+    given = {"goal": WORLD.goal, "sensor_model": MODEL, "fields": FIELDS, **changes}
+    return informative_mppi(ROBOT, architecture, resolution=0.2, flight=flight, **given)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    perception = Perception(
+        LIDAR, 0.2, 0.3, sensor_model=MODEL, num_directions=8, goal=WORLD.goal[:2]
+    )
+    return Scenario(
+        WORLD.truth(),
+        ROBOT,
+        LIDAR,
+        WORLD.start,
+        perception=perception,
+        prior=WORLD.prior(),
+        goal=WORLD.goal[:2],
+        altitude=-2.0,
+        **RATES,
+    )
+
+
+@pytest.fixture(scope="module")
+def controllers(scenario) -> dict[str, InformativeMPPI]:
+    period = scenario.control_period
+    return {name: controller_of(name).at_period(period) for name in ARCHITECTURES}
+
+
+def start_of(controller: InformativeMPPI, scenario: Scenario) -> LoopState:
+    """Return the state before the first step; of all controllers the same program."""
+    nothing = MPPI(ROBOT, GoalCost([0.0, 0.0]), horizon=1, num_samples=1, noise_std=[1.0] * 4)
+    return initial_loop_state(nothing, scenario)._replace(controller=controller.init())
+
+
+def run(controller: InformativeMPPI, scenario: Scenario, seed: int, steps: int) -> Record:
+    """Return the records of a run, which may end earlier."""
+    state, key, rows, done = start_of(controller, scenario), jax.random.key(seed), [], CHUNK
+    for _ in range(0, steps, CHUNK):
+        if int(done) < CHUNK:
+            break
+        state, records, done = run_chunk(
+            controller, scenario, state, key, jnp.asarray(CHUNK), CHUNK
+        )
+        rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
+
+
+def hot(controller: InformativeMPPI) -> InformativeMPPI:
+    """Return a controller whose weights do not magnify what rounding does to costs."""
+    return eqx.tree_at(
+        lambda c: c.mppi.weighting.temperature, controller, jnp.asarray(100.0, jnp.float32)
+    )
+
+
+scan = eqx.filter_jit(Lidar.scan)
+observe = eqx.filter_jit(Perception.observe)
+update_fields = eqx.filter_jit(Perception.update_fields)
+move = eqx.filter_jit(Quadrotor.step)
+
+
+@eqx.filter_jit
+def far_field(sensor, grid, position) -> HeadingField:
+    return sensor.field(grid, position)
+
+
+@eqx.filter_jit
+def near_field(lookout, belief, position) -> HeadingField:
+    return lookout(belief, MODEL, position)
+
+
+@eqx.filter_jit
+def climb(reference, belief, potential, start):
+    return reference(belief, potential, start)
+
+
+@eqx.filter_jit
+def follow(follower, state, wanted, dt):
+    return follower(ROBOT, state, wanted, dt)
+
+
+@eqx.filter_jit
+def plan(mppi, *arguments, key):
+    return mppi.step(*arguments, key=key)
+
+
+def same(found, expected, rtol: float = 1e-4) -> None:
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=1e-4)
+
+
+class Strategy(NamedTuple):
+    potential: HeadingField
+    reference: np.ndarray
+
+
+def pose_of(state) -> jax.Array:
+    values = np.asarray(state, float)
+    w, x, y, z = values[6:10]
+    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return jnp.asarray([values[0], values[1], yaw], jnp.float32)
+
+
+def remaining(field: HeadingField, belief, patience: float) -> HeadingField:
+    """Return a field that fades with the time spent near a node, and with all explored is 0."""
+    values, frame = np.array(field.values, float), belief.information.frame
+    nodes = np.stack(np.meshgrid(*map(np.arange, values.shape[:2]), indexing="ij"), axis=-1)
+    places = np.asarray(frame.to_grid(field.frame.cell_centre(jnp.asarray(nodes))), float) - 0.5
+    dwell = np.asarray(belief.dwell, float)
+    # Half a node beyond the outermost ones the edge's value holds, farther out there is none.
+    within = ((places > -0.5) & (places < np.array(dwell.shape) - 0.5)).all(axis=-1)
+    found = map_coordinates(dwell, np.moveaxis(places, -1, 0), order=1, mode="nearest")
+    share = np.exp(-np.where(within, found, 0.0) / patience)[..., None]
+    values = np.zeros_like(values) if bool(belief.is_explored) else share * values
+    return HeadingField(jnp.asarray(values, jnp.float32), field.frame)
+
+
+def strategy_by_parts(controller, belief, state) -> Strategy:
+    field = far_field(controller.potential_sensor, belief.grid, state[:2])
+    field = remaining(field, belief, 3.0)
+    if controller.reference is None:
+        return Strategy(field, np.zeros((1, 3), np.float32))
+    start = jnp.asarray([state[0], state[1], -2.0])
+    return Strategy(field, np.asarray(climb(controller.reference, belief, field.best, start)))
+
+
+def known_by_parts(controller, belief, state, strategy: Strategy, age: float) -> StrategicBelief:
+    local = remaining(near_field(controller.lookout, belief, state[:2]), belief, 3.0)
+    return StrategicBelief(
+        **{field.name: getattr(belief, field.name) for field in dataclasses.fields(belief)},
+        potential=strategy.potential,
+        best=strategy.potential.best,
+        local=local,
+        reference=jnp.asarray(strategy.reference),
+        reference_period=jnp.asarray(PERIOD),
+        reference_age=jnp.asarray(age, jnp.float32),
+    )
+
+
+def control_by_parts(controller, known: StrategicBelief, memory, state, age: float, key):
+    """Look, climb, follow and plan, one after the other."""
+    mppi = controller.mppi
+    if controller.follower is not None:
+        path = np.asarray(known.reference, float)
+        there_at = PERIOD * np.arange(1, len(path) + 1) - age
+        times = PERIOD * np.arange(1, mppi.horizon + 1)
+        wanted = np.stack([np.interp(times, there_at, column) for column in path.T], axis=1)
+        controls = follow(controller.follower, state, jnp.asarray(wanted, jnp.float32), mppi.dt)
+        mppi = eqx.tree_at(lambda each: each.proposal.reference, mppi, controls)
+    return plan(mppi, memory, state, known, key=key)
+
+
+@every
+def test_the_compiled_loop_is_a_plain_loop_over_the_parts(
+    architecture: str, controllers, scenario
+) -> None:
+    """Step by step from the same state: what rounding does to a run would grow."""
+    controller, perception = hot(controllers[architecture]), scenario.perception
+    world, period, key = WORLD.truth(), jnp.asarray(PERIOD), jax.random.key(3)
+    after, robots = start_of(controller, scenario), []
+    for step in range(CHUNK):
+        before = after
+        after, records, done = run_chunk(controller, scenario, before, key, jnp.asarray(1), CHUNK)
+        assert int(done) == 1
+        scan_key, control_key = jax.random.split(jax.random.fold_in(key, step))
+        belief, state = before.belief, before.robot
+        pose = pose_of(state)
+        if step % 2 == 0:
+            seen = scan(LIDAR, world, pose, key=scan_key)
+            belief = observe(perception, belief, seen, pose)
+        if step % 4 == 3 or step == 0:
+            belief = update_fields(perception, belief, pose, 4.0 * period)
+        if step % 4 == 0:
+            strategy = strategy_by_parts(controller, belief, state)
+        same(after.belief.grid.probability, belief.grid.probability)
+        same(after.belief.guidance.values, belief.guidance.values)
+        same(after.controller.strategy.potential.values, strategy.potential.values)
+        same(after.controller.strategy.reference, strategy.reference)
+        age = (step % 4) * PERIOD
+        known = known_by_parts(controller, belief, state, strategy, age)
+        control, memory, info = control_by_parts(
+            controller, known, before.controller.mppi, state, age, control_key
+        )
+        same(records.control[0], control)
+        same(records.effective_sample_size[0], info.effective_sample_size, rtol=1e-3)
+        same(after.controller.mppi.nominal, memory.nominal)
+        same(after.robot, move(ROBOT, state, control, period))
+        assert not records.is_collision[0]
+        assert float(records.unknown[0]) == pytest.approx(float(unknown_fraction(belief.grid)))
+        robots.append(np.asarray(after.robot))
+    # It moved and saw something: a loop that stands still compares nothing.
+    assert np.linalg.norm(robots[-1][:2] - robots[0][:2]) > 0.5
+    assert float(unknown_fraction(belief.grid)) < 0.9 * float(unknown_fraction(scenario.prior))
+
+
+@every
+def test_explores_three_zones_without_touching(architecture: str, controllers, scenario) -> None:
+    records = run(controllers[architecture], scenario, 0, 3 * CHUNK)
+    assert records.unknown[-1] < 0.7 * float(unknown_fraction(scenario.prior))
+    assert not records.is_collision.any()
+    assert records.is_finite.all()
+    assert np.isfinite(records.state).all()
+    low, high = ROBOT.control_min, ROBOT.control_max
+    assert ((records.control >= low) & (records.control <= high)).all()
+
+
+@every
+def test_the_same_seed_gives_the_same_run(architecture: str, controllers, scenario) -> None:
+    controller = controllers[architecture]
+    first, again, other = (run(controller, scenario, seed, CHUNK) for seed in (5, 5, 6))
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(first.state, other.state)
+
+
+NUMBERS = {
+    "goal": (7.5, 4.0, -1.5),
+    "bias_fraction": 0.25,
+    "reference_speed": 1.3,
+    "reference_weight": 0.5,
+    "local_weight": 4.0,
+    "field_weight": 7.0,
+    "guidance_weight": 3.0,
+    "goal_weight": 1.5,
+}
+
+
+@every
+def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
+    controller = controllers[architecture]
+    start, one, key = start_of(controller, scenario), jnp.asarray(1), jax.random.key(0)
+    first, _, _ = run_chunk(controller, scenario, start, key, one, CHUNK)
+    compiled = run_chunk._cached._cache_size()
+    flight = FLIGHT._replace(
+        temperature=2.0,
+        noise_std=(1.0, 2.0, 1.5, 0.5),
+        altitude=-1.5,
+        max_speed=0.7,
+        clearance=0.5,
+        obstacle_weight=5.0,
+        height_weight=3.0,
+        speed_weight=2.0,
+        control_weight=0.1,
+    )
+    fields = FIELDS._replace(field_period=0.4)
+    other = controller_of(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
+    second, _, _ = run_chunk(other, scenario, start, key, one, CHUNK)
+    assert run_chunk._cached._cache_size() == compiled
+    assert not np.array_equal(first.robot, second.robot)
+
+
+def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
+    controller = controller_of("parallel", by_heading=True)
+    (term,) = (term for name, term in controller.mppi.cost.terms() if name == "PotentialCost")
+    (blind,) = (
+        term for name, term in controllers["parallel"].mppi.cost.terms() if name == "PotentialCost"
+    )
+    belief = start_of(controller, scenario).belief
+    # Half a metre below a zone that begins at y = 4.
+    place = ROBOT.at_pose(2.5, 3.2, 0.0)
+    strategy = strategy_by_parts(controller, belief, place)
+    known = known_by_parts(controller, belief, place, strategy, 0.0)
+
+    def stage(cost, yaw: float) -> float:
+        state = State(ROBOT.at_pose(2.5, 3.2, yaw), ROBOT)
+        return float(cost.stage(state, ROBOT.default_control, jnp.zeros(()), known))
+
+    facing, away = stage(term, 0.5 * np.pi), stage(term, -0.5 * np.pi)
+    assert facing < away - 1.0
+    assert stage(blind, 0.5 * np.pi) == stage(blind, -0.5 * np.pi)
+    # The best heading is one of those that are evaluated, this one or its neighbours.
+    assert stage(blind, 0.0) <= facing + 1e-3
+
+
+def test_an_unknown_architecture_is_named() -> None:
+    with pytest.raises(
+        ValueError, match=r"architecture is 'three-layer'; accepted: two-layer, parallel"
+    ):
+        controller_of("three-layer")
+
+
+def test_what_the_architectures_differ_in(controllers) -> None:
+    two_layer, parallel = (controllers[name] for name in ARCHITECTURES)
+    assert isinstance(two_layer.mppi.proposal, BiasedProposal)
+    assert two_layer.reference is not None
+    assert two_layer.follower is not None
+    assert not isinstance(parallel.mppi.proposal, BiasedProposal)
+    assert parallel.reference is None
+    assert parallel.follower is None
+    names = [{name for name, _ in each.mppi.cost.terms()} for each in (two_layer, parallel)]
+    assert names[0] - names[1] == {"StrategyReferenceCost"}
+    assert not names[1] - names[0]
+
+
+@pytest.mark.parametrize(
+    "view",
+    [0.5 * np.pi, np.pi, 2.0 * np.pi],
+)
+def test_a_short_look_has_a_direction_for_every_beam(view: float) -> None:
+    found = FIELDS._replace(field_of_view=view).lookout(0.2).sensor
+    assert found.table.num_directions == round(2.0 * np.pi / Lidar(4, 1.5, view).beam_spacing)
