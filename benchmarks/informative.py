@@ -45,7 +45,8 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
-from jaxplore.settings import build, make_settings
+from jaxplore.experiment import build
+from jaxplore.settings import make_settings
 from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")

@@ -4,7 +4,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxplore.settings import Experiment, build, make_settings
+from jaxplore.experiment import Experiment, build
+from jaxplore.settings import make_settings
 
 MAPS = Path(
     os.environ.get("JAXPLORE_MAPS", Path(__file__).resolve().parents[2] / "shared" / "maps")

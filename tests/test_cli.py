@@ -13,7 +13,8 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.cli import main
-from jaxplore.settings import build, comparable, make_settings
+from jaxplore.experiment import build, comparable
+from jaxplore.settings import make_settings
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 

@@ -21,7 +21,8 @@ from jaxplore import Comparison, Metrics, compare, settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.settings import build, make_settings
+from jaxplore.experiment import build
+from jaxplore.settings import make_settings
 from jaxplore.simulation import simulate as simulation
 from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
 from jaxplore.simulation.recording import Recording

@@ -12,9 +12,8 @@ from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
 from jaxplore.control.disturbance import StateNoise as StateNoise
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
 from jaxplore.control.feedback import FeedbackState as FeedbackState
+from jaxplore.control.follower import Follower as Follower
 from jaxplore.control.followers import DifferentialDriveFollower as DifferentialDriveFollower
-from jaxplore.control.followers import Follower as Follower
-from jaxplore.control.followers import QuadrotorFollower as QuadrotorFollower
 from jaxplore.control.followers import UnicycleFollower as UnicycleFollower
 from jaxplore.control.followers import follower_for as follower_for
 from jaxplore.control.interpolation import CubicSpline as CubicSpline
@@ -39,6 +38,7 @@ from jaxplore.control.parameterisations import Parameterisation as Parameterisat
 from jaxplore.control.proposals import GaussianProposal as GaussianProposal
 from jaxplore.control.proposals import Proposal as Proposal
 from jaxplore.control.proposals import Surroundings as Surroundings
+from jaxplore.control.quadrotor_follower import QuadrotorFollower as QuadrotorFollower
 from jaxplore.control.quasi_random_noise import HaltonNoise as HaltonNoise
 from jaxplore.control.quasi_random_noise import SobolNoise as SobolNoise
 from jaxplore.control.risk import ConditionalValueAtRisk as ConditionalValueAtRisk

@@ -12,20 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxplore._version import __version__
+from jaxplore.experiment import build, comparable
 from jaxplore.report.comparison import Comparison
 from jaxplore.report.folder import check_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.runs import compare as compare_runs
 from jaxplore.runs import progress_bar, simulate
-from jaxplore.settings import (
-    OFFICE,
-    ZONES,
-    Settings,
-    build,
-    comparable,
-    make_settings,
-    read_settings,
-)
+from jaxplore.settings import OFFICE, ZONES, Settings, make_settings, read_settings
 
 # Options that stand for a setting: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (

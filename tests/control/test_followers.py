@@ -23,13 +23,13 @@ from jaxplore import (
     Softmax,
     Unicycle,
 )
+from jaxplore.control.follower import Follower
 from jaxplore.control.followers import (
     DifferentialDriveFollower,
-    Follower,
-    QuadrotorFollower,
     UnicycleFollower,
     follower_for,
 )
+from jaxplore.control.quadrotor_follower import QuadrotorFollower
 
 MASS, GRAVITY, LAG = 1.3, 9.81, 0.05
 FLIGHT = Quadrotor(MASS, GRAVITY, LAG)

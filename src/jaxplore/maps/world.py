@@ -2,9 +2,8 @@
 
 import math
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +11,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore import _checks
 from jaxplore.maps import _files
+from jaxplore.maps._entries import CHECKS, OTHERS, SHAPES, Row, checked, refuse_unknown
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
@@ -26,10 +25,6 @@ UNKNOWN_PROBABILITY = 0.5
 SOLID_PROBABILITY = 0.99
 """Probability of a cell in which something solid is (quadrotor design notes)."""
 
-Row = tuple[float, ...]
-
-_SHAPES = ("walls", "rectangles", "discs")
-_OTHERS = ("origin", "size", "resolution", "wall_reach", "zones", "start", "goal")
 # Sizes that exceed a whole number of cells by less, in cells, do so from rounding.
 _SLIVER = 1e-6
 
@@ -54,8 +49,8 @@ class Shapes:
     discs: tuple[Row, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in _SHAPES:
-            object.__setattr__(self, name, _CHECKS[name](name, getattr(self, name)))
+        for name in SHAPES:
+            object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +93,8 @@ class World:
     hidden: Shapes = field(default_factory=Shapes)
 
     def __post_init__(self) -> None:
-        for name in _OTHERS:
-            object.__setattr__(self, name, _CHECKS[name](name, getattr(self, name)))
+        for name in OTHERS:
+            object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
         self._check_cells()
         self._check_zones()
         solid = self._checked_solid()
@@ -117,22 +112,22 @@ class World:
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
         """
-        _refuse_unknown("", entries, (*_OTHERS, *_SHAPES, "hidden"))
+        refuse_unknown("", entries, (*OTHERS, *SHAPES, "hidden"))
         for key in ("size", "start"):
             if key not in entries:
                 raise ValueError(f"{key} is missing; accepted: a world with size and start")
         hidden = entries.get("hidden", {})
         if not isinstance(hidden, Mapping):
             raise ValueError(
-                f"hidden is {_files.show(hidden)}; accepted: a mapping with {', '.join(_SHAPES)}"
+                f"hidden is {_files.show(hidden)}; accepted: a mapping with {', '.join(SHAPES)}"
             )
-        _refuse_unknown("hidden: ", hidden, _SHAPES)
+        refuse_unknown("hidden: ", hidden, SHAPES)
         try:
-            hidden_shapes = Shapes(**_checked(hidden, _SHAPES))
+            hidden_shapes = Shapes(**checked(hidden, SHAPES))
         except ValueError as error:
             raise ValueError(f"hidden.{error}") from None
-        known = Shapes(**_checked(entries, _SHAPES))
-        return cls(known=known, hidden=hidden_shapes, **_checked(entries, _OTHERS))
+        known = Shapes(**checked(entries, SHAPES))
+        return cls(known=known, hidden=hidden_shapes, **checked(entries, OTHERS))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
@@ -207,7 +202,7 @@ class World:
 
     def _solid(self, shapes: Shapes) -> NDArray[np.bool_]:
         mask = np.zeros(self.shape, bool)
-        for kind in _SHAPES:
+        for kind in SHAPES:
             mask |= self._cells(kind, getattr(shapes, kind))
         return mask
 
@@ -255,7 +250,7 @@ class World:
         """Return the solid cells of the true world, to which every shape must add one."""
         solid = np.zeros(self.shape, bool)
         for prefix, shapes in (("", self.known), ("hidden.", self.hidden)):
-            for kind in _SHAPES:
+            for kind in SHAPES:
                 for index, row in enumerate(getattr(shapes, kind)):
                     mask = self._cells(kind, (row,))
                     if not mask.any():
@@ -319,91 +314,5 @@ def three_zones() -> World:
     )
 
 
-def _number(name: str, value: object, **bounds: float) -> float:
-    try:
-        if isinstance(value, bool) or not isinstance(value, Real):
-            raise ValueError
-        value = float(value)
-    except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a finite number") from None
-    return _checks.number(name, value, **bounds)
-
-
-def _numbers(name: str, value: object, counts: Collection[int], accepted: str) -> Row:
-    if isinstance(value, (list, tuple)) and len(value) in counts:
-        try:
-            return tuple(_number(name, entry) for entry in value)
-        except ValueError:
-            pass  # the whole entry is shown instead
-    raise ValueError(f"{name} is {_files.show(value)}; accepted: {accepted}")
-
-
-def _rows(
-    name: str, value: object, count: int, accepted: str, is_accepted: Callable[[Row], bool]
-) -> tuple[Row, ...]:
-    if not isinstance(value, (list, tuple)):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a list of {accepted}")
-    rows = tuple(
-        _numbers(f"{name}[{index}]", row, (count,), accepted) for index, row in enumerate(value)
-    )
-    for index, row in enumerate(rows):
-        if not is_accepted(row):
-            raise ValueError(f"{name}[{index}] is {list(row)}; accepted: {accepted}")
-    return rows
-
-
-def _walls(name: str, value: object) -> tuple[Row, ...]:
-    accepted = "4 finite numbers [x1, y1, x2, y2], two different points"
-    return _rows(name, value, 4, accepted, lambda row: row[:2] != row[2:])
-
-
-def _rectangles(name: str, value: object) -> tuple[Row, ...]:
-    accepted = "4 finite numbers [x_min, y_min, x_max, y_max], min < max"
-    return _rows(name, value, 4, accepted, lambda row: row[0] < row[2] and row[1] < row[3])
-
-
-def _discs(name: str, value: object) -> tuple[Row, ...]:
-    accepted = "3 finite numbers [x, y, radius], radius > 0"
-    return _rows(name, value, 3, accepted, lambda row: row[2] > 0.0)
-
-
-def _size(name: str, value: object) -> Row:
-    accepted = "2 finite numbers > 0 [width, height]"
-    size = _numbers(name, value, (2,), accepted)
-    if min(size) <= 0.0:
-        raise ValueError(f"{name} is {list(size)}; accepted: {accepted}")
-    return size
-
-
-def _goal(name: str, value: object) -> Row | None:
-    accepted = "2 or 3 finite numbers [x, y] or [x, y, z], or nothing"
-    return None if value is None else _numbers(name, value, (2, 3), accepted)
-
-
-_CHECKS: Mapping[str, Callable[[str, object], Any]] = {
-    "walls": _walls,
-    "rectangles": _rectangles,
-    "discs": _discs,
-    "zones": _rectangles,
-    "origin": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
-    "size": _size,
-    "resolution": lambda name, value: _number(name, value, above=0.0),
-    "wall_reach": lambda name, value: _number(name, value, above=0.0),
-    "start": lambda name, value: _numbers(name, value, (3,), "3 finite numbers [x, y, yaw]"),
-    "goal": _goal,
-}
-
-
-def _checked(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
-    return {name: _CHECKS[name](name, entries[name]) for name in names if name in entries}
-
-
 def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
-    return {kind: [list(row) for row in getattr(shapes, kind)] for kind in _SHAPES}
-
-
-def _refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[str]) -> None:
-    unknown = [key for key in entries if key not in accepted]
-    if unknown:
-        names = ", ".join(_files.show(key) for key in unknown[:5])
-        raise ValueError(f"{where}unknown entry {names}; accepted: {', '.join(accepted)}")
+    return {kind: [list(row) for row in getattr(shapes, kind)] for kind in SHAPES}

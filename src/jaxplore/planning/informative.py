@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.followers import Follower
+from jaxplore.control.follower import Follower
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.information.belief import Belief, StrategicBelief
