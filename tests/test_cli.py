@@ -369,3 +369,23 @@ def test_all_that_is_compared_differs_in_the_architecture_only(
             settings.model_dump(exclude={"architecture"}) for settings, *_ in experiments.values()
         )
         assert first == second
+
+
+@pytest.mark.parametrize(
+    ("given", "rule", "weight"),
+    [
+        ({}, jx.RemainingInformation, 0.05),
+        ({"target_choice": "occlusion"}, jx.TrajectoryChoice, 1.0),
+        ({"target_choice": "direct", "distance_weight": 0.3}, jx.TrajectoryChoice, 0.3),
+        ({"distance_weight": 0.2}, jx.RemainingInformation, 0.2),
+    ],
+)
+def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weight: float) -> None:
+    entries = {"map": "zones", "architecture": "sequential", "resolution": 0.2}
+    controller: Any = build(make_settings({**entries, "informative": given})).controller
+    choice = controller.reference.choice
+    assert type(choice) is rule
+    assert float(choice.weight) == pytest.approx(weight)
+    assert choice.targets.zones.member.shape[0] == 3
+    if rule is jx.TrajectoryChoice:
+        assert choice.information.method == given["target_choice"]

@@ -14,6 +14,8 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.information.perception import Perception
+from jaxplore.information.pose import PoseInformation
+from jaxplore.information.trajectory import TrajectoryInformation
 from jaxplore.information.zones import Zones
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.office import office, start_pose
@@ -27,7 +29,13 @@ from jaxplore.planning.architectures import (
 )
 from jaxplore.planning.explorer import explorer
 from jaxplore.planning.gradient_reference import GradientReference
-from jaxplore.planning.targets import RemainingInformation, TargetReference
+from jaxplore.planning.targets import (
+    RemainingInformation,
+    TargetChoice,
+    TargetReference,
+    Targets,
+    TrajectoryChoice,
+)
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings import OFFICE, ZONES, SensorModelSettings, Settings
@@ -164,21 +172,12 @@ def _controller(
         field_of_view=view,
         field_period=1.0 / settings.rates.fields,
     )
-    weight, depleted = given.pop("distance_weight"), given.pop("depleted")
+    for name in ("target_choice", "distance_weight", "depleted"):
+        given.pop(name)
     reference = None
     if settings.architecture == "sequential":
-        if goal is None or not place.zones:
-            raise ValueError(
-                "architecture is 'sequential', which goes from zone to zone and then to the goal; "
-                "accepted: a world with both"
-            )
-        zones = Zones.from_rectangles(place.zones, place.world)
-        clearance = settings.robot.radius + settings.fields.margin
-        choice = RemainingInformation(
-            zones, goal[:2], weight, depleted, required_clearance=clearance
-        )
         walk = GradientReference(given["reference_speed"], given["reference_steps"], flight.dt)
-        reference = TargetReference(choice, walk)
+        reference = TargetReference(_target_choice(settings, place, model, view), walk)
     return informative_mppi(
         robot,
         "parallel" if settings.architecture == "parallel" else "two-layer",
@@ -191,6 +190,29 @@ def _controller(
         patience=settings.fields.patience,
         **given,
     )
+
+
+def _target_choice(
+    settings: Settings, place: _Place, model: InverseSensorModel, view: float
+) -> TargetChoice:
+    if place.goal is None or not place.zones:
+        raise ValueError(
+            "architecture is 'sequential', which goes from zone to zone and then to the goal; "
+            "accepted: a world with both"
+        )
+    given = settings.informative
+    targets = Targets(
+        Zones.from_rectangles(place.zones, place.world),
+        place.goal[:2],
+        depleted=given.depleted,
+        required_clearance=settings.robot.radius + settings.fields.margin,
+    )
+    weight = given.distance_weight
+    if given.target_choice == "remaining":
+        return RemainingInformation(targets, 0.05 if weight is None else weight)
+    lidar = Lidar(settings.lidar.num_beams, settings.lidar.max_range, view)
+    scans = TrajectoryInformation(PoseInformation(lidar, model), given.target_choice)
+    return TrajectoryChoice(targets, scans, weight=1.0 if weight is None else weight)
 
 
 def _place(settings: Settings, radius: float) -> _Place:

@@ -112,7 +112,12 @@ class ControllerSettings(_Section):
 
 class InformativeSettings(_Section):
     """Informative MPPI: see `jaxplore.informative_mppi`, `jaxplore.Flight` and
-    `jaxplore.FieldNumbers`. The defaults are the quadrotor design notes' where they have one."""
+    `jaxplore.FieldNumbers`. The defaults are the quadrotor design notes' where they have one.
+
+    `target_choice` is how `sequential` picks a zone: by what remains of it, or by what the scans on
+    the way there tell, by one of the methods of `jaxplore.TrajectoryInformation`.
+    `distance_weight` is the rule's own where none is given.
+    """
 
     parameterisation: Literal["direct", "smooth", "knots"] = "direct"
     horizon: Count = 40
@@ -135,7 +140,10 @@ class InformativeSettings(_Section):
     by_heading: bool = False
     reference_speed: Positive = 2.0
     reference_steps: Count = 40
-    distance_weight: NonNegative = 0.05
+    target_choice: Literal[
+        "remaining", "direct", "discount", "filtered", "temporal", "occlusion"
+    ] = "remaining"
+    distance_weight: NonNegative | None = None
     depleted: Share = 0.35
     goal_when_explored: bool = True
     reference_weight: NonNegative = 1.0

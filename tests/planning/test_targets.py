@@ -71,6 +71,17 @@ def choose(choice, belief: Belief, position: jax.Array):
     return judge(choice, belief, position)[0]
 
 
+def by_remains(zones, goal, weight=0.05, depleted=0.05, *, straight=False, **ways):
+    return RemainingInformation(
+        Targets(zones, goal, depleted=depleted, **ways), weight, straight=straight
+    )
+
+
+def by_trajectory(zones, goal, information, walk=None, weight=1.0, depleted=0.05, **ways):
+    targets = Targets(zones, goal, depleted=depleted, **ways)
+    return TrajectoryChoice(targets, information, walk, weight)
+
+
 def believe(p: np.ndarray, position=(2.0, 2.0), frame=STRAIGHT) -> Belief:
     """Return what a robot knows that is given a map; around itself it knows that all is free."""
     pose = jnp.asarray([*position, 0.0], jnp.float32)
@@ -193,9 +204,7 @@ def test_scores_are_those_of_the_definition(seed: int, stride: int, frame) -> No
     p = np.asarray(belief.grid.probability, np.float64)
     oracle, targets = Oracle(p, stride), targets_of(zones, goal_cell)
     expected = np.array([oracle.distance(*start, target) for target in targets])
-    choice = RemainingInformation(
-        zones, goal, weight, depleted, required_clearance=REQUIRED, stride=stride
-    )
+    choice = by_remains(zones, goal, weight, depleted, required_clearance=REQUIRED, stride=stride)
     scores, found = judge(choice, belief, position)
     np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-4)
 
@@ -240,7 +249,7 @@ def test_distances_in_the_open_are_metres() -> None:
     p = np.full((SIZE, SIZE), FREE)
     zones = zones_of((15, 28, 10, 3), (27, 27, 3, 3))
     p[np.asarray(zones.member[:2]).any(axis=0)] = DIM
-    choice = RemainingInformation(zones, [2.05, 2.05], 0.1, required_clearance=0.1)
+    choice = by_remains(zones, [2.05, 2.05], 0.1, required_clearance=0.1)
     scores = choose(choice, believe(p), at(20.5, 10.5))
     lengths = 1.8, 1.0 + 0.7 * math.sqrt(2.0)
     expected = [0.64 - 0.1 * length for length in lengths]
@@ -263,9 +272,7 @@ def test_a_wall_makes_the_nearest_zone_a_far_one() -> None:
     belief, position = believe(p, (1.2, 0.6)), at(6, 12)
     by_map, by_line = (
         choose(
-            RemainingInformation(
-                zones, [2.0, 3.8], 0.1, required_clearance=REQUIRED, straight=straight
-            ),
+            by_remains(zones, [2.0, 3.8], 0.1, required_clearance=REQUIRED, straight=straight),
             belief,
             position,
         )
@@ -292,7 +299,7 @@ def closed() -> tuple[np.ndarray, Zones]:
 @pytest.mark.parametrize("weight", [0.0, 1.0])
 def test_no_zone_without_a_way_is_chosen_while_another_remains(weight: float) -> None:
     p, zones = closed()
-    choice = RemainingInformation(zones, [1.0, 2.0], weight, required_clearance=REQUIRED)
+    choice = by_remains(zones, [1.0, 2.0], weight, required_clearance=REQUIRED)
     scores = choose(choice, believe(p), at(20, 15))
     assert np.isneginf(scores.score).tolist() == [True, False, True, True]
     assert int(scores.index) == 1
@@ -316,7 +323,7 @@ def test_of_many_zones_without_a_way_the_one_of_which_most_remains() -> None:
     p, _ = closed()
     zones = zones_of((24, 26, 4, 4), (29, 30, 4, 4), (5, 5, 4, 4))
     p[29:33, 30:34] = 0.245
-    choice = RemainingInformation(zones, [1.0, 2.0], required_clearance=REQUIRED)
+    choice = by_remains(zones, [1.0, 2.0], required_clearance=REQUIRED)
     assert int(choose(choice, believe(p), at(20, 15)).index) == 1
 
 
@@ -326,7 +333,7 @@ def test_depleted_zones_are_left_out_and_the_goal_comes_when_none_remains() -> N
     belief, position = believe(p, (1.2, 1.2)), at(20, 20)
 
     def scores(depleted: float):
-        choice = RemainingInformation(zones, (0.6, 1.2), 0.5, depleted, required_clearance=REQUIRED)
+        choice = by_remains(zones, (0.6, 1.2), 0.5, depleted, required_clearance=REQUIRED)
         return choose(choice, belief, position)
 
     both, one, none = scores(0.18), scores(0.2), scores(0.65)
@@ -340,7 +347,7 @@ def test_depleted_zones_are_left_out_and_the_goal_comes_when_none_remains() -> N
     assert float(none.score[-1]) == pytest.approx(-0.5 * way, rel=1e-4)
     # Even if no way leads there.
     p[:, 12] = WALL
-    choice = RemainingInformation(zones, [0.6, 1.2], 0.5, 0.65, required_clearance=REQUIRED)
+    choice = by_remains(zones, [0.6, 1.2], 0.5, 0.65, required_clearance=REQUIRED)
     lost = choose(choice, believe(p, (3.0, 3.0)), position)
     assert int(lost.index) == 3
     assert np.isneginf(lost.score).all()
@@ -349,9 +356,7 @@ def test_depleted_zones_are_left_out_and_the_goal_comes_when_none_remains() -> N
 def test_the_goal_comes_when_all_worthwhile_is_explored_whatever_remains() -> None:
     p = room()
     p[10:20, 20:30] = UNKNOWN
-    choice = RemainingInformation(
-        zones_of((10, 20, 10, 10)), (0.6, 1.2), required_clearance=REQUIRED
-    )
+    choice = by_remains(zones_of((10, 20, 10, 10)), (0.6, 1.2), required_clearance=REQUIRED)
     belief = believe(p, (1.0, 1.0))
     explored = eqx.tree_at(lambda known: known.is_explored, belief, jnp.array(True))
     place = jnp.asarray([1.0, 1.0])
@@ -367,7 +372,7 @@ def test_the_goal_comes_when_all_worthwhile_is_explored_whatever_remains() -> No
 )
 def test_a_goal_off_the_map_or_in_a_wall_is_approached(goal, cell) -> None:
     p, zones = wall_between()
-    choice = RemainingInformation(zones, goal, required_clearance=REQUIRED)
+    choice = by_remains(zones, goal, required_clearance=REQUIRED)
     expected = Oracle(p).distance(30, 24, targets_of(zones, cell)[-1])
     _, found = judge(choice, believe(p, (3.0, 3.0)), at(30, 24))
     assert float(found[-1]) == pytest.approx(expected, rel=1e-4)
@@ -415,7 +420,7 @@ def trajectory_case(method: str, weight: float = 2.0) -> tuple[Belief, Trajector
     zones = zones_of((4, 19, 4, 4), (27, 8, 4, 4), (12, 5, 4, 4))
     p[22:36, 3:10] = UNKNOWN
     p[np.asarray(zones.member).any(axis=0)] = DIM
-    choice = TrajectoryChoice(
+    choice = by_trajectory(
         zones,
         [2.0, 3.6],
         INFORMATION[method],
@@ -505,7 +510,7 @@ def test_who_has_arrived_looks_once_and_no_more() -> None:
 @settings(max_examples=16)
 def test_the_reference_keeps_out_of_walls_and_comes_nearer(seed: int) -> None:
     p, zones, origin, _ = random_case(seed)
-    choice = RemainingInformation(zones, at(20, 20), 0.1, required_clearance=REQUIRED)
+    choice = by_remains(zones, at(20, 20), 0.1, required_clearance=REQUIRED)
     position = at(*origin)
     belief = believe(p, np.asarray(position))
     start = jnp.append(position, -2.0)
@@ -528,7 +533,7 @@ def test_the_reference_keeps_out_of_walls_and_comes_nearer(seed: int) -> None:
 def test_the_reference_ends_at_the_goal_when_all_is_known() -> None:
     p, zones = wall_between()
     belief = believe(np.where(p == np.float32(DIM), FREE, p), (1.2, 0.6))
-    choice = RemainingInformation(zones, [2.55, 0.85], required_clearance=REQUIRED)
+    choice = by_remains(zones, [2.55, 0.85], required_clearance=REQUIRED)
     reference = TargetReference(choice, GradientReference(2.0, WALK.num_steps, 0.1))
     path = np.asarray(refer(reference, belief, jnp.asarray([1.2, 0.6, 0.0])))
     np.testing.assert_allclose(path[-1, :2], [2.55, 0.85], atol=0.1)
@@ -539,8 +544,8 @@ def test_the_reference_ends_at_the_goal_when_all_is_known() -> None:
 def test_nowhere_is_contained(start) -> None:
     belief, trajectory = trajectory_case("direct")
     zones = trajectory.targets.zones
-    by_map = RemainingInformation(zones, [1.0, 1.0])
-    straight = RemainingInformation(zones, [1.0, 1.0], straight=True)
+    by_map = by_remains(zones, [1.0, 1.0])
+    straight = by_remains(zones, [1.0, 1.0], straight=True)
     for choice in (by_map, straight, trajectory):
         scores = choose(choice, belief, jnp.asarray(start[:2], jnp.float32))
         assert np.isneginf(scores.score).all()
@@ -552,7 +557,7 @@ def test_nowhere_is_contained(start) -> None:
 
 def test_a_map_without_room_is_contained() -> None:
     zones = zones_of((4, 4, 4, 4), (20, 20, 4, 4))
-    choice = RemainingInformation(zones, [1.0, 1.0], required_clearance=0.9)
+    choice = by_remains(zones, [1.0, 1.0], required_clearance=0.9)
     belief, start = believe(np.full((SIZE, SIZE), UNKNOWN)), jnp.asarray([2.0, 2.0, 0.0])
     assert int(choose(choice, belief, start[:2]).index) == 0
     assert np.isfinite(refer(TargetReference(choice, WALK), belief, start)).all()
@@ -561,7 +566,7 @@ def test_a_map_without_room_is_contained() -> None:
 def test_many_robots_at_once() -> None:
     belief, trajectory = trajectory_case("occlusion")
     zones = trajectory.targets.zones
-    choice = RemainingInformation(zones, [2.0, 3.6], 0.1, required_clearance=REQUIRED)
+    choice = by_remains(zones, [2.0, 3.6], 0.1, required_clearance=REQUIRED)
     starts = jnp.asarray([[1.2, 0.6, 0.0], [2.0, 3.5, 1.0], [3.0, 0.8, 2.0]])
     together = eqx.filter_jit(eqx.filter_vmap(choice, in_axes=(None, 0)))(belief, starts[:, :2])
     for row, start in enumerate(starts):
@@ -585,7 +590,7 @@ def test_weights_zones_and_goal_are_data() -> None:
         (zones, (1.0, 3.0), 0.0, 0.9, 0.21),
         (zones_of((1, 1, 3, 3), (4, 19, 2, 2)), (1.0, 3.0), 0.01, 0.05, 0.2),
     ):
-        choice = RemainingInformation(chosen, goal, weight, depleted, required_clearance=required)
+        choice = by_remains(chosen, goal, weight, depleted, required_clearance=required)
         reference = TargetReference(choice, GradientReference(0.5 + weight, WALK.num_steps, 0.1))
         refer(reference, belief, start)
         found.append(int(choose(choice, belief, start[:2]).index))
@@ -614,18 +619,18 @@ ZONES = zones_of((4, 4, 4, 4))
 def test_wrong_arguments_are_named(wrong, named: str) -> None:
     given = {"zones": ZONES, "goal": (1.0, 1.0)} | wrong
     with pytest.raises(ValueError, match=named):
-        RemainingInformation(**given)
+        by_remains(**given)
     with pytest.raises(ValueError, match=named):
-        TrajectoryChoice(**given, information=INFORMATION["direct"])
+        by_trajectory(**given, information=INFORMATION["direct"])
 
 
 def test_a_map_of_another_shape_is_named() -> None:
     belief = believe(room())
     small = eqx.tree_at(lambda b: b.grid.probability, belief, belief.grid.probability[:30])
     for choice in (
-        RemainingInformation(ZONES, (1.0, 1.0)),
-        RemainingInformation(ZONES, (1.0, 1.0), straight=True),
-        TrajectoryChoice(ZONES, (1.0, 1.0), INFORMATION["direct"]),
+        by_remains(ZONES, (1.0, 1.0)),
+        by_remains(ZONES, (1.0, 1.0), straight=True),
+        by_trajectory(ZONES, (1.0, 1.0), INFORMATION["direct"]),
     ):
         with pytest.raises(ValueError, match=r"grid has shape .30, 40.; accepted: .40, 40."):
             jax.eval_shape(choice, small, jnp.ones(2))

@@ -231,16 +231,12 @@ class RemainingInformation(TargetChoice):
     to the zones' centres: `straight`. These know of no walls; `distance` by the map is ours.
 
     Args:
-        zones: Z of them.
-        goal: (x, y) to go to in the end [m].
+        targets: the zones, the goal, and the ways there.
         weight: of the distance [1/m].
-        depleted: what remains of a zone that is done with, in (0, 1].
-        required_clearance: radius of the robot and its margin [m].
-        stride: cells between nodes of the road map; static.
         straight: whether distances are straight lines; static.
 
     Raises:
-        ValueError: no zones, a negative weight, a value out of its range.
+        ValueError: a negative weight.
     """
 
     targets: Targets
@@ -248,19 +244,9 @@ class RemainingInformation(TargetChoice):
     straight: bool = eqx.field(static=True)
 
     def __init__(
-        self,
-        zones: Zones,
-        goal: Vector,
-        weight: ArrayLike = 0.05,
-        depleted: ArrayLike = 0.05,
-        *,
-        required_clearance: ArrayLike = 0.35,
-        stride: int = 1,
-        straight: bool = False,
+        self, targets: Targets, weight: ArrayLike = 0.05, *, straight: bool = False
     ) -> None:
-        self.targets = Targets(
-            zones, goal, depleted=depleted, required_clearance=required_clearance, stride=stride
-        )
+        self.targets = targets
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
         self.straight = bool(straight)
 
@@ -292,18 +278,14 @@ class TrajectoryChoice(TargetChoice):
     Source: target selection by trajectory in the quadrotor design notes, whose paths are straight.
 
     Args:
-        zones: Z of them.
-        goal: (x, y) to go to in the end [m].
+        targets: the zones, the goal, and the ways there.
         information: what the scans along a path are worth together, by any of its methods.
         walk: how the robot goes there; what lies beyond its last step does not count. 40 steps of
             0.25 s at 2 m/s when absent.
         weight: of the length of a path [nat/m].
-        depleted: what remains of a zone that is done with, in (0, 1].
-        required_clearance: radius of the robot and its margin [m].
-        stride: cells between nodes of the road map; static.
 
     Raises:
-        ValueError: no zones, a negative weight, a value out of its range.
+        ValueError: a negative weight.
     """
 
     targets: Targets
@@ -313,19 +295,12 @@ class TrajectoryChoice(TargetChoice):
 
     def __init__(
         self,
-        zones: Zones,
-        goal: Vector,
+        targets: Targets,
         information: TrajectoryInformation,
         walk: GradientReference | None = None,
         weight: ArrayLike = 1.0,
-        depleted: ArrayLike = 0.05,
-        *,
-        required_clearance: ArrayLike = 0.35,
-        stride: int = 1,
     ) -> None:
-        self.targets = Targets(
-            zones, goal, depleted=depleted, required_clearance=required_clearance, stride=stride
-        )
+        self.targets = targets
         self.information = information
         self.walk = GradientReference(2.0, 40, 0.25) if walk is None else walk
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
