@@ -17,7 +17,8 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore import Comparison, Metrics, compare, settings
+from jaxplore import Comparison, Metrics, compare
+from jaxplore import experiment as building
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
@@ -274,7 +275,7 @@ def written(world_file: Path, compared: Comparison) -> Written:
     arguments += [*SMALL, "--seeds", "2", "--seed", "5", "--out", str(folder)]
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as shown:
         patch.setenv("COLUMNS", "200")
-        patch.setattr(settings, "informative_mppi", pushed)
+        patch.setattr(building, "informative_mppi", pushed)
         main(arguments)
     return Written(folder, shown.getvalue())
 
@@ -297,7 +298,7 @@ def test_the_command_writes_a_folder_and_shows_the_table(written: Written) -> No
 def test_the_settings_of_the_folder_repeat_its_runs(
     written: Written, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(settings, "informative_mppi", pushed)
+    monkeypatch.setattr(building, "informative_mppi", pushed)
     used, report = written.settings, written.report
     assert "architecture" not in used
     assert used["controller"]["num_samples"] == used["informative"]["num_samples"] == 8
@@ -316,7 +317,7 @@ def test_the_settings_of_the_folder_repeat_its_runs(
 def test_overwriting_is_asked_for(
     world_file: Path, written: Written, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(settings, "informative_mppi", pushed)
+    monkeypatch.setattr(building, "informative_mppi", pushed)
     other = Written(written.folder.with_name("other"), "")
     arguments = ["compare", str(world_file), "--architectures", "parallel", "--seeds", "1"]
     arguments += [*SMALL, "--no-animation", "--out", str(other.folder)]

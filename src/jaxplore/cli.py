@@ -108,22 +108,13 @@ def _options(*without: str) -> Callable[[Any], Any]:
     return add
 
 
-def _entries(
-    map_: str | None,
-    start: tuple[float, float, float] | None,
-    goal: tuple[float, float] | None,
-    settings_file: Path | None,
-    assignments: tuple[str, ...],
-    options: dict[str, Any],
-) -> dict[str, Any]:
-    """Return the settings given by a command's options."""
+def _entries(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings given by what `_options` adds."""
+    settings_file, assignments = options.pop("settings_file"), options.pop("assignments")
     entries = {} if settings_file is None else read_settings(settings_file)
+    map_ = options.pop("map_")
     if map_ is not None:
         entries["map"] = map_ if map_ in (OFFICE, ZONES) else str(Path(map_).absolute())
-    if start is not None:
-        entries["start"] = start
-    if goal is not None:
-        entries["goal"] = goal
     for name, value in options.items():
         if value is not None:
             _assign(entries, name.replace("__", "."), value)
@@ -153,12 +144,7 @@ def cli() -> None:
 )
 @click.option("--animation/--no-animation", default=True, help="Draw exploration.gif.")
 def run(
-    map_: str | None,
-    start: tuple[float, float, float] | None,
-    goal: tuple[float, float] | None,
     out: Path | None,
-    settings_file: Path | None,
-    assignments: tuple[str, ...],
     overwrite: bool,
     animation: bool,
     **options: Any,
@@ -175,7 +161,7 @@ def run(
 
     Ctrl-C ends the run and keeps what was done.
     """
-    entries = _entries(map_, start, goal, settings_file, assignments, options)
+    entries = _entries(options)
     settings = make_settings(entries)
     folder = _free_name(Path("runs") / Path(settings.map).stem) if out is None else out
     check_folder(folder, overwrite=overwrite)
@@ -209,14 +195,9 @@ def run(
 )
 @click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
 def compare(
-    map_: str | None,
-    start: tuple[float, float, float] | None,
-    goal: tuple[float, float] | None,
     architectures: str | None,
     seeds: int,
     out: Path | None,
-    settings_file: Path | None,
-    assignments: tuple[str, ...],
     overwrite: bool,
     animation: bool,
     **options: Any,
@@ -233,7 +214,7 @@ def compare(
 
     Ctrl-C ends the comparison and keeps the runs that were done.
     """
-    entries = _entries(map_, start, goal, settings_file, assignments, options)
+    entries = _entries(options)
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
     if architectures is None:

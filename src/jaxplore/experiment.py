@@ -187,7 +187,6 @@ def _controller(
         goal=goal,
         flight=flight,
         fields=fields,
-        patience=settings.fields.patience,
         **given,
     )
 

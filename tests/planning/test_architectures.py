@@ -157,11 +157,11 @@ def remaining(field: HeadingField, belief, patience: float) -> HeadingField:
     values, frame = np.array(field.values, float), belief.information.frame
     nodes = np.stack(np.meshgrid(*map(np.arange, values.shape[:2]), indexing="ij"), axis=-1)
     places = np.asarray(frame.to_grid(field.frame.cell_centre(jnp.asarray(nodes))), float) - 0.5
-    dwell = np.asarray(belief.dwell, float)
-    # Half a node beyond the outermost ones the edge's value holds, farther out there is none.
-    within = ((places > -0.5) & (places < np.array(dwell.shape) - 0.5)).all(axis=-1)
-    found = map_coordinates(dwell, np.moveaxis(places, -1, 0), order=1, mode="nearest")
-    share = np.exp(-np.where(within, found, 0.0) / patience)[..., None]
+    left = np.exp(-np.asarray(belief.dwell, float) / patience)
+    # Half a node beyond the outermost ones the edge's value holds, farther out nothing is lost.
+    within = ((places > -0.5) & (places < np.array(left.shape) - 0.5)).all(axis=-1)
+    found = map_coordinates(left, np.moveaxis(places, -1, 0), order=1, mode="nearest")
+    share = np.where(within, found, 1.0)[..., None]
     values = np.zeros_like(values) if bool(belief.is_explored) else share * values
     return HeadingField(jnp.asarray(values, jnp.float32), field.frame)
 

@@ -13,8 +13,6 @@ from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.information.belief import Belief, StrategicBelief
 
-Known = Belief | StrategicBelief
-
 
 class InformationCost(Cost):
     """Reward for what a scan taken here would tell, `-I(x, y, yaw) / num_beams` [nat per beam].
@@ -22,7 +20,7 @@ class InformationCost(Cost):
     The field of view is that of the sensor that the belief was made for.
     """
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return minus the information of a scan per beam."""
         field = belief.information
         return -field(state.position, state.heading) / field.num_beams
@@ -51,7 +49,7 @@ class GuidanceCost(Cost):
     def __init__(self, turning: ArrayLike = 0.3) -> None:
         self.turning = _checks.scalar("turning", turning, at_least=0.0)
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost to go and of the heading."""
         position, heading = state.position, state.heading
         way = belief.guidance.direction(position)
@@ -126,6 +124,6 @@ class HomingCost(Cost):
     def __init__(self, goal: Vector) -> None:
         self.goal = array("goal", goal, (2,), (3,))
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Known) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the distance, or 0."""
         return jnp.where(belief.is_explored, length(offset(state, self.goal)), 0.0)

@@ -14,7 +14,7 @@ from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import add_up, least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief, StrategicBelief
+from jaxplore.information.belief import Belief
 
 
 class ObstacleCost(Cost):
@@ -56,9 +56,7 @@ class ObstacleCost(Cost):
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
 
-    def stage(
-        self, state: State, control: ControlVector, t: Scalar, belief: Belief | StrategicBelief
-    ) -> Scalar:
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost of being this close."""
         distance = belief.clearance(state.position)
         contact = _contact(state, self.margin, self.reaction_time)

@@ -23,6 +23,7 @@ class Belief(eqx.Module):
         dwell: (rows, columns) of the guidance's nodes: time recently spent near each [s].
         is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
             there.
+        patience: time near a place after which its pull has faded to 1/e [s].
     """
 
     grid: OccupancyGrid
@@ -31,18 +32,19 @@ class Belief(eqx.Module):
     guidance: GuidanceField
     dwell: GridValues
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
+    patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
+
+    @property
+    def pull(self) -> ScalarField:
+        """What is left of a place's pull, `exp(-dwell / patience)`; 1 off the map."""
+        share = jnp.exp(-self.dwell / self.patience)
+        return ScalarField(share, self.information.frame, jnp.ones(()))
 
 
-class StrategicBelief(eqx.Module):
+class StrategicBelief(Belief):
     """A belief with what a strategic layer made of it, for the costs of informative MPPI.
 
     Args:
-        grid: as of `Belief`.
-        clearance: as of `Belief`.
-        information: as of `Belief`.
-        guidance: as of `Belief`.
-        dwell: as of `Belief`.
-        is_explored: as of `Belief`.
         potential: information of a scan around the robot by heading [nat], as it was when the
             strategic layer ran last.
         best: its greatest value over headings [nat].
@@ -53,18 +55,12 @@ class StrategicBelief(eqx.Module):
         reference_age: time since the reference was made [s].
     """
 
-    grid: OccupancyGrid
-    clearance: ScalarField
-    information: InformationField
-    guidance: GuidanceField
-    dwell: GridValues
-    is_explored: Flag
-    potential: HeadingField
-    best: ScalarField
-    local: HeadingField
-    reference: Float[Array, "T 3"]
-    reference_period: Scalar
-    reference_age: Scalar
+    potential: HeadingField = eqx.field(kw_only=True)
+    best: ScalarField = eqx.field(kw_only=True)
+    local: HeadingField = eqx.field(kw_only=True)
+    reference: Float[Array, "T 3"] = eqx.field(kw_only=True)
+    reference_period: Scalar = eqx.field(kw_only=True)
+    reference_age: Scalar = eqx.field(kw_only=True)
 
     def reference_at(self, t: Scalar) -> Float[Array, "3"]:
         """Return where to be `t` seconds from now [m], linear between rows; the ends hold."""

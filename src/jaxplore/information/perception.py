@@ -154,7 +154,7 @@ class Perception(eqx.Module):
         is_known = self._is_known(grid)
         guidance = self._guidance(clearance, information, dwell, is_known)
         is_explored = is_known | self._is_goal_next(guidance, pose)
-        return Belief(grid, clearance, information, guidance, dwell, is_explored)
+        return Belief(grid, clearance, information, guidance, dwell, is_explored, self.patience)
 
     def observe(self, belief: Belief, scan: Scan, pose: Pose) -> Belief:
         """Return the belief after a scan: the map and the clearance."""
@@ -180,7 +180,13 @@ class Perception(eqx.Module):
         is_known = self._is_known(belief.grid)
         guidance = self._guidance(belief.clearance, information, dwell, is_known)
         is_explored = is_known | self._is_goal_next(guidance, pose)
-        return Belief(belief.grid, belief.clearance, information, guidance, dwell, is_explored)
+        return dataclasses.replace(
+            belief,
+            information=information,
+            guidance=guidance,
+            dwell=dwell,
+            is_explored=is_explored,
+        )
 
     def _is_known(self, grid: OccupancyGrid) -> Flag:
         """Say whether the map counts as explored."""

@@ -209,7 +209,6 @@ def informative_mppi(
     field_weight: ArrayLike = 20.0,
     guidance_weight: ArrayLike = 10.0,
     goal_weight: ArrayLike = 0.2,
-    patience: ArrayLike = 3.0,
 ) -> InformativeMPPI:
     """Return informative MPPI with the costs and numbers of the quadrotor design notes.
 
@@ -239,7 +238,6 @@ def informative_mppi(
         field_weight: of the information field [1/nat].
         guidance_weight: of the guidance [1/m].
         goal_weight: of the distance from the goal [1/m].
-        patience: time near a place after which the fields there have faded to 1/e [s].
 
     Raises:
         ValueError: an unknown architecture, a value that a part does not accept.
@@ -280,7 +278,6 @@ def informative_mppi(
         follower=follower,
         strategy_period=fields.field_period,
         altitude=flight.altitude,
-        patience=patience,
     )
 
 

@@ -1,5 +1,6 @@
 """Informative MPPI: a slow strategic layer and fast MPPI in one controller."""
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -83,9 +84,8 @@ class InformativeMPPI(Controller):
     rollouts around the controls that follow this path. Without a `reference` MPPI reads the field
     alone: the parallel architecture. In between the last strategy is kept.
 
-    Both fields fade where the robot stays, by `exp(-dwell / patience)`, like the pull of the
-    guidance. Once all worthwhile is explored (`Belief.is_explored`) they are zero: only guidance
-    and goal count then.
+    Both fields fade where the robot stays (`Belief.pull`), as guidance does. Once all worthwhile is
+    explored (`Belief.is_explored`) they are zero: only guidance and goal count then.
 
     Costs read a `StrategicBelief`: the robot's own belief, the `potential`, the `local`
     information of a short look, and the reference.
@@ -99,7 +99,6 @@ class InformativeMPPI(Controller):
         follower: turns the reference into controls, for a `BiasedProposal`.
         strategy_period: time between strategies [s]; whole control periods.
         altitude: z of the reference [m].
-        patience: time near a place after which the fields there have faded to 1/e [s].
 
     Raises:
         ValueError: a strategy period that is not a whole number of control periods; a biased
@@ -114,7 +113,6 @@ class InformativeMPPI(Controller):
     follower: Follower | None
     strategy_period: Scalar
     altitude: Scalar
-    patience: Scalar
 
     def __init__(
         self,
@@ -127,7 +125,6 @@ class InformativeMPPI(Controller):
         follower: Follower | None = None,
         strategy_period: ArrayLike = 0.2,
         altitude: ArrayLike = 0.0,
-        patience: ArrayLike = 3.0,
     ) -> None:
         is_biased = isinstance(mppi.proposal, BiasedProposal)
         if is_biased != (follower is not None) or (is_biased and reference is None):
@@ -144,7 +141,6 @@ class InformativeMPPI(Controller):
         self.follower = follower
         self.strategy_period = _checks.scalar("strategy_period", strategy_period, above=0.0)
         self.altitude = _checks.scalar("altitude", altitude)
-        self.patience = _checks.scalar("patience", patience, above=0.0)
         if not _checks.is_traced(self.strategy_period, mppi.control_period):
             ratio = float(self.strategy_period) / float(mppi.control_period)
             if abs(ratio - round(ratio)) > 1e-3 * ratio or round(ratio) < 1:
@@ -171,7 +167,6 @@ class InformativeMPPI(Controller):
             follower=self.follower,
             strategy_period=self.strategy_period,
             altitude=self.altitude,
-            patience=self.patience,
         )
 
     def step(
@@ -239,12 +234,7 @@ class InformativeMPPI(Controller):
         age = jnp.where(is_due, 0, state.age)
         period = jnp.ones(()) if self.reference is None else self.reference.walk.dt
         known = StrategicBelief(
-            grid=belief.grid,
-            clearance=belief.clearance,
-            information=belief.information,
-            guidance=belief.guidance,
-            dwell=belief.dwell,
-            is_explored=belief.is_explored,
+            **{part.name: getattr(belief, part.name) for part in dataclasses.fields(Belief)},
             potential=strategy.potential,
             best=strategy.best,
             local=self._local(belief, observation),
@@ -275,8 +265,7 @@ class InformativeMPPI(Controller):
         """
         rows, columns = jnp.mgrid[: field.values.shape[0], : field.values.shape[1]]
         nodes = field.frame.cell_centre(jnp.stack([rows, columns], axis=-1).reshape(-1, 2))
-        dwell = ScalarField(belief.dwell, belief.information.frame, jnp.zeros(()))
-        share = jnp.exp(-jax.vmap(dwell)(nodes) / self.patience).reshape(rows.shape)
+        share = jax.vmap(belief.pull)(nodes).reshape(rows.shape)
         share = jnp.where(belief.is_explored, 0.0, share)
         return HeadingField(share[..., None] * field.values, field.frame)
 
