@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from jaxplore.information.zones import Zones
 from jaxplore.maps import _files
-from jaxplore.maps.world import Shapes, World, three_zones
+from jaxplore.maps.world import Mover, Shapes, World, three_zones
 
 FREE, UNKNOWN, SOLID = np.float32([0.01, 0.5, 0.99])
 
@@ -28,6 +28,15 @@ ENTRIES = {
     "hidden": {"walls": [[2.0, 0.5, 3.0, 1.5]], "discs": [[0.0, 3.0, 0.3]]},
     "start": [-0.5, 2.0, 1.5],
     "goal": [2.8, 3.2],
+}
+
+EXTRAS = {
+    "hills": [[1, 2, 0.5, 1.0], [4.0, 4.0, -0.25, 1.5]],
+    "targets": [[-0.5, 3.0], [2.8, 3.2]],
+    "movers": [
+        {"path": [[-0.7, 0.8], [-0.7, 1.8], [-0.2, 1.8]], "speed": 0, "radius": 0.2},
+        {"path": [[2.7, 2.2]], "speed": 1.5, "radius": 0.1},
+    ],
 }
 
 
@@ -229,6 +238,110 @@ def test_lists_and_whole_numbers_become_tuples_of_floats():
     assert hash(world) == hash(World.from_dict(ENTRIES))
 
 
+def test_hills_targets_and_movers_are_written_and_read(tmp_path):
+    world = World.from_dict({**ENTRIES, **EXTRAS})
+    assert world.hills == ((1.0, 2.0, 0.5, 1.0), (4.0, 4.0, -0.25, 1.5))
+    assert world.targets == ((-0.5, 3.0), (2.8, 3.2))
+    assert world.movers == (
+        Mover(path=((-0.7, 0.8), (-0.7, 1.8), (-0.2, 1.8)), speed=0.0, radius=0.2),
+        Mover(path=((2.7, 2.2),), speed=1.5, radius=0.1),
+    )
+    assert type(world.movers[0].speed) is float
+    assert dataclasses.replace(world, targets=()) != world
+    assert hash(dataclasses.replace(world)) == hash(world)
+    world.to_yaml(tmp_path / "world.yaml")
+    assert World.from_yaml(tmp_path / "world.yaml") == world
+    assert World.from_dict(world.to_dict()) == world
+    for name in EXTRAS:
+        partial = {**ENTRIES, name: EXTRAS[name]}
+        assert World.from_dict(partial).to_dict().keys() - World.from_dict(ENTRIES).to_dict() == {
+            name
+        }
+        assert yaml.safe_load((tmp_path / "world.yaml").read_text())[name] == EXTRAS[name]
+
+
+def test_the_maps_of_a_world_do_not_have_its_hills_targets_and_movers():
+    world, bare = World.from_dict({**ENTRIES, **EXTRAS}), World.from_dict(ENTRIES)
+    np.testing.assert_array_equal(values(world.truth()), values(bare.truth()))
+    np.testing.assert_array_equal(values(world.prior()), values(bare.prior()))
+
+
+def test_the_ground_of_a_world():
+    world = World.from_dict({**ENTRIES, **EXTRAS})
+    ground = world.ground(max_slope=0.8, threshold=0.2)
+    assert ground.shape == world.shape
+    assert ground.resolution == 0.25
+    np.testing.assert_array_equal(ground.frame.origin, [-1.0, 0.5, 0.0])
+    assert float(ground.threshold) == np.float32(0.2)
+    assert float(ground.max_slope) == np.float32(0.8)
+    for row in range(12):
+        for column in range(16):
+            expected = 0.0
+            for *top, height, radius in world.hills:
+                away = math.dist(centre(row, column), top)
+                if away < radius:
+                    expected += height * math.cos(math.pi * away / (2 * radius)) ** 2
+            assert float(ground.elevation[row, column]) == pytest.approx(expected, abs=1e-7)
+    assert float(ground.elevation.min()) < 0.0 < float(ground.elevation.max())
+    assert World.from_dict(ENTRIES).ground() is None
+    refused(lambda: world.ground(max_slope=0.0), "max_slope is 0.0", "accepted")
+
+
+# The disc's distance from solid squares, by sampling its way much denser than a cell.
+@settings(max_examples=60)
+@given(
+    st.lists(st.tuples(st.floats(0, 2.999), st.floats(0, 1.999)), min_size=1, max_size=4),
+    st.floats(0.01, 0.8),
+    st.lists(st.tuples(st.integers(0, 19), st.integers(0, 29)), max_size=4),
+)
+def test_a_mover_touches_nothing_solid_anywhere_on_its_way(path, radius, cells):
+    boxes = [
+        [column * 0.1 + 0.01, row * 0.1 + 0.01, column * 0.1 + 0.09, row * 0.1 + 0.09]
+        for row, column in cells
+    ]
+    entries = {"size": [3, 2], "start": [0, 0, 0], "rectangles": boxes}
+    assume((0, 0) not in cells)
+    world = World.from_dict(entries)
+    gap = math.inf
+    low = np.array([[column, row] for row, column in cells]).reshape(-1, 2) * 0.1
+    share = np.linspace(0, 1, 501)[:, None]
+    for a, b in zip(np.array(path), np.roll(np.array(path), -1, axis=0), strict=True):
+        way = (a + share * (b - a))[:, None]
+        outside = np.maximum(np.maximum(low - way, way - low - 0.1), 0.0)
+        gap = min([gap, *np.hypot(*np.moveaxis(outside, -1, 0)).ravel().tolist()])
+    assume(abs(gap - radius) > 0.005)  # the samples are at most 0.0073 m apart
+    mover = Mover(tuple(path), 1.0, radius)
+    if gap > radius:
+        assert dataclasses.replace(world, movers=(mover,)).movers == (mover,)
+    else:
+        refused(
+            lambda: dataclasses.replace(world, movers=(mover,)),
+            "movers[0].path[",
+            "something solid",
+        )
+
+
+def test_a_mover_may_reach_beyond_the_map_and_may_not_graze_a_wall():
+    world = World(
+        size=(3.0, 2.0),
+        start=(0.0, 0.0, 0.0),
+        known=Shapes(rectangles=((1.0, 1.0, 1.5, 1.5),)),
+    )
+    beyond = Mover(((0.1, 0.1), (2.9, 0.1)), 1.0, 0.4)
+    grazing = Mover(((0.1, 0.5), (2.9, 0.5)), 1.0, 0.5)
+    assert dataclasses.replace(world, movers=(beyond,)).movers == (beyond,)
+    refused(lambda: dataclasses.replace(world, movers=(grazing,)), "the disc touches")
+    near = dataclasses.replace(grazing, radius=0.499)
+    assert dataclasses.replace(world, movers=(near,)).movers == (near,)
+
+
+def test_a_mover_alone_is_checked():
+    refused(lambda: Mover(((0.0, 0.0),), -1.0, 1.0), "speed is -1.0", "accepted")
+    refused(lambda: Mover((), 1.0, 1.0), "path is ()", "accepted")
+    refused(lambda: Mover(((0.0, 0.0), (0.0, NAN)), 1.0, 1.0), "path[1] is", "accepted")
+    refused(lambda: Mover(((0.0, 0.0),), 1.0, 0.0), "radius is 0.0", "accepted")
+
+
 @pytest.mark.parametrize("failing", ["rename", "folder"])
 def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failing):
     path = tmp_path / "world.yaml"
@@ -373,6 +486,50 @@ REFUSED = [
     ({"goal": [2.5, 1.0, -2.0]}, "goal is [2.5, 1.0, -2.0], in something solid"),
     ({"wall": []}, "unknown entry 'wall'; accepted: origin, size, resolution, wall_reach, zones"),
     ({3: 4, "a\nb": 1}, r"unknown entry 3, 'a\nb'"),
+]
+
+
+MOVER = {"path": [[-0.7, 0.8], [-0.7, 1.8]], "speed": 1.0, "radius": 0.2}
+REFUSED += [
+    ({"hills": None}, "hills is None; accepted: a list of 4 finite numbers"),
+    ({"hills": [[1, 2, 1]]}, "hills[0] is [1, 2, 1]"),
+    ({"hills": [[1, 2, 1, 1], [1, 2, NAN, 1]]}, "hills[1] is [1, 2, nan, 1]"),
+    ({"hills": [[1, 2, 1, 0]]}, "hills[0] is [1.0, 2.0, 1.0, 0.0]"),
+    ({"hills": [[1, 2, 6e5, 1], [1, 2, -6e5, 1]]}, "hills have heights of 1.2e+06 m in all"),
+    ({"hills": [[1, 2, 1, 1], [5, 2, 1, 2.1]]}, "hills[1] is [5.0, 2.0, 1.0, 2.1]"),
+    ({"hills": [[1, 2, 1, 0.17]]}, "accepted: a hill with the centre of a cell of the map within"),
+    ({"targets": 3}, "targets is 3"),
+    ({"targets": [[1, 2, 3]]}, "targets[0] is [1, 2, 3]"),
+    ({"targets": [[-0.5, 3.0], [3.0, 2.0]]}, "targets[1] is [3.0, 2.0]; accepted: a point on the"),
+    ({"targets": [[2.0, 2.5]]}, "targets[0] is [2.0, 2.5], in something solid"),
+    ({"targets": [[0.0, 3.0]]}, "targets[0] is [0.0, 3.0], in something solid"),  # hidden
+    ({"movers": {}}, "movers is {}; accepted: a list of mappings with path, speed, radius"),
+    ({"movers": [MOVER, [1, 2]]}, "movers[1] is [1, 2]; accepted: a mapping with path, speed"),
+    ({"movers": [{**MOVER, "phase": 0}]}, "movers[0]: unknown entry 'phase'; accepted: path"),
+    ({"movers": [{"path": [[0, 2]], "radius": 1}]}, "movers[0].speed is missing"),
+    ({"movers": [{**MOVER, "speed": -1}]}, "movers[0].speed is -1"),
+    ({"movers": [{**MOVER, "speed": math.inf}]}, "movers[0].speed is inf"),
+    ({"movers": [{**MOVER, "speed": "fast"}]}, "movers[0].speed is 'fast'"),
+    ({"movers": [MOVER, {**MOVER, "radius": 0}]}, "movers[1].radius is 0"),
+    ({"movers": [{**MOVER, "path": []}]}, "movers[0].path is []; accepted: at least one point"),
+    ({"movers": [{**MOVER, "path": 2}]}, "movers[0].path is 2"),
+    ({"movers": [MOVER, {**MOVER, "path": [[0, 1], [0, 1], [0]]}]}, "movers[1].path[2] is [0]"),
+    (
+        {"movers": [{**MOVER, "path": [[-0.7, 0.8], [-1.1, 2]]}]},
+        "movers[0].path[1] is [-1.1, 2.0]; accepted: a point on the map",
+    ),
+    (
+        {"movers": [{**MOVER, "path": [[-0.7, 0.8], [1.0, 1.0]]}]},
+        "movers[0].path[1] is [1.0, 1.0], in something solid",
+    ),
+    (
+        {"movers": [{**MOVER, "path": [[-0.7, 0.8], [-0.2, 1.8], [0, 0.55], [2.8, 2.2]]}]},
+        "movers[0].path[2] is [0.0, 0.55], and on the way to movers[0].path[3] the disc touches",
+    ),
+    (
+        {"movers": [MOVER, {**MOVER, "path": [[-0.2, 2.5]], "radius": 0.4}]},
+        "movers[1].path[0] is [-0.2, 2.5], and on the way to movers[1].path[0] the disc touches",
+    ),
 ]
 
 

@@ -2,9 +2,6 @@
 
 import io
 import os
-import struct
-import warnings
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -12,21 +9,17 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image, ImageFile
+from PIL import Image
 
 from jaxplore import _checks
-from jaxplore.maps._files import MALFORMED, name_of, read_yaml, reason_of, replace_files, show
+from jaxplore.maps._files import name_of, read_yaml, replace_files, show
+from jaxplore.maps.images import PIXEL_LIMIT, read_greys
 
 MODES = ("trinary", "scale", "raw")
 """How grey becomes probability; see `read_map`."""
-PIXEL_LIMIT = 64_000_000
-"""Largest image read or written [pixels]."""
 
 _UNKNOWN = 0.5
 _SUFFIXES = (".yaml", ".yml")
-_IMAGE_FORMATS = ("PPM", "PNG", "BMP")
-_IMAGE_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
-_IMAGE_ERRORS = (*MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
 
 
 class _Settings(NamedTuple):
@@ -37,14 +30,6 @@ class _Settings(NamedTuple):
     occupied_thresh: float
     free_thresh: float
     mode: str
-
-
-class _Greys(NamedTuple):
-    """`level / full` is how bright each pixel is; `opaque` is None without an alpha channel."""
-
-    level: NDArray[np.integer]
-    full: int
-    opaque: NDArray[np.bool_] | None
 
 
 def read_map(
@@ -76,7 +61,7 @@ def read_map(
     Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `loadMapYaml` and `loadMapFromFile`.
     """
     settings = _settings(Path(path))
-    greys = _greys(settings.image, alpha_is_shade=settings.mode == "trinary")
+    greys = read_greys(settings.image, alpha_is_shade=settings.mode == "trinary")
     # A table per grey level: exact in float64, and a large map needs no float64 copy.
     shade = np.arange(greys.full + 1) / greys.full
     probability = _probability_of(shade, settings).astype(np.float32)[greys.level]
@@ -209,69 +194,6 @@ def _image_path(path: Path, entry: object) -> Path:
             f"accepted: {accepted}"
         )
     return image
-
-
-def _greys(path: Path, *, alpha_is_shade: bool) -> _Greys:
-    where, accepted = f"image {name_of(path)}", "a PGM, PNG or BMP image"
-    too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
-    # Pillow warns of large images, which are refused here, and of oddities it gets over.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            with path.open("rb") as file:
-                image = Image.open(file, formats=_IMAGE_FORMATS)
-                large = image.width * image.height > PIXEL_LIMIT
-                if not large and image.mode in _IMAGE_MODES:
-                    return _levels(image, alpha_is_shade)
-        except Image.DecompressionBombError:
-            raise ValueError(too_large) from None
-        except _IMAGE_ERRORS as error:
-            reason = reason_of(error)
-            raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
-    if large:
-        raise ValueError(too_large)
-    raise ValueError(f"{where} has pixels of type {image.mode}; accepted: {accepted}")
-
-
-def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> _Greys:
-    maxval = _portable_maxval(image)
-    clear = image.info.get("transparency")
-    if image.mode in ("I", "I;16"):
-        grey = np.asarray(image)
-        levels = _unscaled(65535, maxval)[grey]
-        opaque = None if clear is None else grey != clear
-        if not alpha_is_shade or opaque is None:
-            return _Greys(levels, maxval or 65535, opaque)
-        return _Greys(3 * levels.astype(np.int32) + 65535 * opaque, 4 * 65535, opaque)
-    has_alpha = image.has_transparency_data
-    if image.mode in ("1", "L", "LA"):
-        mode, weight = "LA" if has_alpha else "L", 3
-    else:
-        mode, weight = "RGBA" if has_alpha else "RGB", 1
-    channels = np.asarray(image.convert(mode)).reshape(image.height, image.width, -1)
-    colour = channels[..., :-1] if has_alpha else channels
-    level = weight * _unscaled(255, maxval)[colour].sum(axis=-1, dtype=np.uint16)
-    full = 3 * (maxval or 255)
-    if not has_alpha:
-        return _Greys(level, full, None)
-    alpha = channels[..., -1]
-    if alpha_is_shade:
-        level, full = level + alpha, full + 255
-    return _Greys(level, full, alpha == 255)
-
-
-def _portable_maxval(image: ImageFile.ImageFile) -> int | None:
-    """Return the maxval of a portable map that Pillow is going to stretch to 8 or 16 bits."""
-    args = image.tile[0].args if image.tile else None
-    if image.format == "PPM" and isinstance(args, tuple) and isinstance(args[1], int):
-        return args[1]
-    return None
-
-
-def _unscaled(full: int, maxval: int | None) -> NDArray[np.uint16]:
-    # Pillow rounds value / maxval to 8 bits, enough to move a cell across a threshold; the
-    # rounding never merges two values, so it can be undone.
-    return np.rint(np.arange(full + 1) * ((maxval or full) / full)).astype(np.uint16)
 
 
 def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:

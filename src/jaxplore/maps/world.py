@@ -12,8 +12,21 @@ import yaml
 from numpy.typing import NDArray
 
 from jaxplore.maps import _files
-from jaxplore.maps._entries import CHECKS, OTHERS, SHAPES, Row, checked, refuse_unknown
+from jaxplore.maps._entries import (
+    CHECKS,
+    EXTRAS,
+    MOVER,
+    OTHERS,
+    SHAPES,
+    Row,
+    checked,
+    refuse_unknown,
+    touches_solid,
+)
+from jaxplore.maps._entries import Mover as Mover
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.hills import hill_elevation, is_on_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
 from jaxplore.maps.resample import CELL_LIMIT
@@ -73,13 +86,20 @@ class World:
         known: solid things that are known beforehand.
         zones: rectangles (x_min, y_min, x_max, y_max) [m], unknown beforehand.
         hidden: solid things that are not known beforehand.
+        hills: (x, y, height, radius) [m], whose sum is the elevation; a negative height is a pit.
+            See `jaxplore.maps.hills.hill_elevation`.
+        targets: points (x, y) [m] that are to be seen.
+        movers: discs on closed paths; neither of the two maps has them.
 
     Raises:
         ValueError: one line that names the entry, such as `hidden.walls[2]`: numbers that are not
             finite or too few or many, a size or resolution that is not positive, more than 64
             million cells, a wall reach below half a cell (walls would have gaps), a shape without
-            a cell on the map, a zone that leaves the map or holds no centre of a cell, a start or
-            goal that is off the map or in a cell that is solid in the true world.
+            a cell on the map, a zone that leaves the map or holds no centre of a cell, a start,
+            goal, target or point of a path that is off the map or in a cell that is solid in the
+            true world, a hill whose radius is not positive or reaches no centre of a cell,
+            heights of more than 1000 km in all, a mover that `Mover` refuses or whose disc touches
+            a solid cell of the true world on its way (it may reach beyond the map).
     """
 
     size: tuple[float, float]
@@ -91,6 +111,9 @@ class World:
     known: Shapes = field(default_factory=Shapes)
     zones: tuple[Row, ...] = ()
     hidden: Shapes = field(default_factory=Shapes)
+    hills: tuple[Row, ...] = ()
+    targets: tuple[Row, ...] = ()
+    movers: tuple[Mover, ...] = ()
 
     def __post_init__(self) -> None:
         for name in OTHERS:
@@ -101,13 +124,19 @@ class World:
         self._check_place("start", self.start, solid)
         if self.goal is not None:
             self._check_place("goal", self.goal, solid)
+        self._check_hills()
+        for index, target in enumerate(self.targets):
+            self._check_place(f"targets[{index}]", target, solid)
+        for index, mover in enumerate(self.movers):
+            self._check_path(f"movers[{index}].path", mover, solid)
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any]) -> "World":
         """Return the world that entries describe, which are named as in the class.
 
         `walls`, `rectangles` and `discs` stand at the top for what is known beforehand, and under
-        `hidden` for what is not. `size` and `start` must be given.
+        `hidden` for what is not. A mover is a mapping with `path`, `speed` and `radius`. `size` and
+        `start` must be given.
 
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
@@ -155,7 +184,11 @@ class World:
             "hidden": _lists(self.hidden),
             "start": list(self.start),
         }
-        return entries if self.goal is None else {**entries, "goal": list(self.goal)}
+        if self.goal is not None:
+            entries["goal"] = list(self.goal)
+        # Not written where there is none, so that a file says only what its world has.
+        extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in EXTRAS}
+        return entries | {kind: rows for kind, rows in extras.items() if rows}
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write a world file that `from_yaml` reads as this world, whole or not at all.
@@ -193,6 +226,13 @@ class World:
             (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
             (self._solid(self.known), SOLID_PROBABILITY),
         )
+
+    def ground(self, **options: Any) -> Ground | None:
+        """Return what there is to drive on, with the options of `Ground`; none without hills."""
+        if not self.hills:
+            return None
+        elevation = hill_elevation(self.hills, self.shape, self.resolution, self.origin)
+        return Ground(elevation, self.resolution, (*self.origin, 0.0), **options)
 
     def _painted(self, *layers: tuple[NDArray[np.bool_], float]) -> OccupancyGrid:
         probability = np.full(self.shape, FREE_PROBABILITY, np.float32)
@@ -274,6 +314,27 @@ class World:
                 "free in the true world"
             )
 
+    def _check_hills(self) -> None:
+        for index, hill in enumerate(self.hills):
+            if not is_on_map(hill, self.shape, self.resolution, self.origin):
+                raise ValueError(
+                    f"hills[{index}] is {list(hill)}; accepted: a hill with the centre of a cell "
+                    f"of the map within its radius, {self._extent()}"
+                )
+
+    def _check_path(self, name: str, mover: Mover, solid: NDArray[np.bool_]) -> None:
+        for index, point in enumerate(mover.path):
+            self._check_place(f"{name}[{index}]", point, solid)
+        local = np.array(mover.path) - self.origin
+        for index, ends in enumerate(np.stack([local, np.roll(local, -1, axis=0)], axis=1)):
+            if touches_solid(solid, ends, mover.radius, self.resolution):
+                following = (index + 1) % len(mover.path)
+                raise ValueError(
+                    f"{name}[{index}] is {list(mover.path[index])}, and on the way to "
+                    f"{name}[{following}] the disc touches something solid; accepted: a path with "
+                    f"nothing solid within the radius, {mover.radius} m"
+                )
+
     def _extent(self) -> str:
         (x, y), (width, height) = self.origin, self.size
         return f"[{x:.10g}, {x + width:.10g}) x [{y:.10g}, {y + height:.10g})"
@@ -316,3 +377,10 @@ def three_zones() -> World:
 
 def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
     return {kind: [list(row) for row in getattr(shapes, kind)] for kind in SHAPES}
+
+
+def _plain(entry: Row | Mover) -> object:
+    if isinstance(entry, Mover):
+        path = [list(point) for point in entry.path]
+        return dict(zip(MOVER, (path, entry.speed, entry.radius), strict=True))
+    return list(entry)

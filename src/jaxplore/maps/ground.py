@@ -1,0 +1,253 @@
+"""What a vehicle drives on: how high, steep, rough and passable each cell of a map is."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore import _checks
+from jaxplore._types import GridMask, GridValues, Scalar, Vector
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.frame import GridFrame
+
+HIGHEST = 1e6
+"""Greatest elevation and depth accepted [m]: differences and their squares stay finite."""
+
+
+class GroundSample(NamedTuple):
+    """What the ground is like at points: `elevation` [m], `slope` [m/m], `roughness` [m] and
+    `traversability` in [0, 1], (*N) each."""
+
+    elevation: Float[Array, "*N"]
+    slope: Float[Array, "*N"]
+    roughness: Float[Array, "*N"]
+    traversability: Float[Array, "*N"]
+
+
+class Ground(eqx.Module):
+    """What a vehicle drives on. The layers are known: scans do not change them.
+
+    With z the elevation and n the cells' side,
+
+        slope          = |grad z|, central differences over 2 n, one-sided at the edge
+        roughness      = root mean square distance, along z, of the 3 x 3 cells around from the
+                         plane that fits them best (least squares)
+        traversability = (1 - slope / max_slope)_+ * (1 - roughness / max_roughness)_+
+
+    Slope and roughness are exact for a plane: beyond the edge the elevation goes on in a straight
+    line, and along an axis of one cell it is level. Off the map all four layers are 0: nobody can
+    drive there.
+
+    Everything but the resolution is an array leaf, so another elevation does not recompile what is
+    compiled for one of its size. In a trace nothing can be refused: there a cell whose elevation
+    is not a number within 1000 km has elevation 0 and cannot be entered.
+
+    Args:
+        elevation: (H, W) of each cell [m]; row 0, column 0 is at the origin, as in `OccupancyGrid`.
+        resolution: side of a cell [m].
+        origin: pose (x, y, yaw) of the outer corner of cell (0, 0) in the world [m, m, rad].
+        max_slope: slope at which the traversability is 0 [m/m].
+        max_roughness: roughness at which it is 0 [m]; roughness does not matter when absent.
+        threshold: traversability below which a cell may not be entered, in [0, 1].
+        traversability: (H, W) in [0, 1], instead of the one computed.
+
+    Raises:
+        ValueError: an elevation that is empty, not two-dimensional or not within 1000 km, a
+            `max_slope` or `max_roughness` that is not positive, a threshold or a traversability
+            outside [0, 1], a traversability of another shape, and what `GridFrame` refuses.
+    """
+
+    elevation: GridValues
+    slope: GridValues
+    roughness: GridValues
+    traversability: GridValues
+    frame: GridFrame
+    threshold: Scalar
+    max_slope: Scalar
+    max_roughness: Scalar | None
+    is_given: bool = eqx.field(static=True)
+    """Whether the traversability was given, and not computed."""
+
+    def __init__(
+        self,
+        elevation: ArrayLike,
+        resolution: float,
+        origin: Vector = (0.0, 0.0, 0.0),
+        *,
+        max_slope: ArrayLike = 0.5,
+        max_roughness: ArrayLike | None = None,
+        threshold: ArrayLike = 0.3,
+        traversability: ArrayLike | None = None,
+    ) -> None:
+        self.frame = GridFrame(resolution, origin)
+        self.max_slope = _checks.scalar("max_slope", max_slope, above=0.0)
+        self.max_roughness = None
+        if max_roughness is not None:
+            self.max_roughness = _checks.scalar("max_roughness", max_roughness, above=0.0)
+        self.threshold = _checks.scalar("threshold", threshold, at_least=0.0, at_most=1.0)
+        given = _elevation(elevation)
+        is_known = jnp.abs(given) <= HIGHEST
+        self.elevation = jnp.where(is_known, given, 0.0)
+        self.slope, self.roughness = _relief(self.elevation, self.frame.resolution)
+        self.is_given = traversability is not None
+        if traversability is None:
+            passable = jnp.clip(1.0 - self.slope / self.max_slope, 0.0, 1.0)
+            if self.max_roughness is not None:
+                passable *= jnp.clip(1.0 - self.roughness / self.max_roughness, 0.0, 1.0)
+        else:
+            passable = _traversability(traversability, self.elevation.shape)
+        self.traversability = jnp.where(is_known, passable, 0.0)
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell [m]."""
+        return self.frame.resolution
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        height, width = self.elevation.shape
+        return height, width
+
+    @property
+    def is_traversable(self) -> GridMask:
+        """Cells that may be entered: the traversability is at least the threshold."""
+        return self.traversability >= self.threshold
+
+    def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
+        """Say whether each cell (row, column) is on the map."""
+        height, width = self.shape
+        row, column = cell[..., 0], cell[..., 1]
+        return (row >= 0) & (row < height) & (column >= 0) & (column < width)
+
+    def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
+        """Return the cell (row, column) that holds each world point (x, y) [m]; it may lie off the
+        map, and a point that is not finite does."""
+        grid = self.frame.to_grid(points)
+        # What a NaN becomes as a whole number is up to the machine.
+        return jnp.floor(jnp.where(jnp.isfinite(grid), grid, -1.0)).astype(jnp.int32)
+
+    def elevation_at_cell(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
+        """Return the elevation of each cell (row, column) [m], 0 off the map."""
+        return self._look_up(self.elevation, cell)
+
+    def at(self, points: Float[Array, "*N 2"]) -> GroundSample:
+        """Return the layers of the cell that holds each world point (x, y) [m], 0 off the map."""
+        cell = self.to_cell(points)
+        return GroundSample(
+            elevation=self._look_up(self.elevation, cell),
+            slope=self._look_up(self.slope, cell),
+            roughness=self._look_up(self.roughness, cell),
+            traversability=self._look_up(self.traversability, cell),
+        )
+
+    @property
+    def elevation_field(self) -> ScalarField:
+        """Elevation between the cells' centres [m], bilinear; 0 off the map."""
+        return self._field(self.elevation)
+
+    @property
+    def slope_field(self) -> ScalarField:
+        """Slope between the cells' centres [m/m], bilinear; 0 off the map."""
+        return self._field(self.slope)
+
+    @property
+    def roughness_field(self) -> ScalarField:
+        """Roughness between the cells' centres [m], bilinear; 0 off the map."""
+        return self._field(self.roughness)
+
+    @property
+    def traversability_field(self) -> ScalarField:
+        """Traversability between the cells' centres, bilinear; 0 off the map."""
+        return self._field(self.traversability)
+
+    def _field(self, layer: GridValues) -> ScalarField:
+        return ScalarField(layer, self.frame, jnp.zeros(()))
+
+    def _look_up(self, layer: GridValues, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
+        height, width = self.shape
+        row = jnp.clip(cell[..., 0], 0, height - 1)
+        column = jnp.clip(cell[..., 1], 0, width - 1)
+        return jnp.where(self.contains(cell), layer[row, column], 0.0)
+
+
+@jax.jit
+def _relief(elevation: GridValues, resolution: Scalar | float) -> tuple[GridValues, GridValues]:
+    """Return the slope [m/m] and the roughness [m] of each cell."""
+    # An odd reflection by one cell is the straight line on; an axis of one cell stays level.
+    padded: Array = elevation
+    for axis, size in enumerate(elevation.shape):
+        width = [(1, 1) if axis == other else (0, 0) for other in range(2)]
+        padded = (
+            jnp.pad(padded, width, mode="reflect", reflect_type="odd")
+            if size > 1
+            else jnp.pad(padded, width, mode="edge")
+        )
+    # Along each axis, three cells are a sum (1, 1, 1), a difference (-1, 0, 1) and a bend
+    # (1, -2, 1), which are orthogonal. So are their nine products over 3 x 3 cells, and the plane
+    # takes three of them; the other six, over their lengths, are its residual. Sums of squared
+    # residuals would cancel where the ground is high; differences of neighbours do not.
+    difference, bend = _difference(padded, 0), _bend(padded, 0)
+    by_row, by_column = _inner(difference, 1), _inner(_difference(padded, 1), 0)
+    slope = _root(by_row**2 + by_column**2) / (2.0 * resolution)
+    twist = _difference(difference, 1)
+    residual = twist**2 / 4.0
+    residual += (_sum(bend, 1) ** 2 + _sum(_bend(padded, 1), 0) ** 2) / 18.0
+    residual += (_bend(difference, 1) ** 2 + _difference(bend, 1) ** 2) / 12.0
+    residual += _bend(bend, 1) ** 2 / 36.0
+    return slope, _root(residual / 9.0)
+
+
+def _difference(values: Array, axis: int) -> Array:
+    return _from(values, axis, 2) - _from(values, axis, 0)
+
+
+def _bend(values: Array, axis: int) -> Array:
+    middle = _inner(values, axis)
+    return (_from(values, axis, 2) - middle) - (middle - _from(values, axis, 0))
+
+
+def _sum(values: Array, axis: int) -> Array:
+    return _from(values, axis, 0) + _inner(values, axis) + _from(values, axis, 2)
+
+
+def _inner(values: Array, axis: int) -> Array:
+    return _from(values, axis, 1)
+
+
+def _from(values: Array, axis: int, first: int) -> Array:
+    """Return the values from `first` on, two fewer than there are along the axis."""
+    return jax.lax.slice_in_dim(values, first, first + values.shape[axis] - 2, axis=axis)
+
+
+def _root(squared: GridValues) -> GridValues:
+    """Return the square root, with a derivative of 0 at 0."""
+    is_zero = squared <= 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
+
+
+def _elevation(value: ArrayLike) -> GridValues:
+    shape = np.shape(value)
+    if len(shape) != 2 or 0 in shape:
+        raise ValueError(f"elevation has shape {shape}; accepted: (H, W) with H, W >= 1")
+    if not _checks.is_traced(value):
+        array = np.asarray(value, np.float64)
+        if not (np.abs(array) <= HIGHEST).all():
+            raise ValueError(
+                f"elevation spans {array.min()} to {array.max()}; "
+                f"accepted: finite numbers within {HIGHEST:g} m of 0"
+            )
+    return jnp.asarray(value, jnp.float32)
+
+
+def _traversability(value: ArrayLike, shape: tuple[int, ...]) -> GridValues:
+    if np.shape(value) != shape:
+        raise ValueError(
+            f"traversability has shape {np.shape(value)}; accepted: the elevation's, {shape}"
+        )
+    given = _checks.probabilities("traversability", value, 2)
+    return jnp.clip(jnp.where(jnp.isnan(given), 0.0, given), 0.0, 1.0)
