@@ -24,7 +24,7 @@ def measure(steps: int) -> dict[str, Any]:
     site = available_sites()[0]
     controller, scenario, _, key = experiment(site, target_coverage=1.0)
     controller = controller.at_period(scenario.control_period)
-    state = initial_loop_state(controller, scenario)
+    state = initial_loop_state(controller, scenario, key)
 
     def run(count: int) -> float:
         nonlocal state
@@ -63,13 +63,13 @@ def measure(steps: int) -> dict[str, Any]:
 
 def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, Any]:
     perception, pose = scenario.perception, robot_pose(scenario.robot, state.robot)
-    scan = scenario.lidar.scan(scenario.world, pose, key=key)
+    scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     model, sensor = perception.sensor_model, perception.field_sensor
     period = jnp.asarray(0.2)
     parts = {
         "scan": timed(
             lambda lidar, world, at, k: lidar.scan(world, at, key=k),
-            scenario.lidar,
+            scenario.sensors[0],
             scenario.world,
             pose,
             key,

@@ -59,9 +59,12 @@ def _exploration() -> list[OccupancyGrid]:
     """Return what a robot knows after each scan of its first half minute in a 20 m office."""
     world = office(seed=5, width=SIDE, height=SIDE, resolution=RESOLUTION)
     robot = DifferentialDrive()
-    scenario = Scenario(world, robot, Lidar(), start=start_pose(world))
+    scenario = Scenario(
+        world, robot, Lidar(max_range=5.0, range_noise=0.02), start=start_pose(world)
+    )
     controller = explorer(robot).at_period(scenario.control_period)
-    state, key = initial_loop_state(controller, scenario), jax.random.key(0)
+    key = jax.random.key(0)
+    state = initial_loop_state(controller, scenario, key)
     beliefs = []
     for _ in range(NUM_SCANS):
         # Scans come at 10 Hz, controls at 50 Hz.
@@ -128,7 +131,7 @@ def _fields(beliefs: list[OccupancyGrid]) -> list[dict[str, Any]]:
         ("200 x 200, 32 directions, every 2nd cell", beliefs, 32, 2),
         ("100 x 100, 32 directions", window, 32, 1),
     ):
-        sensor = FieldSensor(Lidar(), RESOLUTION, directions, stride)
+        sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, directions, stride)
         field = timed(sensor.field, grids[len(grids) // 3], model, runs=50)
         beams = directions * math.prod(-(-size // stride) for size in grids[0].shape)
         rows.append(
@@ -141,7 +144,7 @@ def _fields(beliefs: list[OccupancyGrid]) -> list[dict[str, Any]]:
                 **_updates(sensor, grids, model),
             }
         )
-    sensor = FieldSensor(Lidar(), RESOLUTION, 32)
+    sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, 32)
     position, shape = jnp.asarray([9.33, 7.81]), (100, 100)
     taken = timed(lambda g, p: sensor.window(g, model, p, shape), beliefs[100], position, runs=50)
     rows.append(
@@ -216,7 +219,7 @@ def _growth() -> list[dict[str, Any]]:
             row[f"{method}_ns_per_beam"] = each
             row[f"{method}_ns_per_log2_range"] = each / math.log2(reach)
         rows.append(row)
-    sensor = FieldSensor(Lidar(), RESOLUTION, directions, 2)
+    sensor = FieldSensor(Lidar(max_range=5.0, range_noise=0.02), RESOLUTION, directions, 2)
     took = timed(sensor.field, half_known(2000), model, runs=3, warm_up=1)
     rows.append(
         {

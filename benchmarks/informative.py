@@ -45,7 +45,7 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
-from jaxplore.experiment import build
+from jaxplore.experiment.assembly import build
 from jaxplore.settings import make_settings
 from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
 
@@ -136,7 +136,7 @@ class _Loop:
         self._chunk(self.begin(), self.key, 0)
 
     def begin(self) -> LoopState:
-        state: LoopState = initial_loop_state(self.controller, self.scenario)
+        state: LoopState = initial_loop_state(self.controller, self.scenario, jax.random.key(0))
         return state
 
     def turn(self) -> None:
@@ -257,7 +257,7 @@ def _compile_seconds(architecture: str) -> float:
     controller, scenario, _, key = _experiment(architecture)
     jax.block_until_ready((controller, scenario, key))  # type: ignore[no-untyped-call]
     began = time.perf_counter()
-    state, program = initial_loop_state(controller, scenario), cast(Any, run_chunk)
+    state, program = initial_loop_state(controller, scenario, key), cast(Any, run_chunk)
     program.lower(controller, scenario, state, key, jnp.asarray(0), CHUNK).compile()
     return time.perf_counter() - began
 

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxplore.experiment import Experiment, build
+from jaxplore.experiment.assembly import Experiment, build
 from jaxplore.settings import make_settings
 
 MAPS = Path(

@@ -13,7 +13,7 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.cli import main
-from jaxplore.experiment import build, comparable
+from jaxplore.experiment.assembly import build, comparable
 from jaxplore.settings import make_settings
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
@@ -109,7 +109,7 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
         (["run", "office", "--set", "robot.wings=2"], "unknown setting robot.wings; accepted here"),
         (
             ["run", "office", "--set", "wings=2"],
-            "unknown setting wings; accepted here: map, architecture",
+            "unknown setting wings; accepted here: map, world, architecture",
         ),
         (["run", "office", "--set", "robot"], "--set is 'robot'; accepted: NAME=VALUE"),
         (["run", "office", "--set", "seed=[1"], "accepted: a value in YAML"),
@@ -315,7 +315,7 @@ def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[
         (["compare", "ROOM", "--seeds", "two"], "--seeds"),
         (
             ["compare", "ROOM", "--architectures", "two-layer,three-layer"],
-            "setting architecture is 'three-layer'; accepted: 'explorer', 'two-layer'",
+            "setting architecture is 'three-layer'; accepted: 'explorer', 'portfolio', 'two-layer'",
         ),
         (["compare", "ROOM", "--architectures", ""], "setting architecture is ''; accepted"),
         (["compare", "ROOM", "--architectures", "goal"], "goal is missing; accepted: a position"),

@@ -18,11 +18,11 @@ import yaml
 
 import jaxplore as jx
 from jaxplore import Comparison, Metrics, compare
-from jaxplore import experiment as building
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.experiment import build
+from jaxplore.experiment import controllers as building
+from jaxplore.experiment.assembly import build
 from jaxplore.settings import make_settings
 from jaxplore.simulation import simulate as simulation
 from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk

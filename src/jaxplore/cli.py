@@ -12,13 +12,22 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxplore._version import __version__
-from jaxplore.experiment import build, comparable
+from jaxplore.experiment.assembly import build, comparable
 from jaxplore.report.comparison import Comparison
 from jaxplore.report.folder import check_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.runs import compare as compare_runs
 from jaxplore.runs import progress_bar, simulate
-from jaxplore.settings import OFFICE, ZONES, Settings, make_settings, read_settings
+from jaxplore.settings import (
+    OFFICE,
+    SCENARIOS,
+    ZONES,
+    Settings,
+    is_scenario_file,
+    make_settings,
+    read_settings,
+    scenario_path,
+)
 
 # Options that stand for a setting: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
@@ -58,7 +67,7 @@ def _default(defaults: dict[str, Any], setting: str) -> Any:
 def _options(*without: str) -> Callable[[Any], Any]:
     """Return a decorator that adds what says what is run: the map, where, and every setting."""
     options = [
-        click.argument("map_", metavar="[MAP.yaml | office | zones]", required=False),
+        click.argument("map_", metavar="[MAP.yaml | NAME]", required=False),
         click.option(
             "--start",
             nargs=3,
@@ -114,12 +123,13 @@ def _entries(options: dict[str, Any]) -> dict[str, Any]:
     entries = {} if settings_file is None else read_settings(settings_file)
     map_ = options.pop("map_")
     if map_ is not None:
-        entries["map"] = map_ if map_ in (OFFICE, ZONES) else str(Path(map_).absolute())
+        entries = {**_place(map_), **entries}
     for name, value in options.items():
         if value is not None:
             _assign(entries, name.replace("__", "."), value)
     if options["controller__num_samples"] is not None:
-        _assign(entries, "informative.num_samples", options["controller__num_samples"])
+        for section in ("informative", "portfolio"):
+            _assign(entries, f"{section}.num_samples", options["controller__num_samples"])
     for assignment in assignments:
         name, separator, text = assignment.partition("=")
         if not separator:
@@ -129,6 +139,17 @@ def _entries(options: dict[str, Any]) -> dict[str, Any]:
         except yaml.YAMLError:
             raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None
     return entries
+
+
+def _place(name: str) -> dict[str, Any]:
+    """Return the settings that a map, a world, a scenario or the name of one stands for."""
+    if name in (OFFICE, ZONES):
+        return {"map": name}
+    if name in SCENARIOS:
+        return read_settings(scenario_path(name))
+    if is_scenario_file(name):
+        return {"map": str(Path(name).absolute()), **read_settings(name)}
+    return {"map": str(Path(name).absolute())}
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -277,7 +298,8 @@ def _show(metrics: Metrics, folder: Path) -> None:
     for name, value in metrics.rows():
         table.add_row(name, value)
     Console().print(table)
-    for name in ("map.png", "coverage.png", "exploration.gif", "metrics.json"):
+    names = ("map", "coverage", "members", "idleness")
+    for name in (*(f"{name}.png" for name in names), "exploration.gif", "metrics.json"):
         if (folder / name).exists():
             click.echo(str(folder / name))
 

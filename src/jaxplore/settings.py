@@ -1,8 +1,9 @@
 """Every setting of a run, from a YAML file or the command line."""
 
+import importlib.resources
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -13,12 +14,19 @@ Negative = Annotated[float, Field(lt=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 
-Architecture = Literal["explorer", "two-layer", "parallel", "sequential", "random-walk", "goal"]
+Architecture = Literal[
+    "explorer", "portfolio", "two-layer", "parallel", "sequential", "random-walk", "goal"
+]
+GROUND = ("explorer", "portfolio")
+"""Architectures of ground vehicles; the others are a quadrotor's unless another robot is named."""
 
 OFFICE = "office"
 """The map that is generated instead of read."""
 ZONES = "zones"
 """The world with three unknown zones of the quadrotor design notes."""
+
+SCENARIOS = ("warehouse", "search-rescue", "perimeter")
+"""Scenarios of the ground vehicles' design notes: settings with a world, in `scenarios/`."""
 
 FLIGHT: dict[str, Any] = {
     "robot": {"model": "quadrotor", "radius": 0.3, "max_speed": 2.0},
@@ -49,10 +57,13 @@ class OfficeSettings(_Section):
 class RobotSettings(_Section):
     """The robot: model, bounds [m/s, rad/s, m/s^2, rad/s^2], drag [1/s] and radius [m].
 
-    A quadrotor has a radius, a speed limit that is a cost, and a mass [kg].
+    A car (`ackermann`) has a wheelbase, a length and a width [m] instead of a radius, and steering
+    [rad, rad/s]. A quadrotor has a radius, a speed limit that is a cost, and a mass [kg].
     """
 
-    model: Literal["differential_drive", "quadrotor"] = "differential_drive"
+    model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
+        "differential_drive"
+    )
     max_speed: Positive = 1.0
     max_turn_rate: Positive = 2.0
     max_acceleration: Positive = 1.0
@@ -60,15 +71,54 @@ class RobotSettings(_Section):
     drag: NonNegative = 0.1
     radius: Positive = 0.2
     mass: Positive = 1.0
+    wheelbase: Positive = 0.5
+    length: Positive = 0.75
+    width: Positive = 0.4
+    max_steering: Annotated[float, Field(gt=0, lt=1.57)] = 0.6
+    max_steering_rate: Positive = 1.0
+    min_speed: float = 0.0
 
 
 class LidarSettings(_Section):
-    """The lidar: beams, reach [m], field of view [degrees], noise [m]."""
+    """The lidar: beams, reach [m], field of view [degrees], noise and height above ground [m]."""
 
     num_beams: Count = 360
     max_range: Positive = 5.0
     field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = 360.0
     range_noise: NonNegative = 0.02
+    height: NonNegative = 0.5
+
+
+class CameraSettings(_Section):
+    """A forward depth camera: columns, reach [m], views [degrees], noise and height [m], tilt
+    [rad], down is negative."""
+
+    num_beams: Count = 61
+    max_range: Positive = 20.0
+    field_of_view_degrees: Annotated[float, Field(gt=0, lt=180)] = 60.0
+    vertical_view_degrees: Annotated[float, Field(gt=0, lt=180)] = 45.0
+    range_noise: NonNegative = 0.0
+    height: Positive = 1.0
+    tilt: float = -0.1
+
+
+class WatchSettings(_Section):
+    """What is looked for beside the map: see `jaxplore.Watch`. Without a memory nothing that was
+    seen is worth a second look [s]."""
+
+    memory: Positive | None = None
+    weight: NonNegative = 1.0
+
+
+class TerrainSettings(_Section):
+    """The ground: see `jaxplore.Ground`. A height map is a grey image of the size of the ROS map's,
+    black 0 and white `elevation_scale` [m]."""
+
+    height_map: str | None = None
+    elevation_scale: Positive = 5.0
+    max_slope: Positive = 0.5
+    max_roughness: Positive | None = None
+    threshold: Annotated[float, Field(ge=0, le=1)] = 0.3
 
 
 class SensorModelSettings(_Section):
@@ -108,6 +158,36 @@ class ControllerSettings(_Section):
     information_weight: NonNegative = 2.0
     guidance_weight: NonNegative = 1.0
     control_weight: NonNegative = 0.01
+
+
+class PortfolioSettings(_Section):
+    """A portfolio for a ground vehicle and its fusion: see `jaxplore.ground_portfolio` and
+    `jaxplore.Contextual`. `weights` of one's own, by member and objective, take the place of
+    `members`. `is_safe` puts the fusion into a `SafeFusion` with that `regret`."""
+
+    decomposition: Literal["roles", "temporal", "regional"] = "roles"
+    members: tuple[str, ...] | None = None
+    weights: dict[str, dict[str, NonNegative]] | None = None
+    common: dict[str, NonNegative] | None = None
+    fusion: Literal[
+        "weighted-vote", "best-only", "average", "median", "trust-weighted", "contextual"
+    ] = "weighted-vote"
+    is_safe: bool = True
+    regret: NonNegative | None = None
+    vote_temperature: Positive = 0.1
+    near_goal: Positive = 2.0
+    near_obstacle: Positive = 0.3
+    rich_information: Positive = 0.2
+    hysteresis: NonNegative = 0.2
+    parameterisation: Literal["direct", "smooth", "knots"] = "direct"
+    effort: NonNegative = 0.02
+    horizon: Count = 30
+    num_samples: Count = 1000
+    temperature: Positive = 0.3
+    noise_share: Positive = 0.5
+    dt: Positive = 0.05
+    clearance: Positive = 0.4
+    margin: NonNegative = 0.02
 
 
 class InformativeSettings(_Section):
@@ -169,10 +249,12 @@ class Settings(_Section):
     """A whole run; what is not given has the default shown.
 
     Args:
-        map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`.
-        architecture: what decides: the ground robots' `explorer`; informative MPPI, `two-layer`,
-            `parallel`, or `sequential`, which is two-layer from zone to zone of a world; or a
-            baseline: a random walk, MPPI that only goes to the goal.
+        map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; with a
+            `world`, a name for it.
+        world: the entries of a world, instead of its file.
+        architecture: what decides: the ground robots' `explorer` or `portfolio`; informative MPPI,
+            `two-layer`, `parallel`, or `sequential`, which is two-layer from zone to zone of a
+            world; or a baseline: a random walk, MPPI that only goes to the goal.
         start: pose (x, y, yaw) [m, m, rad]; office and worlds have one of their own.
         goal: (x, y) or (x, y, z) to be at in the end [m]; worlds may have one of their own.
         goal_radius: distance at which it is reached [m].
@@ -182,10 +264,14 @@ class Settings(_Section):
         resolution: side of a map cell [m]; a finer map is resampled, a coarser one is kept.
         seed: of everything random in the run.
         time_limit: simulated time [s].
-        target_coverage: share of the reachable free cells at which exploration is finished.
+        target_coverage: share of the reachable free cells at which exploration is finished; null
+            for never, as on a patrol.
+        camera: leads if there is one; none when absent.
+        watch: what is looked for beside the map; nothing when absent.
     """
 
     map: str
+    world: dict[str, Any] | None = None
     architecture: Architecture = "explorer"
     start: tuple[float, float, float] | None = None
     goal: tuple[float, float] | tuple[float, float, float] | None = None
@@ -196,13 +282,17 @@ class Settings(_Section):
     resolution: Positive = 0.1
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     time_limit: Positive = 900.0
-    target_coverage: Share = 0.99
+    target_coverage: Share | None = 0.99
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
     lidar: LidarSettings = LidarSettings()
+    camera: CameraSettings | None = None
+    watch: WatchSettings | None = None
+    terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()
     controller: ControllerSettings = ControllerSettings()
+    portfolio: PortfolioSettings = PortfolioSettings()
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
 
@@ -227,6 +317,20 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
     return entries
 
 
+def scenario_path(name: str) -> Path:
+    """Return the settings file of one of the `SCENARIOS`."""
+    return Path(str(importlib.resources.files("jaxplore"))) / "scenarios" / f"{name}.yaml"
+
+
+def is_scenario_file(path: str | os.PathLike[str]) -> bool:
+    """Say whether a YAML file is a scenario: settings that hold a world."""
+    try:
+        entries = read_settings(path)
+    except ValueError:
+        return False
+    return "world" in entries
+
+
 def make_settings(entries: dict[str, Any]) -> Settings:
     """Return checked settings.
 
@@ -246,7 +350,7 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Return the entries over the defaults of their architecture and map."""
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
-    if entries.get("architecture", "explorer") == "explorer":
+    if entries.get("architecture", "explorer") in GROUND:
         return entries
     merged = dict(entries)
     for name, defaults in FLIGHT.items():
@@ -270,6 +374,8 @@ def _one_line(where: tuple[int | str, ...], kind: str, value: object, message: s
 
 def _section(section: type[BaseModel], name: str) -> type[BaseModel]:
     inner = section.model_fields[name].annotation
+    # Of a section that may be absent, the section.
+    inner = next((part for part in get_args(inner) if part is not type(None)), inner)
     assert isinstance(inner, type)
     assert issubclass(inner, BaseModel)
     return inner

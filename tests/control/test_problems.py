@@ -88,7 +88,7 @@ DRIVE = (
     {"horizon": 25, "dt": 0.1, "steps": 100},
 )
 ACKERMANN = (
-    Ackermann(min_speed=-1.0),
+    Ackermann(0.33, max_speed=3.0, max_steering=0.42, max_steering_rate=3.0, min_speed=-1.0),
     POSE + StateCost({"v": 0.1}),
     jnp.asarray([0.0, 0.0, 0.0, 0.0, 0.0]),
     [1.5, 1.5],

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import Ackermann, State
+from jaxplore.geometry.footprint import Disc, Rectangle
 
 ROBOT = Ackermann(
     wheelbase=0.5, max_speed=2.0, max_steering=0.6, min_speed=-1.0, drag=0.3, max_acceleration=3.0
@@ -111,6 +112,58 @@ def test_speed_and_steering_stop_at_their_bounds(fly) -> None:
     np.testing.assert_array_equal(forwards_only, 0.0)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_random_controls_never_lead_beyond_the_bounds(seed: int, fly) -> None:
+    robot = Ackermann(min_speed=-1.5, drag=0.2)
+    # Twice the bounds of the controls: the state's hold whatever it is told.
+    low, high = 2.0 * np.asarray(robot.control_min), 2.0 * np.asarray(robot.control_max)
+    # Held for 20 steps each, so that the bounds are reached.
+    controls = np.repeat(np.random.default_rng(seed).uniform(low, high, (50, 2)), 20, axis=0)
+    states = fly(robot, robot.at_pose(0.0, 0.0, 1.0), controls, 0.1)
+    v, steering = states[:, 3], states[:, 4]
+    assert v.min() >= -1.5
+    assert v.max() <= 5.0
+    assert np.abs(steering).max() <= np.float32(0.6)
+    assert (v == -1.5).any()
+    assert (v == 5.0).any()
+    assert (steering == np.float32(0.6)).any()
+    assert (steering == -np.float32(0.6)).any()
+
+
+def test_the_default_is_the_seed_s_car() -> None:
+    robot = Ackermann()
+    for name, value in {
+        "wheelbase": 0.5,
+        "min_speed": 0.0,
+        "max_speed": 5.0,
+        "max_steering": 0.6,
+        "drag": 0.0,
+    }.items():
+        assert float(getattr(robot, name)) == np.float32(value)
+    np.testing.assert_array_equal(robot.control_max, [2.0, 1.0])
+
+
+@pytest.mark.parametrize("wheelbase", [0.5, 0.33, 2.7])
+def test_it_is_a_rectangle_of_its_wheelbase(wheelbase: float) -> None:
+    robot = Ackermann(wheelbase)
+    outline = robot.footprint
+    assert isinstance(outline, Rectangle)
+    # 0.75 m x 0.4 m at 0.5 m, an eighth of a metre before and behind the axles.
+    scale = wheelbase / 0.5
+    found = [outline.front, outline.rear, outline.width]
+    np.testing.assert_allclose(found, scale * np.array([0.625, 0.125, 0.4]), rtol=1e-6)
+    assert outline.num_discs == 2
+    np.testing.assert_allclose(outline.offsets, scale * np.array([0.0625, 0.4375]), rtol=1e-5)
+    assert float(robot.radius) == pytest.approx(scale * math.hypot(0.1875, 0.2), rel=1e-6)
+
+
+def test_another_footprint() -> None:
+    assert float(Ackermann(footprint=Disc(0.4)).radius) == np.float32(0.4)
+    long = Ackermann(footprint=Rectangle(1.5, 0.3, 0.8, num_discs=3))
+    np.testing.assert_allclose(long.footprint.offsets, [0.0, 0.6, 1.2], atol=1e-6)
+    assert float(long.radius) == pytest.approx(0.5)
+
+
 def test_bounds_and_names() -> None:
     robot = Ackermann(max_acceleration=1.5, max_steering_rate=0.8)
     np.testing.assert_allclose(robot.control_max, [1.5, 0.8])
@@ -121,4 +174,5 @@ def test_bounds_and_names() -> None:
     assert float(state.speed) == pytest.approx(-0.7)
     assert float(state["steering"]) == pytest.approx(0.1)
     blocked = ROBOT.blocked(robot.at_pose(1.0, 2.0, 0.5), jnp.asarray([1.1, 2.1, 0.6, 0.7, 0.2]))
-    np.testing.assert_allclose(blocked, [1.0, 2.0, 0.6, 0.0, 0.2])
+    # A rectangle that turned on the spot would turn into what it touches.
+    np.testing.assert_allclose(blocked, [1.0, 2.0, 0.5, 0.0, 0.2])

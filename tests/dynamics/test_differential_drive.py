@@ -57,6 +57,21 @@ def test_rk4_drives_the_exact_way(fly, solve) -> None:
     assert 1e-3 < errors[Euler] < 0.1
 
 
+@pytest.mark.parametrize(("v", "omega"), [(1.0, 0.8), (0.4, -1.1), (1.5, 0.0)])
+def test_held_speeds_drive_an_arc(v: float, omega: float, fly) -> None:
+    robot = DifferentialDrive(1.5, 1.2, drag=0.0, integrator=RK4())
+    x, y, yaw, speed, turn_rate = fly(robot, [1.0, -2.0, 0.7, v, omega], np.zeros((100, 2)), 0.05).T
+    times = 0.05 * np.arange(1, 101)
+    np.testing.assert_allclose(yaw, 0.7 + omega * times, atol=1e-5)
+    # The chord of an arc: as long as it is turned less by half its angle.
+    half = 0.5 * omega * times
+    chord = v * times * np.sinc(half / math.pi)
+    np.testing.assert_allclose(x, 1.0 + chord * np.cos(0.7 + half), rtol=1e-5, atol=2e-5)
+    np.testing.assert_allclose(y, -2.0 + chord * np.sin(0.7 + half), rtol=1e-5, atol=2e-5)
+    np.testing.assert_array_equal(speed, np.float32(v))
+    np.testing.assert_array_equal(turn_rate, np.float32(omega))
+
+
 def test_speeds_stop_at_their_bounds(fly) -> None:
     reached = fly(ROBOT, np.zeros(5), np.tile([1.0, 2.0], (100, 1)), 0.05)[:, 3:]
     np.testing.assert_allclose(reached.max(axis=0), [1.5, 1.2], rtol=1e-6)

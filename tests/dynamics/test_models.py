@@ -11,6 +11,7 @@ from jaxplore import (
     Ackermann,
     ContinuousDynamics,
     DifferentialDrive,
+    Disc,
     Euler,
     KinematicBicycle,
     Pendulum,
@@ -21,7 +22,7 @@ from jaxplore import (
 )
 
 # Each with every numeric argument and another value for it.
-SPEEDS = {"max_speed": 1.1, "min_speed": -0.3, "radius": 0.7}
+SPEEDS = {"max_speed": 1.1, "min_speed": -0.3}
 CAR = {**SPEEDS, "max_steering": 0.3, "max_acceleration": 0.7}
 ARGUMENTS = {
     Ackermann: {**CAR, "wheelbase": 0.8, "max_steering_rate": 0.9, "drag": 0.2},
@@ -33,7 +34,7 @@ ARGUMENTS = {
         "drag": 0.3,
         "radius": 0.7,
     },
-    KinematicBicycle: {**CAR, "front_length": 0.7, "rear_length": 0.6},
+    KinematicBicycle: {**CAR, "radius": 0.7, "front_length": 0.7, "rear_length": 0.6},
     Pendulum: {"mass": 2.0, "length": 0.7, "gravity": 9.0, "max_torque": 3.0, "max_rate": 5.0},
     PointMass: {"max_speed": 1.1, "max_acceleration": 0.7, "drag": 0.2, "radius": 0.7},
     Quadrotor: {
@@ -44,7 +45,7 @@ ARGUMENTS = {
         "max_rate": 4.0,
         "radius": 0.2,
     },
-    Unicycle: {**SPEEDS, "max_turn_rate": 0.8},
+    Unicycle: {**SPEEDS, "radius": 0.7, "max_turn_rate": 0.8},
 }
 ROBOTS = {
     "Ackermann": Ackermann(min_speed=-1.0),
@@ -99,6 +100,18 @@ def test_sizes_bounds_and_leaves(robot) -> None:
     assert isinstance(robot.integrator, Euler if robot is ROBOTS["DifferentialDrive"] else RK4)
 
 
+@every_robot
+def test_discs_of_its_radius_cover_it(robot) -> None:
+    footprint = robot.footprint
+    assert float(footprint.radius) == float(robot.radius)
+    if not isinstance(robot, Ackermann):
+        assert isinstance(footprint, Disc)
+        np.testing.assert_array_equal(footprint.offsets, [0.0])
+    traced = jax.jit(lambda robot: (robot.footprint.offsets, robot.footprint.radius))(robot)
+    np.testing.assert_allclose(traced[0], footprint.offsets, rtol=1e-6)
+    np.testing.assert_allclose(traced[1], footprint.radius, rtol=1e-6)
+
+
 @every_vehicle
 def test_at_a_pose_it_stands_still(robot, fly) -> None:
     start = robot.at_pose(*POSE)
@@ -116,14 +129,17 @@ def test_at_a_pose_it_stands_still(robot, fly) -> None:
 
 
 @every_vehicle
-def test_blocked_it_stays_without_speed_and_may_turn(robot) -> None:
+def test_blocked_it_stays_without_speed_and_a_disc_may_turn(robot) -> None:
     before, after = jnp.asarray(some_states(robot, 2).T)
     blocked = robot.blocked(before, after)
     np.testing.assert_array_equal(robot.position(blocked), robot.position(before))
     assert float(robot.speed(blocked)) == 0.0
+    # A rectangle that turned on the spot would turn into what it touches.
+    kept = set() if isinstance(robot.footprint, Disc) else {"yaw"}
     if not isinstance(robot, PointMass):
-        assert float(robot.heading(blocked)) == float(robot.heading(after))
-    for name in set(robot.state_names) - {"x", "y", "v", "vx", "vy", "vz"}:
+        turned = before if kept else after
+        assert float(robot.heading(blocked)) == float(robot.heading(turned))
+    for name in set(robot.state_names) - {"x", "y", "v", "vx", "vy", "vz"} - kept:
         assert float(robot.component(blocked, name)) == float(robot.component(after, name))
 
 

@@ -4,6 +4,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from jaxplore.control.base import Members
 from jaxplore.simulation.closed_loop import Record
 from jaxplore.simulation.recording import Frame, Recording, Timing
 
@@ -63,6 +64,7 @@ def make_recording() -> Callable[..., Recording]:
                     plan=(here + ahead[0]).astype(np.float32),
                     heading=float(pose[2]),
                     reference=np.zeros((0, 2), np.float32),
+                    movers=np.zeros((0, 2), np.float32),
                     terms={"ControlCost": 1.0},
                 )
             )
@@ -74,9 +76,14 @@ def make_recording() -> Callable[..., Recording]:
             unknown=np.linspace(0.9, 0.1, steps).astype(np.float32),
             clearance=np.full(steps, 0.3, np.float32),
             is_collision=np.zeros(steps, bool),
+            is_untraversable=np.zeros(steps, bool),
             effective_sample_size=np.full(steps, 8.0, np.float32),
             is_finite=np.ones(steps, bool),
             is_faulty=np.zeros(steps, bool),
+            targets_seen=np.zeros(steps, np.int32),
+            mean_idleness=np.zeros(steps, np.float32),
+            worst_idleness=np.zeros(steps, np.float32),
+            members=None,
         )
         covered = np.flatnonzero(records.coverage >= np.float32(0.99))
         recording = Recording(
@@ -102,6 +109,13 @@ def make_recording() -> Callable[..., Recording]:
             robot_radius=0.2,
             target_coverage=float(np.float32(0.99)),
             is_interrupted=False,
+            footprint=np.zeros((0, 2)),
+            targets=np.zeros((0, 2), np.float32),
+            elevation=None,
+            traversable=None,
+            idleness=None,
+            mover_radii=np.zeros(0),
+            member_names=(),
         )
         return dataclasses.replace(recording, **changes)
 
@@ -119,3 +133,72 @@ def recording(make_recording: Callable[..., Recording]) -> Recording:
 def no_step(make_recording: Callable[..., Recording]) -> Recording:
     """A run that ended before its first step."""
     return make_recording([(0.5, 1.0)], [])
+
+
+CORNERS = np.array([[0.4, 0.15], [-0.2, 0.15], [-0.2, -0.15], [0.4, -0.15]])
+"""Of a robot that is 0.6 m long and 0.3 m wide, in its own frame [m]."""
+MEMBERS = ("bold", "careful", "slow")
+
+
+def ground_vehicle(recording: Recording) -> Recording:
+    """The same run with everything that a ground vehicle's may hold besides."""
+    steps, (rows, columns) = recording.num_steps, recording.world.shape
+    row, column = np.mgrid[:rows, :columns]
+    pose, resolution = recording.origin, recording.resolution
+    width, height = columns * resolution, rows * resolution
+    targets = turned(np.array([[0.2, 0.8], [0.5, 0.3], [0.9, 0.6]]) * (width, height), pose)
+    frames = []
+    for frame in recording.frames:
+        share = frame.step / max(steps, 1)
+        movers = turned(np.array([[0.3 + 0.3 * share, 0.75], [0.7, 0.25]]) * (width, height), pose)
+        frames.append(dataclasses.replace(frame, movers=movers))
+    k = np.arange(steps, dtype=np.float32)
+    never = np.full(steps, np.inf, np.float32)
+
+    def each(*values: object) -> np.ndarray:
+        return np.stack([np.broadcast_to(value, steps) for value in values], -1).astype(np.float32)
+
+    members = Members(
+        controls=np.zeros((steps, 3, 2), np.float32),
+        costs=each(k, 2.0 * k, never),
+        uncertainties=each(0.125, 0.25, np.where(k < 1, np.nan, 0.5)),
+        effective_sample_sizes=each(1.0 + k, 10.0, 0.0),
+        shares=each(0.25 + 0.05 * (k % 2), 0.25 - 0.05 * (k % 2), 0.5),
+        diversity=np.full(steps, 0.25, np.float32),
+        is_replaced=k % 5 == 0,
+    )
+    records = recording.records._replace(
+        targets_seen=np.minimum(np.arange(steps) // 3, 3).astype(np.int32),
+        is_untraversable=k >= steps - 2,
+        mean_idleness=k,
+        worst_idleness=np.where(k < steps // 2, 20.0, 10.0 - np.abs(k - 6.0)).astype(np.float32),
+        members=members,
+    )
+    traversable = (column < 0.6 * columns) | (row < 0.6 * rows)
+    idleness = np.where(column < columns / 2, 0.1 * column, np.inf).astype(np.float32)
+    return dataclasses.replace(
+        recording,
+        records=records,
+        frames=tuple(frames),
+        target_coverage=None,
+        finished_step=None,
+        footprint=CORNERS,
+        targets=targets,
+        elevation=(0.05 * column + 0.02 * row).astype(np.float32),
+        traversable=traversable,
+        idleness=idleness,
+        mover_radii=np.array([0.2, 0.3], np.float32),
+        member_names=MEMBERS,
+    )
+
+
+@pytest.fixture
+def make_vehicle() -> Callable[[Recording], Recording]:
+    """Add ground, targets, movers, a watch, members and a rectangle to a run."""
+    return ground_vehicle
+
+
+@pytest.fixture
+def vehicle(recording: Recording) -> Recording:
+    """A run of ten steps with ground, targets, movers, a watch, members and a rectangle."""
+    return ground_vehicle(recording)

@@ -14,8 +14,10 @@ import yaml
 from PIL import Image
 
 from jaxplore.report import comparison as module
-from jaxplore.report.comparison import Comparison, curves_figure, summarise
+from jaxplore.report.comparison import Comparison, curves_figure
+from jaxplore.report.compute import Compute
 from jaxplore.report.metrics import Metrics, compute_metrics
+from jaxplore.report.summary import summarise
 from jaxplore.simulation.recording import Recording
 
 Make = Callable[..., tuple[Metrics, ...]]
@@ -63,6 +65,10 @@ def comparison(make: Make, make_recording: Callable[..., Recording]) -> Comparis
 
 def to_90(seconds: float | None) -> dict[str, float | None]:
     return {"50": 0.1, "90": seconds, "95": None, "99": None}
+
+
+def timed(milliseconds: float) -> Compute:
+    return Compute(milliseconds, None, None, None, None, None)
 
 
 def tree(path: Path) -> list[str]:
@@ -123,6 +129,7 @@ def test_every_number_has_its_own_column(make: Make) -> None:
         minimum_clearance=[0.5, None, 0.25],
         command_jerk=[61.0, 69.0, 65.0],
         fault_steps=[0, 5, 7],
+        compute=[timed(5.0), timed(7.0), timed(6.0)],
     )
     found = summarise(runs)
     assert (found.num_runs, found.num_finished) == (3, 2)
@@ -134,13 +141,54 @@ def test_every_number_has_its_own_column(make: Make) -> None:
         "finished": "2 of 3",
         "after [s]": "11.0 [11.0, -]",
         "90 % after [s]": "8.5 [8.0, 9.0]",
+        "coverage [%]": "52.0 [51.5, 52.5]",
         "path [m]": "22.0 [21.5, 22.5]",
         "nat/m": "32.0 [31.5, 32.5]",
         "unknown [%]": "42.0 [41.5, 42.5]",
         "collisions": "3",
         "clearance [m]": "0.25",
         "jerk [1/s²]": "65 [63, 67]",
+        "step [ms]": "6.0 [5.5, 6.5]",
     }
+
+
+def test_columns_for_missions_appear_where_any_run_has_them(make: Make) -> None:
+    added = ("targets", "idle mean [s]", "idle worst [s]", "untraversable [steps]")
+    plain = Comparison({"it": make(collisions=[0, 1])}, {})
+    assert not set(added) & set(plain.rows()[0])
+    searched = make(
+        num_targets=[5, 5, 5],
+        targets_seen=[4, 3, 5],
+        mean_idleness=[7.5, 8.5, 9.5],
+        worst_idleness=[20.0, 20.0, 20.0],
+        untraversable_steps=[0, 2, 1],
+    )
+    same = make(num_targets=[5], targets_seen=[4], mean_idleness=[None], worst_idleness=[None])
+    comparison = Comparison({"a": searched, "b": same}, {})
+    header, *rows = comparison.rows()
+    a, b = (dict(zip(header, row, strict=True)) for row in rows)
+    assert [a[name] for name in added] == ["4.0 [3.5, 4.5] of 5", "8.5 [8.0, 9.0]", "20.0", "3"]
+    assert [b[name] for name in added] == ["4.0 of 5", "-", "-", "0"]
+    plain_values = comparison.as_dict()["summaries"]
+    assert plain_values["a"]["targets_seen"] == [3.5, 4.0, 4.5]
+    assert plain_values["a"]["num_targets"] == 5
+    assert plain_values["a"]["untraversable_steps"] == 3
+    assert plain_values["b"]["mean_idleness"] == [None, None, None]
+    json.dumps(comparison.as_dict(), allow_nan=False)
+
+
+def test_steps_that_were_not_timed_have_no_time(make: Make) -> None:
+    (metrics,) = make(collisions=[0])
+    untimed = dataclasses.replace(metrics.compute, step_ms_p50=None)
+    header, row = Comparison({"it": make(compute=[untimed])}, {}).rows()
+    assert dict(zip(header, row, strict=True))["step [ms]"] == "-"
+
+
+def test_a_run_without_a_target_coverage_has_curves(vehicle: Recording, tmp_path: Path) -> None:
+    metrics = compute_metrics(vehicle)
+    Comparison({"it": (metrics, metrics)}, {"it": vehicle}).save(tmp_path / "it")
+    assert tree(tmp_path / "it") == ["curves.png", "it.gif", "metrics.json", "table.md"]
+    assert "3.0 of 3" in (tmp_path / "it" / "table.md").read_text()
 
 
 def test_nothing_near_has_no_clearance(make: Make) -> None:

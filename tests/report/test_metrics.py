@@ -4,7 +4,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxplore.report.metrics import compute_metrics, progress
+from jaxplore.report.metrics import compute_metrics
+from jaxplore.report.progress import progress
 
 
 def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recording):
@@ -161,3 +162,93 @@ def test_unknown_without_a_step_is_what_it_was_at_the_start(no_step) -> None:
     metrics = compute_metrics(changed)
     assert metrics.coverage_curve["unknown"] == [0.375]
     assert metrics.final_unknown == metrics.initial_unknown == 0.375
+
+
+def test_targets_are_counted_and_the_last_of_all_is_timed(vehicle) -> None:
+    # One more is seen at the beginning of steps 3, 6 and 9, half a second each.
+    metrics = compute_metrics(vehicle)
+    assert (metrics.num_targets, metrics.targets_seen, metrics.last_target_at) == (3, 3, 4.5)
+    fewer = np.minimum(np.asarray(vehicle.records.targets_seen), 2)
+    records = vehicle.records._replace(targets_seen=fewer)
+    metrics = compute_metrics(dataclasses.replace(vehicle, records=records))
+    assert (metrics.num_targets, metrics.targets_seen, metrics.last_target_at) == (3, 2, None)
+    assert ("targets", "2 of 3 seen") in metrics.rows()
+
+
+@pytest.mark.parametrize(
+    ("steps", "mean", "worst"),
+    [(1, 1.0, 9.0), (2, 2.0, 8.0), (3, 2.5, 8.0), (4, 3.5, 7.0), (5, 4.0, 7.0)],
+)
+def test_idleness_counts_in_the_second_half(make_recording, steps, mean, worst) -> None:
+    recording = make_recording([(1.0, 1.0)] * (steps + 1), [0.5] * steps)
+    k = np.arange(steps, dtype=np.float32)
+    records = recording.records._replace(mean_idleness=1.0 + k, worst_idleness=9.0 - k)
+    watched = dataclasses.replace(recording, records=records, idleness=recording.belief)
+    metrics = compute_metrics(watched)
+    assert (metrics.mean_idleness, metrics.worst_idleness) == (mean, worst)
+    metrics = compute_metrics(dataclasses.replace(watched, idleness=None))
+    assert metrics.mean_idleness is metrics.worst_idleness is None
+
+
+def test_members_are_judged_by_what_is_finite(vehicle) -> None:
+    metrics = compute_metrics(vehicle)
+    assert metrics.members == {
+        "bold": pytest.approx(
+            {"share": 0.275, "uncertainty": 0.125, "effective_sample_size": 5.5, "cost": 4.5}
+        ),
+        "careful": pytest.approx(
+            {"share": 0.225, "uncertainty": 0.25, "effective_sample_size": 10.0, "cost": 9.0}
+        ),
+        "slow": {"share": 0.5, "uncertainty": 0.5, "effective_sample_size": 0.0, "cost": None},
+    }
+    assert (metrics.diversity, metrics.replaced) == (0.25, 0.2)
+    assert metrics.untraversable_steps == 2
+
+
+def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> None:
+    def rows(each):
+        return dict(compute_metrics(each).rows())
+
+    names = {"targets", "idleness", "untraversable", "members", "  bold", "  careful", "  slow"}
+    plain, full = rows(recording), rows(vehicle)
+    assert set(full) - set(plain) == names
+    assert set(plain) <= set(full)
+    assert full["targets"] == "3 of 3 seen, the last at 4.50 s"
+    assert full["idleness"] == "7.0 s, 10.0 s at worst, in the second half"
+    assert full["untraversable"] == "2 steps"
+    assert full["members"] == "0.250 apart, replaced in 20.0 % of the steps"
+    assert full["  bold"] == "27.5 %, 5.5 effective, uncertainty 0.125"
+    metrics = compute_metrics(recording)
+    assert (metrics.num_targets, metrics.targets_seen, metrics.untraversable_steps) == (0, 0, 0)
+    for name in ("last_target_at", "mean_idleness", "worst_idleness", "members", "diversity"):
+        assert getattr(metrics, name) is None
+    assert metrics.replaced is None
+
+
+def test_a_run_that_has_no_end_is_neither_finished_nor_unfinished(recording) -> None:
+    patrol = dataclasses.replace(recording, target_coverage=None, finished_step=None)
+    metrics = compute_metrics(patrol)
+    assert metrics.target_coverage is None
+    assert not metrics.is_finished
+    assert "finished" not in str(metrics)
+    searching = dataclasses.replace(patrol, targets=np.ones((2, 2), np.float32))
+    assert "not finished" in str(compute_metrics(searching))
+    found = compute_metrics(dataclasses.replace(searching, finished_step=8))
+    assert (found.is_finished, found.finished_at) == (True, 4.0)
+
+
+def test_a_search_without_a_step_is_not_over_because_the_map_is_known(no_step) -> None:
+    known = dataclasses.replace(no_step, initial_coverage=1.0)
+    assert compute_metrics(known).finished_at == 0.0
+    searching = dataclasses.replace(known, targets=np.ones((1, 2), np.float32))
+    assert compute_metrics(searching).finished_at is None
+
+
+def test_everything_is_json_with_and_without_a_step(vehicle, no_step, make_vehicle) -> None:
+    for run in (vehicle, make_vehicle(no_step)):
+        metrics = compute_metrics(run)
+        plain = metrics.as_dict()
+        assert json.loads(json.dumps(plain, allow_nan=False)) == plain
+        str(metrics)
+    assert metrics.members is metrics.mean_idleness is metrics.last_target_at is None
+    assert (metrics.num_targets, metrics.targets_seen) == (3, 0)

@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.report.plots import (
-    MISSED,
-    UNKNOWN,
-    Window,
-    belief_colours,
-    coverage_figure,
-    map_figure,
-    true_outline,
-)
+from jaxplore.report.colours import MISSED, UNKNOWN, belief_colours
+from jaxplore.report.plots import coverage_figure, map_figure, true_outline
+from jaxplore.report.window import Window
 
 POSE = (3.0, -2.0, 0.7)
 
@@ -22,25 +16,6 @@ POSE = (3.0, -2.0, 0.7)
 def pixels(figure) -> np.ndarray:
     figure.canvas.draw()
     return np.asarray(figure.canvas.buffer_rgba())
-
-
-def test_window_is_the_box_of_the_reachable_cells_and_a_metre(make_recording):
-    reachable = np.zeros((50, 60), bool)
-    reachable[20, 30:41] = True
-    recording = make_recording([(3.0, 2.0)] * 2, [0.5], shape=(50, 60), reachable=reachable)
-    window = Window.around_reachable(recording)
-    assert (window.first, window.shape) == ((10, 20), (21, 31))
-    assert window.size == pytest.approx((3.1, 2.1))
-    assert window.corner == pytest.approx((2.0, 1.0))
-    assert window.crop(reachable, False).sum() == 11
-
-
-def test_window_beyond_the_grid_is_filled(recording):
-    window = Window.around_reachable(recording)
-    assert window.first == (-9, -9)
-    cropped = window.crop(recording.world, 0.5)
-    assert (cropped[:9] == 0.5).all()
-    assert (cropped[9:-9, 9:-9] == recording.world).all()
 
 
 def test_without_reachable_cells_the_grid_is_drawn(recording):
@@ -99,8 +74,15 @@ def test_thin_maps(make_recording, shape, position):
     pixels(coverage_figure(recording))
 
 
+@pytest.fixture
+def narrow(make_recording, make_vehicle):
+    """A vehicle in a lane, with a goal: the longest legend below the slimmest picture."""
+    lane = make_recording([(0.5, 1.0 + k) for k in range(11)], [0.5] * 10, shape=(140, 12))
+    return dataclasses.replace(make_vehicle(lane), goal=np.array([0.5, 12.0]))
+
+
 @pytest.mark.parametrize("draw", [map_figure, coverage_figure])
-@pytest.mark.parametrize("name", ["recording", "no_step"])
+@pytest.mark.parametrize("name", ["recording", "no_step", "vehicle", "narrow"])
 def test_everything_is_inside_the_picture(draw, name, request, tmp_path):
     figure = draw(request.getfixturevalue(name))
     figure.savefig(tmp_path / "picture.png", dpi=60)
@@ -153,3 +135,27 @@ def test_the_true_outline_is_every_edge_between_free_and_solid(recording):
             if not room[row + down, column + right]:
                 expected.add(tuple((0.5 * x, 0.5 * y) for x, y in edge))
     assert edges == expected
+
+
+def dashed(axes) -> list:
+    return [line for line in axes.lines if line.get_linestyle() == "--"]
+
+
+def test_a_target_coverage_is_a_dashed_line_and_none_is_none(recording):
+    (line,) = dashed(coverage_figure(recording).axes[0])
+    assert line.get_ydata()[0] == pytest.approx(99.0)
+    endless = dataclasses.replace(recording, target_coverage=None)
+    assert not dashed(coverage_figure(endless).axes[0])
+
+
+def test_targets_seen_are_steps_below_the_coverage(recording, vehicle):
+    assert not any("targets" in axes.get_ylabel() for axes in coverage_figure(recording).axes)
+    figure = coverage_figure(vehicle)
+    (below,) = [axes for axes in figure.axes if "targets" in axes.get_ylabel()]
+    steps = below.lines[0]
+    assert steps.get_drawstyle() == "steps-post"
+    np.testing.assert_allclose(steps.get_xdata(), 0.5 * np.arange(11))
+    assert steps.get_ydata().tolist() == [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 3]
+    assert below.get_xlim() == figure.axes[0].get_xlim() == (0.0, 5.0)
+    assert below.get_xlabel() == "time [s]"
+    assert below.get_ylim()[1] > 3.0

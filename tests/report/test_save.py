@@ -49,13 +49,45 @@ def test_arrays_hold_the_run(recording, tmp_path):
     assert "exploration.gif" not in names(tmp_path / "run")
     with np.load(tmp_path / "run" / "arrays.npz", allow_pickle=False) as arrays:
         for name, rows in recording.records._asdict().items():
-            np.testing.assert_array_equal(arrays[name], rows)
+            if rows is not None:
+                np.testing.assert_array_equal(arrays[name], rows)
         for name in ("positions", "world", "belief", "reachable", "origin", "start"):
             np.testing.assert_array_equal(arrays[name], getattr(recording, name))
         np.testing.assert_allclose(arrays["time"], np.arange(11) * 0.5)
         assert arrays["resolution"] == 0.1
         assert arrays["control_period"] == 0.5
         assert tuple(arrays["state_names"]) == recording.state_names
+
+
+OPTIONAL = ["targets", "idleness", "elevation", "traversable", "mover_radii", "footprint"]
+
+
+def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_path):
+    for each, name in ((vehicle, "full"), (recording, "plain")):
+        save_recording(each, compute_metrics(each), tmp_path / name, animation=False)
+    files = [name for name in FILES if "gif" not in name]
+    assert names(tmp_path / "plain") == files
+    assert names(tmp_path / "full") == sorted([*files, "members.png", "idleness.png"])
+    with np.load(tmp_path / "full" / "arrays.npz", allow_pickle=False) as arrays:
+        members = vehicle.records.members._asdict()
+        for name, rows in members.items():
+            np.testing.assert_array_equal(arrays[f"members_{name}"], rows)
+        assert tuple(arrays["member_names"]) == vehicle.member_names
+        for name in OPTIONAL:
+            np.testing.assert_array_equal(arrays[name], getattr(vehicle, name))
+        for name in ("targets_seen", "is_untraversable", "mean_idleness", "worst_idleness"):
+            np.testing.assert_array_equal(arrays[name], getattr(vehicle.records, name))
+        added = {f"members_{name}" for name in members} | {"member_names", *OPTIONAL}
+        full = set(arrays)
+    with np.load(tmp_path / "plain" / "arrays.npz", allow_pickle=False) as arrays:
+        assert full - set(arrays) == added
+        assert set(arrays) <= full
+
+
+def test_a_ground_vehicle_without_a_step_can_be_saved(no_step, make_vehicle, tmp_path):
+    vehicle = make_vehicle(no_step)
+    save_recording(vehicle, compute_metrics(vehicle), tmp_path / "run")
+    assert names(tmp_path / "run") == sorted([*FILES, "members.png", "idleness.png"])
 
 
 @pytest.mark.parametrize("animation", [False, True])

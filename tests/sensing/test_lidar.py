@@ -8,12 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
-from jaxplore.sensing.lidar import Scan
+from jaxplore.maps.ground import Ground
+from jaxplore.sensing.base import Scan
 
 RESOLUTION, ORIGIN = 0.2, (-1.0, 2.0, 0.4)
 LIDAR = Lidar(num_beams=24, max_range=2.5, range_noise=0.0)
+SECTOR = Lidar(num_beams=19, max_range=2.5, field_of_view=math.radians(270), range_noise=0.0)
 MODEL = InverseSensorModel()
 scan_jit = jax.jit(lambda lidar, world, pose, key: lidar.scan(world, pose, key=key))
+sight_jit = jax.jit(lambda lidar, grid, scan, pose, ground: lidar.sight(grid, scan, pose, ground))
 update_jit = jax.jit(lambda lidar, belief, scan, pose: lidar.update(belief, scan, pose, MODEL))
 
 
@@ -51,12 +54,19 @@ def random_world(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return world, np.array([*centre, rng.uniform(-4, 4)])
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_scan_equals_a_march_along_each_beam(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("lidar", "angles"),
+    [
+        (LIDAR, np.arange(24) * math.pi / 12 - math.pi),
+        (SECTOR, np.linspace(-0.75 * math.pi, 0.75 * math.pi, 19)),
+    ],
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_scan_equals_a_march_along_each_beam(lidar: Lidar, angles: np.ndarray, seed: int) -> None:
     world, pose = random_world(seed)
     grid = OccupancyGrid(world, RESOLUTION, ORIGIN)
-    scan = scan_jit(LIDAR, grid, jnp.asarray(pose, jnp.float32), jax.random.key(0))
-    for angle, found, is_return in zip(LIDAR.beam_angles, scan.ranges, scan.is_return, strict=True):
+    scan = scan_jit(lidar, grid, jnp.asarray(pose, jnp.float32), jax.random.key(0))
+    for angle, found, is_return in zip(angles, scan.ranges, scan.is_return, strict=True):
         hits, slivers = [], []
         for row, column, entry, leave in walk(world, pose, float(angle), 2.5):
             if solid(world, row, column):
@@ -72,9 +82,8 @@ def test_scan_equals_a_march_along_each_beam(seed: int) -> None:
 
 def test_nothing_in_range_is_no_return() -> None:
     grid = OccupancyGrid(np.zeros((60, 60)), 0.1)
-    scan = Lidar(8, 1.0, range_noise=0.0).scan(
-        grid, jnp.asarray([3.0, 3.0, 0.0]), key=jax.random.key(0)
-    )
+    lidar, pose = Lidar(8, 1.0, range_noise=0.0), jnp.asarray([3.0, 3.0, 0.0])
+    scan = scan_jit(lidar, grid, pose, jax.random.key(0))
     assert not scan.is_return.any()
     np.testing.assert_array_equal(scan.ranges, 1.0)
 
@@ -85,14 +94,13 @@ def test_noise_has_the_deviation_given_and_no_return_has_none() -> None:
     grid = OccupancyGrid(world, 0.1)
     lidar = Lidar(400, 2.0, math.radians(20), range_noise=0.05)
     pose = jnp.asarray([2.0, 2.0, 0.0])
-    noisy = lidar.scan(grid, pose, key=jax.random.key(1))
-    exact = Lidar(400, 2.0, math.radians(20), range_noise=0.0).scan(
-        grid, pose, key=jax.random.key(1)
-    )
+    noisy = scan_jit(lidar, grid, pose, jax.random.key(1))
+    still = Lidar(400, 2.0, math.radians(20), range_noise=0.0)
+    exact = scan_jit(still, grid, pose, jax.random.key(1))
     error = np.asarray(noisy.ranges - exact.ranges)
     assert error.std() == pytest.approx(0.05, rel=0.1)
     assert abs(error.mean()) < 0.01
-    away = lidar.scan(grid, jnp.asarray([1.0, 2.0, math.pi / 2]), key=jax.random.key(1))
+    away = scan_jit(lidar, grid, jnp.asarray([1.0, 2.0, math.pi / 2]), jax.random.key(1))
     np.testing.assert_array_equal(away.ranges[~away.is_return], 2.0)
 
 
@@ -176,6 +184,239 @@ def test_beams_cover_the_field_of_view_and_none_comes_twice() -> None:
     np.testing.assert_array_equal(Lidar(1, 1.0, 0.5).beam_angles, [0.0])
 
 
+def test_defaults_are_a_long_full_circle() -> None:
+    lidar = Lidar()
+    assert (lidar.num_beams, lidar.max_range, lidar.is_full_circle) == (360, 30.0, True)
+    assert float(lidar.range_noise) == pytest.approx(0.05)
+    assert float(lidar.height) == pytest.approx(0.5)
+
+
+def test_a_sector_says_nothing_of_what_is_behind() -> None:
+    grid = OccupancyGrid(np.zeros((60, 60)), 0.1)
+    pose = jnp.asarray([3.03, 3.04, 0.6])
+    scan = scan_jit(SECTOR, grid, pose, jax.random.key(0))
+    is_seen = np.asarray(sight_jit(SECTOR, grid, scan, pose, None).is_seen)
+    rows, columns = np.mgrid[:60, :60]
+    y, x = 0.1 * rows + 0.05 - 3.04, 0.1 * columns + 0.05 - 3.03
+    bearing = np.abs((np.arctan2(y, x) - 0.6 + math.pi) % (2 * math.pi) - math.pi)
+    far = np.hypot(x, y) > 0.5
+    assert not is_seen[far & (bearing > 0.75 * math.pi + 0.2)].any()
+    assert is_seen[(np.hypot(x, y) < 0.5) & (bearing < 2.2)].all()
+    # A sector has no edge right where it stands.
+    sees = jax.jit(lambda pose, points: SECTOR.sees(grid, pose, points))
+    here = jnp.asarray([3.03, 3.04, math.pi])
+    np.testing.assert_array_equal(sees(here, jnp.tile(here[:2], (6, 1))), True)
+    turns = np.array([0.0, 2.34, -2.34, 2.37, -2.37, 3.1])
+    offset = 2.0 * np.stack([np.cos(0.6 + turns), np.sin(0.6 + turns)], axis=-1)
+    points = pose[:2] + jnp.asarray(offset, jnp.float32)
+    np.testing.assert_array_equal(sees(pose, points), np.abs(turns) < 0.75 * math.pi)
+
+
+# On hills
+
+EYE = 0.3
+HILLS = Lidar(24, 4.0, 2.0, 0.0, EYE)
+PLACES, POINTS = 40, 30
+
+
+@pytest.fixture(scope="module")
+def hills(place, frame):
+    places = [place(seed, 1.5) for seed in range(PLACES)]
+    rng = np.random.default_rng(7)
+    poses = np.stack([p.pose for p in places])
+    turn = poses[:, None, 2] + rng.uniform(-1.2, 1.2, (PLACES, POINTS))
+    far = rng.uniform(0.1, 4.5, (PLACES, POINTS))
+    points = poses[:, None, :2] + far[..., None] * np.stack([np.cos(turn), np.sin(turn)], -1)
+    points = points.astype(np.float32)
+
+    @jax.jit
+    @jax.vmap
+    def observe(world, elevation, pose, points):
+        grid, ground = OccupancyGrid(world, *frame), Ground(elevation, *frame)
+        scan = HILLS.scan(grid, pose, key=jax.random.key(0), ground=ground)
+        sighting = HILLS.sight(grid, scan, pose, ground)
+        return scan, sighting, HILLS.sees(grid, pose, points, ground)
+
+    arguments = [np.stack(part) for part in zip(*places, strict=True)]
+    return places, points, jax.device_get(observe(*arguments, points))
+
+
+def test_level_beams_on_hills_equal_a_walk_along_each(hills, crossed, standing, value_at) -> None:
+    places, _, (scans, sightings, _) = hills
+    ended = {"wall": 0, "hill": 0, "nothing": 0}
+    for index, (world, elevation, pose) in enumerate(places):
+        z = value_at(elevation, standing(pose), 0.0) + EYE
+        hits, passes, unsure = (np.zeros(world.shape, int) for _ in range(3))
+
+        def count(into, cell):
+            if value_at(into, cell, -1.0) >= 0.0:
+                into[cell] += 1
+
+        for beam, turn in enumerate(np.linspace(-1.0, 1.0, 24)):
+            end, why, is_sure = 4.0, "nothing", True
+            for stretch in crossed(pose, float(pose[2]) + turn, 4.0):
+                is_wall = value_at(world, stretch.cell, 1.0) >= 0.25
+                is_hill = value_at(elevation, stretch.cell, 0.0) > z
+                if (
+                    stretch.is_sliver
+                    or min(abs(4.0 - stretch.entry), abs(4.0 - stretch.exit)) < 1e-3
+                ):
+                    count(unsure, stretch.cell)
+                    is_sure &= not (is_wall or is_hill)
+                elif not is_sure:
+                    count(unsure, stretch.cell)
+                elif is_wall or is_hill:
+                    end, why = stretch.entry, "hill" if is_hill else "wall"
+                    if not is_hill:
+                        count(hits, stretch.cell)
+                    break
+                elif stretch.exit < 4.0:
+                    count(passes, stretch.cell)
+            if is_sure:
+                assert scans.is_return[index, beam] == (why != "nothing")
+                assert scans.ranges[index, beam] == pytest.approx(end, abs=1e-3)
+                ended[why] += 1
+        sure = unsure == 0
+        np.testing.assert_array_equal(sightings.hits[index][sure], hits[sure])
+        np.testing.assert_array_equal(sightings.passes[index][sure], passes[sure])
+        assert (~sure).sum() < 60
+    assert min(ended.values()) > 50
+
+
+def test_sees_equals_a_walk_to_the_point(hills, crossed, standing, value_at) -> None:
+    places, points, (_, _, found) = hills
+    counts = {True: 0, False: 0}
+    for (world, elevation, pose), targets, answers in zip(places, points, found, strict=True):
+        z = value_at(elevation, standing(pose), 0.0) + EYE
+        for target, answer in zip(targets, answers, strict=True):
+            offset = target.astype(float) - pose[:2]
+            angle, distance = math.atan2(offset[1], offset[0]), math.hypot(*offset)
+            bearing = abs((angle - float(pose[2]) + math.pi) % (2 * math.pi) - math.pi)
+            cell, is_open = standing(target), True
+            slivers = min(abs(bearing - 1.0), abs(distance - 4.0)) < 1e-4
+            for stretch in crossed(pose, angle, distance):
+                slivers |= stretch.is_sliver
+                if stretch.cell == cell:
+                    break
+                is_open &= value_at(world, stretch.cell, 1.0) < 0.25
+                is_open &= value_at(elevation, stretch.cell, 0.0) <= z
+            if not slivers:
+                expected = is_open and bearing < 1.0 and distance < 4.0
+                expected &= value_at(world, cell, -1.0) >= 0.0
+                assert bool(answer) == expected
+                counts[expected] += 1
+    assert min(counts.values()) > 200
+
+
+def test_a_steep_hill_is_no_obstacle_though_noise_moves_its_readings() -> None:
+    elevation = np.zeros((60, 60), np.float32)
+    elevation[:, 40:] = 2.0
+    elevation[:, 42:] = 0.0  # a ridge, thinner than the noise
+    world = np.zeros((60, 60), np.float32)
+    world[:20, 30] = 1.0
+    grid, ground = OccupancyGrid(world, 0.1), Ground(elevation, 0.1)
+    lidar, pose = Lidar(240, 4.0), jnp.asarray([2.05, 3.05, 0.0])
+
+    @jax.jit
+    def watch(keys: jax.Array) -> jax.Array:
+        def step(belief, key):
+            scan = lidar.scan(grid, pose, key=key, ground=ground)
+            belief = lidar.update(belief, scan, pose, MODEL, ground)
+            return belief, belief.probability
+
+        return jax.lax.scan(step, OccupancyGrid.unknown(grid.shape, grid.frame), keys)[1]
+
+    seen = np.asarray(watch(jax.random.split(jax.random.key(2), 50)))
+    assert (seen[:, :, 40:] == 0.5).all()  # neither the ridge nor what is behind
+    assert (seen[:, 25:, 31:40] > 0.5).mean() < 2e-3
+    assert (seen[5:, 25:36, 31:38] < 0.25).all()
+    assert (seen[5:, 8:19, 30] > 0.65).mean() > 0.98  # and the wall is still one
+
+
+# Among things that move
+
+moving_jit = jax.jit(
+    lambda lidar, world, pose, movers: lidar.scan(world, pose, key=jax.random.key(0), movers=movers)
+)
+BARE = OccupancyGrid(np.zeros((20, 25), np.float32), RESOLUTION)
+MIDDLE = jnp.asarray([2.1, 2.1, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("disc", "expected"),
+    [
+        ((2.0, 0.0, 0.5), 1.5),
+        ((2.0, 0.3, 0.5), 2.0 - 0.4),
+        ((0.0, 0.0, 0.3), 0.0),
+        ((0.25, 0.0, 0.3), 0.0),
+        ((-0.25, 0.0, 0.3), 0.0),
+        ((-1.0, 0.0, 0.5), None),  # behind
+        ((2.0, 0.55, 0.5), None),  # beside
+        ((3.4, 0.0, 0.5), None),  # out of reach
+        ((2.0, 0.0, 0.0), None),
+        ((2.0, 0.0, -0.5), None),
+        ((math.nan, 0.0, 0.5), None),
+        ((2.0, 0.0, math.nan), None),
+    ],
+)
+def test_a_disc_ends_a_beam_where_it_enters(disc: tuple, expected: float | None) -> None:
+    discs = np.zeros((6, 3), np.float32)  # five have no extent
+    discs[2] = np.add(disc, (2.1, 2.1, 0.0))
+    scan = moving_jit(LIDAR, BARE, MIDDLE, jnp.asarray(discs))
+    assert not scan.is_return[12]  # straight ahead
+    assert float(scan.ranges[12]) == pytest.approx(2.5 if expected is None else expected, abs=1e-5)
+
+
+def test_scans_among_discs_equal_a_march_in_small_steps() -> None:
+    step = 2e-4
+    along = np.arange(0.0, 2.5, step)
+    num_movers = num_walls = 0
+    for seed in range(12):
+        world, pose = random_world(seed)
+        rng = np.random.default_rng(seed)
+        discs = np.concatenate(
+            [pose[:2] + rng.uniform(-1.5, 1.5, (6, 2)), rng.uniform(0.1, 0.4, (6, 1))], axis=1
+        ).astype(np.float32)
+        grid = OccupancyGrid(world, RESOLUTION, ORIGIN)
+        pose = pose.astype(np.float32)
+        scan = moving_jit(LIDAR, grid, jnp.asarray(pose), jnp.asarray(discs))
+        plain = scan_jit(LIDAR, grid, jnp.asarray(pose), jax.random.key(0))
+        for beam, angle in enumerate(pose[2].astype(float) + LIDAR.beam_angles.astype(float)):
+            points = pose[:2] + along[:, None] * np.array([math.cos(angle), math.sin(angle)])
+            inside = np.linalg.norm(points[:, None] - discs[:, :2], axis=-1) <= discs[:, 2]
+            first = along[inside.any(axis=1).argmax()] if inside.any() else math.inf
+            wall = float(plain.ranges[beam])
+            if abs(first - wall) < 2 * step:
+                continue
+            assert float(scan.ranges[beam]) == pytest.approx(min(first, wall), abs=2 * step)
+            assert bool(scan.is_return[beam]) == (bool(plain.is_return[beam]) and wall < first)
+            num_movers, num_walls = num_movers + (first < wall), num_walls + (first > wall)
+    assert min(num_movers, num_walls) > 50
+
+
+def test_what_moves_is_not_marked_and_what_is_before_it_is_free() -> None:
+    lidar, grid = Lidar(180, 2.5, 1.0, 0.02), OccupancyGrid(np.zeros((80, 80), np.float32), 0.1)
+    pose, disc = jnp.asarray([4.05, 4.05, 0.0]), jnp.asarray([[5.55, 4.05, 0.4]])
+    scan = moving_jit(lidar, grid, pose, disc)
+    belief = OccupancyGrid.unknown(grid.shape, grid.frame)
+    found = np.asarray(update_jit(lidar, belief, scan, pose).probability)
+    assert found.max() == 0.5
+    assert (found[40, 41:50] < 0.25).all()
+    assert (found[38:43, 54:] == 0.5).all()  # the disc and its shadow
+    # Beside it nothing stands in the way: at 2 m the view is 1 m to either side.
+    assert (found[48, 57:59] < 0.25).all()
+
+
+def test_no_movers_are_as_none_at_all() -> None:
+    world, pose = random_world(11)
+    grid, pose = OccupancyGrid(world, RESOLUTION, ORIGIN), jnp.asarray(pose, jnp.float32)
+    lidar = Lidar(24, 2.5)
+    plain = scan_jit(lidar, grid, pose, jax.random.key(0))
+    found = moving_jit(lidar, grid, pose, jnp.zeros((0, 3)))
+    np.testing.assert_array_equal(found.ranges, plain.ranges)
+    np.testing.assert_array_equal(found.is_return, plain.is_return)
+
+
 @pytest.mark.parametrize(
     ("argument", "value"),
     [
@@ -185,6 +426,8 @@ def test_beams_cover_the_field_of_view_and_none_comes_twice() -> None:
         ("field_of_view", 0.0),
         ("field_of_view", 7.0),
         ("range_noise", -0.1),
+        ("height", 0.0),
+        ("height", math.inf),
     ],
 )
 def test_bad_lidar_is_named(argument: str, value: object) -> None:

@@ -268,11 +268,14 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
         jnp.asarray(0.75 if is_covered else 0.74),
         jnp.zeros(()),
         jnp.asarray(0.249 if is_known else 0.25),
+        jnp.zeros(()),
+        jnp.zeros(()),
     )
-    found = bool(_is_finished(scenario, robot, progress))
+    nothing = jnp.zeros(0, bool)
+    found = bool(_is_finished(scenario, robot, progress, nothing))
     assert found == (is_there and (is_known or is_covered))
     aimless = hall_scenario(goal=None, target_coverage=0.75)
-    assert bool(_is_finished(aimless, robot, progress)) == is_covered
+    assert bool(_is_finished(aimless, robot, progress, nothing)) == is_covered
 
 
 def test_the_prior_is_what_is_known_at_first() -> None:
@@ -291,7 +294,7 @@ def test_the_prior_is_what_is_known_at_first() -> None:
 def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     world = HALL.copy()
     world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
-    scenario = hall_scenario(HALL, world, goal=(3.4, 1.5), goal_radius=0.3)
+    scenario = hall_scenario(HALL, world, goal=None, target_coverage=None)
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
     known = np.asarray(state.belief.grid.probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)

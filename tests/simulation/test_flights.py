@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxplore import MPPI, Faults, GoalCost, Quadrotor
-from jaxplore.experiment import Experiment, build
+from jaxplore.experiment.assembly import Experiment, build
 from jaxplore.settings import make_settings
 from jaxplore.simulation.closed_loop import Record, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import Scenario

@@ -4,11 +4,49 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.rollout import Trajectory
+
+
+class Members(NamedTuple):
+    """What the members of a controller that holds several say about a step.
+
+    Args:
+        controls: (N, nu) what each would do now.
+        costs: (N,) of their plans under one common objective.
+        uncertainties: (N,) spread of each one's weighted samples, in half ranges of the controls.
+        effective_sample_sizes: (N,) of each one's rollouts.
+        shares: (N,) how much of each is in the control that is returned; adds up to 1.
+        diversity: mean distance between two members' controls, in half ranges [root mean square
+            over the controls].
+        is_replaced: whether a member's plan took the place of their mixture.
+    """
+
+    controls: Float[Array, "N nu"]
+    costs: Float[Array, " N"]
+    uncertainties: Float[Array, " N"]
+    effective_sample_sizes: Float[Array, " N"]
+    shares: Float[Array, " N"]
+    diversity: Scalar
+    is_replaced: Flag
+
+    @classmethod
+    def blank(cls, number: int, control_size: int) -> "Members":
+        """Return zeros in the shapes of `number` members."""
+        each = jnp.zeros(number)
+        return cls(
+            jnp.zeros((number, control_size)),
+            each,
+            each,
+            each,
+            each,
+            jnp.zeros(()),
+            jnp.array(False),
+        )
 
 
 class Info(NamedTuple):
@@ -23,6 +61,7 @@ class Info(NamedTuple):
         effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite.
         is_finite: whether any rollout was finite. If not, the control is that of the shifted
             nominal.
+        members: of a controller that holds several; None of any other.
     """
 
     controls: Float[Array, "T nu"]
@@ -30,6 +69,7 @@ class Info(NamedTuple):
     costs: Float[Array, " K"]
     effective_sample_size: Scalar
     is_finite: Flag
+    members: Members | None = None
 
 
 class SampledPlan(NamedTuple):
@@ -78,6 +118,11 @@ class Controller(eqx.Module):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return what `step` sees with the same arguments: trajectories, and the cost by term."""
+
+    @property
+    def member_names(self) -> tuple[str, ...]:
+        """Names of the members of a controller that holds several; none of any other."""
+        return ()
 
     @abc.abstractmethod
     def at_period(self, control_period: ArrayLike) -> "Controller":

@@ -241,10 +241,88 @@ class MPPI(Controller):
         Returns:
             The control (nu,), the new state, and `Info`.
         """
+        draft = self.draft(state, key=key, perturbations=perturbations, shift=shift)
+        return self.conclude(draft, self._costs(draft, observation, belief))
+
+    def draft(
+        self,
+        state: MPPIState,
+        *,
+        key: Key,
+        perturbations: Samples | None = None,
+        shift: bool = True,
+    ) -> "Draft":
+        """Return the first half of a step: control sequences that are to be priced.
+
+        For who prices them otherwise than by this controller's cost: `conclude` is the other half.
+
+        Args:
+            state: as of `step`.
+            key: as of `step`.
+            perturbations: as of `step`.
+            shift: as of `step`.
+        """
         state = self._shift(state) if shift else state
-        plan = self._sample(state, observation, key, perturbations)
-        costs = self._costs(plan, observation, belief)
-        return self._conclude(plan, costs)
+        sample_key, outcome_key = jax.random.split(key)
+        around = Surroundings(self.parameterisation, state.nominal, self._space)
+        samples = self.proposal.sample(
+            state.proposal,
+            around,
+            self.num_samples,
+            key=sample_key,
+            perturbations=perturbations,
+        )
+        if self.mesh is not None:
+            spread = _spec(None, None, self.mesh.axis_names)
+            samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
+                samples, NamedSharding(self.mesh, spread)
+            )
+        controls, samples = self.parameterisation.decode(state.nominal, samples, around.space)
+        # Without a cut the noise is drawn once for the rollouts and again for the mean.
+        controls, samples = cut((controls, samples))
+
+        outcomes = None
+        if self.disturbance is not None:
+            outcomes = Outcomes.draw(
+                self.disturbance,
+                self.risk,
+                self.dynamics,
+                self.horizon,
+                self.num_outcomes,
+                key=outcome_key,
+            )
+        return Draft(state, around, samples, controls, outcomes)
+
+    def conclude(
+        self, draft: "Draft", costs: Float[Array, " K"]
+    ) -> tuple[ControlVector, MPPIState, Info]:
+        """Return the second half of a step: what follows if the drafted sequences cost this.
+
+        Args:
+            draft: from `draft`.
+            costs: (K,); sequences of a cost that is not finite get no weight.
+        """
+        state, around, samples = draft.state, draft.around, draft.samples
+        costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
+        log_ratio = self.proposal.log_ratio(state.proposal, around, samples)
+        weights = self.weighting.weights(costs, log_ratio)
+        # Without a finite rollout all weights are 0 and the shifted nominal stays.
+        mean = jnp.einsum("k,puk->pu", weights, samples)
+        mean = mean + (1.0 - jnp.sum(weights)) * around.centre
+        nominal = self.parameterisation.update(state.nominal, mean, around.space)
+        controls = self.parameterisation.controls(nominal, around.space)
+        if self.smoothing is not None:
+            controls = around.space.clip(self.smoothing.smooth(state.past, controls))
+        memory = self.proposal.adapt(state.proposal, around, weights, samples)
+        info = Info(
+            controls=controls,
+            weights=weights,
+            costs=costs,
+            effective_sample_size=effective_sample_size(weights),
+            is_finite=jnp.any(jnp.isfinite(costs)),
+        )
+        after = MPPIState(nominal, memory, controls[0], state.past, state.phase)
+        return controls[0], after, info
 
     def step_with_gains(
         self,
@@ -280,16 +358,16 @@ class MPPI(Controller):
         Returns:
             What `step` returns, and the gains (nu, nx).
         """
-        plan = self._sample(self._shift(state), observation, key, perturbations)
+        plan = self.draft(state, key=key, perturbations=perturbations)
         samples = plan.samples.shape[-1]
         each = jnp.broadcast_to(observation[:, None], (observation.shape[0], samples))
         costs, pull_back = jax.vjp(lambda initial: self._costs(plan, initial, belief), each)
         (slopes,) = pull_back(jnp.ones_like(costs))
         usable = jnp.isfinite(costs) & jnp.all(jnp.isfinite(slopes), axis=0)
         slopes = jnp.where(usable, slopes, 0.0)
-        sensitivity = jax.jacrev(lambda values: self._conclude(plan, values)[0])(costs)
+        sensitivity = jax.jacrev(lambda values: self.conclude(plan, values)[0])(costs)
         sensitivity = jnp.where(jnp.isfinite(sensitivity), sensitivity, 0.0)
-        return *self._conclude(plan, costs), sensitivity @ slopes.T
+        return *self.conclude(plan, costs), sensitivity @ slopes.T
 
     def inspect(
         self,
@@ -311,9 +389,9 @@ class MPPI(Controller):
             key: the same key samples the same parameters as `step`.
             num_trajectories: how many of the K samples are returned, spread over all of them.
         """
-        plan = self._sample(self._shift(state), observation, key, None)
+        plan = self.draft(state, key=key)
         costs = self._costs(plan, observation, belief)
-        _, _, info = self._conclude(plan, costs)
+        _, _, info = self.conclude(plan, costs)
         count = min(num_trajectories, self.num_samples)
         # A mixture orders its samples by component: the first few would be one of them only.
         chosen = np.linspace(0, self.num_samples - 1, count).round().astype(int)
@@ -359,41 +437,8 @@ class MPPI(Controller):
             phase=phase,
         )
 
-    def _sample(
-        self, state: MPPIState, observation: StateVector, key: Key, perturbations: Samples | None
-    ) -> "_Plan":
-        sample_key, outcome_key = jax.random.split(key)
-        around = Surroundings(self.parameterisation, state.nominal, self._space)
-        samples = self.proposal.sample(
-            state.proposal,
-            around,
-            self.num_samples,
-            key=sample_key,
-            perturbations=perturbations,
-        )
-        if self.mesh is not None:
-            spread = _spec(None, None, self.mesh.axis_names)
-            samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
-                samples, NamedSharding(self.mesh, spread)
-            )
-        controls, samples = self.parameterisation.decode(state.nominal, samples, around.space)
-        # Without a cut the noise is drawn once for the rollouts and again for the mean.
-        controls, samples = cut((controls, samples))
-
-        outcomes = None
-        if self.disturbance is not None:
-            outcomes = Outcomes.draw(
-                self.disturbance,
-                self.risk,
-                self.dynamics,
-                self.horizon,
-                self.num_outcomes,
-                key=outcome_key,
-            )
-        return _Plan(state, around, samples, controls, outcomes)
-
     def _costs(
-        self, plan: "_Plan", initial: StateVector | Float[Array, "nx K"], belief: Any
+        self, plan: "Draft", initial: StateVector | Float[Array, "nx K"], belief: Any
     ) -> Float[Array, " K"]:
         everything = (self.dynamics, self.cost, self.dt, belief, plan.state.applied, plan.outcomes)
         arrays, static = eqx.partition(everything, eqx.is_array)
@@ -422,32 +467,6 @@ class MPPI(Controller):
         )
         total: Array = over_devices(initial, plan.controls, arrays)
         return total
-
-    def _conclude(
-        self, plan: "_Plan", costs: Float[Array, " K"]
-    ) -> tuple[ControlVector, MPPIState, Info]:
-        """Return the result of a step whose rollouts have these costs."""
-        state, around, samples = plan.state, plan.around, plan.samples
-        costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-        log_ratio = self.proposal.log_ratio(state.proposal, around, samples)
-        weights = self.weighting.weights(costs, log_ratio)
-        # Without a finite rollout all weights are 0 and the shifted nominal stays.
-        mean = jnp.einsum("k,puk->pu", weights, samples)
-        mean = mean + (1.0 - jnp.sum(weights)) * around.centre
-        nominal = self.parameterisation.update(state.nominal, mean, around.space)
-        controls = self.parameterisation.controls(nominal, around.space)
-        if self.smoothing is not None:
-            controls = around.space.clip(self.smoothing.smooth(state.past, controls))
-        memory = self.proposal.adapt(state.proposal, around, weights, samples)
-        info = Info(
-            controls=controls,
-            weights=weights,
-            costs=costs,
-            effective_sample_size=effective_sample_size(weights),
-            is_finite=jnp.any(jnp.isfinite(costs)),
-        )
-        after = MPPIState(nominal, memory, controls[0], state.past, state.phase)
-        return controls[0], after, info
 
     @property
     def _space(self) -> ControlSpace:
@@ -501,8 +520,16 @@ def _spec(*axes: Any) -> Spec:
     return Spec(*axes)  # type: ignore[no-untyped-call]
 
 
-class _Plan(NamedTuple):
-    """A step half done: what was sampled, before it is rolled out."""
+class Draft(NamedTuple):
+    """A step half done: what was sampled, before it is priced.
+
+    Args:
+        state: of the controller, moved on.
+        around: what was sampled around.
+        samples: (P, nu, K) parameters as they take effect.
+        controls: (T, nu, K) the sequences that they are.
+        outcomes: uncertain ones, if there is a disturbance.
+    """
 
     state: MPPIState
     around: Surroundings

@@ -1,6 +1,7 @@
 """Rollouts: what many control sequences lead to and cost."""
 
-from collections.abc import Callable
+import functools
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -70,8 +71,58 @@ def rollout_costs(
     Raises:
         ValueError: a model or a cost that returns another shape than it should.
     """
+    (total,) = _totals(
+        dynamics, (cost,), initial, controls, dt, belief, applied=applied, outcomes=outcomes
+    )
+    return total
+
+
+def rollout_objectives(
+    dynamics: Dynamics,
+    objectives: Sequence[Cost],
+    initial: StateVector | Float[Array, "nx K"],
+    controls: Float[Array, "T nu K"],
+    dt: Scalar,
+    belief: Any = None,
+    *,
+    applied: ControlVector | None = None,
+) -> Float[Array, "O K"]:
+    """Return what each of several costs comes to, from one rollout of each control sequence.
+
+    What costs have in common, such as a look-up in the same map, is computed once.
+
+    Args:
+        dynamics: the model.
+        objectives: O costs.
+        initial: as of `rollout_costs`.
+        controls: (T, nu, K).
+        dt: model step [s].
+        belief: what the robot knows.
+        applied: (nu,) control before the first one; the default control when absent.
+
+    Raises:
+        ValueError: a model or a cost that returns another shape than it should.
+    """
+    return jnp.stack(
+        _totals(dynamics, tuple(objectives), initial, controls, dt, belief, applied=applied)
+    )
+
+
+def _totals(
+    dynamics: Dynamics,
+    costs: tuple[Cost, ...],
+    initial: StateVector | Float[Array, "nx K"],
+    controls: Float[Array, "T nu K"],
+    dt: Scalar,
+    belief: Any,
+    *,
+    applied: ControlVector | None = None,
+    outcomes: Outcomes | None = None,
+) -> tuple[Float[Array, " K"], ...]:
+    """Return the total (K,) of each cost."""
     horizon, _, num_samples = controls.shape
-    check_costs(dynamics, cost, horizon, belief)
+    for cost in costs:
+        check_costs(dynamics, cost, horizon, belief)
     lanes = _lanes(num_samples)
     if outcomes is None:
         shape: tuple[int, ...] = (lanes,)
@@ -82,50 +133,65 @@ def rollout_costs(
 
     def sample_step(
         components: tuple[Array, ...], control: Array, t: Array, draw: Any
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, tuple[Array, ...]]:
         state = jnp.stack(components)
         if outcomes is None:
             reached = dynamics.step_at(state, control, t - dt, dt)
         else:
             reached = outcomes.disturbance.step_at(dynamics, state, control, t - dt, dt, draw)
         check_state(dynamics, jnp.shape(reached))
-        # The cost reads what the model has computed; fused, it would compute the step again.
+        # The costs read what the model has computed; fused, they would compute the step again.
         reached = jnp.stack(cut(tuple(reached)))
-        return reached, cost.stage(State(reached, dynamics), control, t, belief)
+        here = State(reached, dynamics)
+        return reached, tuple(cost.stage(here, control, t, belief) for cost in costs)
 
     step_all = jax.vmap(sample_step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
     if outcomes is not None:
         step_all = jax.vmap(step_all, in_axes=(0, None, None, 0), out_axes=(1, 0))
 
+    Values = tuple[Array, ...]
+
     def advance(
-        carry: tuple[tuple[Array, ...], Array, Array], inputs: tuple[Array, Array, Any]
-    ) -> tuple[tuple[tuple[Array, ...], Array, Array], None]:
-        components, total, variation = carry
+        carry: tuple[Values, Values, Values], inputs: tuple[Array, Array, Any]
+    ) -> tuple[tuple[Values, Values, Values], None]:
+        components, totals, variations = carry
         control, t, draw = inputs
         control = cut(jnp.pad(control, ((0, 0), (0, lanes - num_samples))))
         reached, paid = step_all(components, control, t, draw)
         if outcomes is not None:
-            variation = variation + outcomes.risk.step_variation(paid, t, dt)
-        return (tuple(reached), total + paid, variation), None
+            variations = tuple(
+                variation + outcomes.risk.step_variation(each, t, dt)
+                for variation, each in zip(variations, paid, strict=True)
+            )
+        totals = tuple(total + each for total, each in zip(totals, paid, strict=True))
+        return (tuple(reached), totals, variations), None
 
     if initial.ndim == 2:
         initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
     start = tuple(jnp.broadcast_to(value, shape) for value in initial)
     times = dt * jnp.arange(1, horizon + 1, dtype=jnp.float32)
-    (last, total, variation), _ = jax.lax.scan(
-        advance, (start, jnp.zeros(shape), jnp.zeros(lanes)), (controls, times, drawn)
+    nothing = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
+    (last, totals, variations), _ = jax.lax.scan(
+        advance, (start, *nothing), (controls, times, drawn)
     )
 
-    def final(components: tuple[Array, ...]) -> Array:
+    def final(cost: Cost, components: tuple[Array, ...]) -> Array:
         return cost.terminal(State(jnp.stack(components), dynamics), belief)
 
-    for _ in shape:
-        final = jax.vmap(final)
-    total = total + final(last)
-    if outcomes is not None:
-        contained = jnp.all(jnp.isfinite(total), axis=0)
-        total = jnp.where(contained, outcomes.risk.costs(total, variation), jnp.inf)
-    return total[:num_samples] + _sequence_costs(dynamics, cost, controls, dt, applied)
+    def finish(cost: Cost, total: Array, variation: Array) -> Array:
+        ending = functools.partial(final, cost)
+        for _ in shape:
+            ending = jax.vmap(ending)
+        total = total + ending(last)
+        if outcomes is not None:
+            contained = jnp.all(jnp.isfinite(total), axis=0)
+            total = jnp.where(contained, outcomes.risk.costs(total, variation), jnp.inf)
+        return total[:num_samples] + _sequence_costs(dynamics, cost, controls, dt, applied)
+
+    return tuple(
+        finish(cost, total, variation)
+        for cost, total, variation in zip(costs, totals, variations, strict=True)
+    )
 
 
 def _lanes(num_samples: int) -> int:

@@ -11,6 +11,7 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
 class Ackermann(ContinuousDynamics):
@@ -23,7 +24,7 @@ class Ackermann(ContinuousDynamics):
         v' = a - c v,  steering' = steering_rate
 
     v and steering stay within their bounds. Held steering drives a circle of radius
-    wheelbase / tan(steering).
+    wheelbase / tan(steering). It is a rectangle, covered by discs.
 
     Source: LaValle, "Planning Algorithms", 2006, section 13.1.2; the steering angle is a control
     there.
@@ -36,7 +37,9 @@ class Ackermann(ContinuousDynamics):
         max_steering_rate: bound of |steering_rate| [rad/s].
         min_speed: lower bound of v [m/s]; negative to drive backwards.
         drag: c, share of the speed lost per second [1/s].
-        radius: radius of the disc around the middle of the rear axle that holds the robot [m].
+        footprint: outline, with its origin at the middle of the rear axle. When absent, a rectangle
+            from a quarter of the wheelbase behind the rear axle to as far before the front axle, as
+            wide as 0.8 of the wheelbase, covered by two discs.
         integrator: `RK4()` when absent.
 
     Raises:
@@ -54,19 +57,19 @@ class Ackermann(ContinuousDynamics):
     control_min: ControlVector
     control_max: ControlVector
     drag: Scalar
-    radius: Scalar
+    outline: Footprint
     integrator: Integrator
 
     def __init__(
         self,
-        wheelbase: ArrayLike = 0.33,
-        max_speed: ArrayLike = 3.0,
-        max_steering: ArrayLike = 0.42,
+        wheelbase: ArrayLike = 0.5,
+        max_speed: ArrayLike = 5.0,
+        max_steering: ArrayLike = 0.6,
         max_acceleration: ArrayLike = 2.0,
-        max_steering_rate: ArrayLike = 3.0,
+        max_steering_rate: ArrayLike = 1.0,
         min_speed: ArrayLike = 0.0,
         drag: ArrayLike = 0.0,
-        radius: ArrayLike = 0.45,
+        footprint: Footprint | None = None,
         integrator: Integrator | None = None,
     ) -> None:
         self.wheelbase = _checks.scalar("wheelbase", wheelbase, above=0.0)
@@ -82,8 +85,23 @@ class Ackermann(ContinuousDynamics):
         )
         self.control_min = -self.control_max
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        if footprint is None:
+            overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
+            footprint = Rectangle(self.wheelbase + overhang, overhang, width, num_discs=2)
+        # Under a name of its own: `footprint` is a property of every model.
+        self.outline = footprint
         self.integrator = RK4() if integrator is None else integrator
+
+    @property
+    def footprint(self) -> Footprint:
+        """What the car covers of the ground."""
+        return self.outline
+
+    # mypy takes what a subclass has to provide for a field; computed, it cannot disagree.
+    @property  # type: ignore[misc]
+    def radius(self) -> Scalar:  # type: ignore[override]
+        """Radius of the discs that cover the car [m]."""
+        return self.outline.radius
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (5,)."""

@@ -8,16 +8,18 @@ import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Position, Scalar, StateVector
 from jaxplore.dynamics.integrators import Integrator
+from jaxplore.geometry.footprint import Disc, Footprint
 
 
 class Dynamics(eqx.Module):
     """A robot's discrete-time model, `state' = step(state, control, dt)`.
 
     Written for one robot and one step; the engine maps it over samples and time. A model says its
-    `state_names` and `control_names`, its control bounds, the radius of the disc that holds it and
-    `step`. Position, heading and speed are found among the state's names (`x`, `y`, `yaw`, `v`);
-    a model that names or computes them otherwise gives its own accessors. A model that is given by
-    its time derivative is a `ContinuousDynamics`.
+    `state_names` and `control_names`, its control bounds, the `radius` of the disc that holds it
+    and `step`. Position, heading and speed are found among the state's names (`x`, `y`, `yaw`,
+    `v`); a model that names or computes them otherwise gives its own accessors. A robot that is no
+    disc around its position gives its `footprint`; its `radius` is then that of the discs that
+    cover it together. A model that is given by its time derivative is a `ContinuousDynamics`.
     """
 
     state_names: ClassVar[tuple[str, ...]]
@@ -48,6 +50,12 @@ class Dynamics(eqx.Module):
         better.
         """
         return jnp.clip(jnp.zeros(self.control_size), self.control_min, self.control_max)
+
+    @property
+    def footprint(self) -> Footprint:
+        """What the robot covers of the ground: the disc of its radius, unless a model says
+        otherwise."""
+        return Disc(self.radius)
 
     @property
     def state_size(self) -> int:
@@ -92,9 +100,10 @@ class Dynamics(eqx.Module):
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state of a robot that something kept from moving.
 
-        It stays at the position it had, without speed; it may still turn.
+        It stays at the position it had, without speed. A disc may still turn.
         """
-        stays = jnp.asarray([name in ("x", "y") for name in self.state_names])
+        kept = ("x", "y") if isinstance(self.footprint, Disc) else ("x", "y", "yaw")
+        stays = jnp.asarray([name in kept for name in self.state_names])
         stops = jnp.asarray([name in ("v", "vx", "vy", "vz") for name in self.state_names])
         return jnp.where(stays, before, jnp.where(stops, 0.0, after))
 

@@ -113,6 +113,7 @@ class BeamTable(eqx.Module):
         is_inside: Bool[Array, "H W"] | None,
         sensor: CellSensor,
         margin: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
+        interest: GridValues | None = None,
     ) -> CellMaps:
         """Return what beams read of a piece of a map.
 
@@ -121,12 +122,18 @@ class BeamTable(eqx.Module):
             is_inside: (H, W) which cells are on the map; None for all.
             sensor: what a measurement does to a cell.
             margin: absorbing rows before and after, columns before and after.
+            interest: (H, W) what a look into each cell, past which a beam goes, is worth on top
+                [nat].
         """
         probability = settled(probability, sensor)
         if self.is_simple:
             channels = [1.0 - probability, expected_gain(probability, sensor)]
+            if interest is not None:
+                channels[1] = channels[1] + (1.0 - probability) * interest
         else:
             channels = [1.0 - probability, *cell_gains(probability, sensor)]
+            if interest is not None:
+                channels[2] = channels[2] + interest
         if is_inside is not None:
             channels = [jnp.where(is_inside, channel, 0.0) for channel in channels]
         # Materialised once: fused into the padding, logarithms would be evaluated many times.

@@ -4,11 +4,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore._types import Flag, GridValues, Scalar
+from jaxplore._types import Flag, GridValues, Pose, Scalar
 from jaxplore.information.field import InformationField
 from jaxplore.information.guidance import GuidanceField
 from jaxplore.information.heading_field import HeadingField
+from jaxplore.information.tracks import Tracks
 from jaxplore.maps.field import ScalarField
+from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
@@ -24,6 +26,13 @@ class Belief(eqx.Module):
         is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
             there.
         patience: time near a place after which its pull has faded to 1/e [s].
+        pose: where the robot was when its fields were made (x, y, yaw) [m, m, rad].
+        ground: what it drives on, known beforehand; level and passable when absent.
+        to_goal: cost to go to the goal [m], through whatever is not known to be blocked, and the
+            way there; absent if nothing asks for it.
+        tracks: what moves, as the robot's tracker knows it; nothing when absent.
+        idleness: (H, W) time since each cell was seen [s], infinite if never; absent if nobody
+            keeps watch.
     """
 
     grid: OccupancyGrid
@@ -33,6 +42,11 @@ class Belief(eqx.Module):
     dwell: GridValues
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
     patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
+    pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))
+    ground: Ground | None = None
+    to_goal: GuidanceField | None = None
+    tracks: Tracks | None = None
+    idleness: GridValues | None = None
 
     @property
     def pull(self) -> ScalarField:

@@ -132,10 +132,20 @@ class Doubling(eqx.Module):
             np.mod(np.arctan2(vectors[:, 0], vectors[:, 1]), 2.0 * np.pi), jnp.float32
         )
 
-    def beams(self, probability: GridValues, sensor: CellSensor) -> Float[Array, "D rows columns"]:
-        """Return what the beams of each direction are worth from every node [nat]."""
+    def beams(
+        self, probability: GridValues, sensor: CellSensor, interest: GridValues | None = None
+    ) -> Float[Array, "D rows columns"]:
+        """Return what the beams of each direction are worth from every node [nat].
+
+        Args:
+            probability: (H, W) of being occupied.
+            sensor: what a measurement does to a cell.
+            interest: (H, W) what a look at each cell is worth on top [nat].
+        """
         probability = settled(probability, sensor)
         gain = expected_gain(probability, sensor)
+        if interest is not None:
+            gain = gain + (1.0 - probability) * interest
         is_open = probability <= OCCUPIED_THRESHOLD
         middle, step = self.stride // 2, self.stride
         height, width = probability.shape

@@ -10,7 +10,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import Position
+from jaxplore._types import GridValues, Position
 from jaxplore.information.beam_table import BeamTable, CellMaps, window_maps
 from jaxplore.information.doubling import Doubling, is_faster
 from jaxplore.information.field import InformationField
@@ -18,7 +18,7 @@ from jaxplore.information.gain import CellSensor
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.lidar import Lidar
+from jaxplore.sensing.base import Sensor
 
 TILE = 40
 """Nodes on a side of the pieces that are evaluated at a time: they stay in the cache."""
@@ -45,8 +45,9 @@ class FieldSensor(eqx.Module):
     (`method`), with the logarithm of their length (`jaxplore.information.doubling`).
 
     Args:
-        lidar: the sensor; its range and its beams' spacing matter here, its field of view when the
-            field is looked up.
+        lidar: the sensor, a lidar or a camera; its range and its beams' spacing matter here, its
+            field of view when the field is looked up. It is taken to look straight ahead over flat
+            ground: hills, and what is below or above a camera's view, are not accounted for.
         resolution: side of a map cell [m].
         num_directions: D, directions evaluated; each stands for the beams of its sector.
         stride: cells between nodes of the field.
@@ -69,7 +70,7 @@ class FieldSensor(eqx.Module):
 
     def __init__(
         self,
-        lidar: Lidar,
+        lidar: Sensor,
         resolution: float,
         num_directions: int,
         stride: int = 1,
@@ -118,21 +119,28 @@ class FieldSensor(eqx.Module):
         """Cells between nodes."""
         return self.table.stride
 
-    def field(self, belief: OccupancyGrid, sensor: CellSensor) -> InformationField:
+    def field(
+        self,
+        belief: OccupancyGrid,
+        sensor: CellSensor,
+        interest: GridValues | None = None,
+    ) -> InformationField:
         """Return the information field of a whole map.
 
         Args:
             belief: the map; of the resolution that this was made for.
             sensor: what a measurement does to a cell.
+            interest: (H, W) what a look into each cell is worth on top, if a beam passes it [nat]:
+                what is looked for may be there, see `Watch`.
         """
         shape = self._lattice(belief)
         frame = self._frame(belief)
         if self.doubling is not None:
-            sectors = self.doubling.beams(belief.probability, sensor)
+            sectors = self.doubling.beams(belief.probability, sensor, interest)
             empty, corner = jnp.zeros((sectors.shape[0] + 1, *shape)), jnp.zeros(2, jnp.int32)
             values = Values(sectors, _add_up(sectors, empty, corner, shape))
             return self._field(values, belief, frame)
-        values = self._all(self._maps(belief, sensor), self._first, shape)
+        values = self._all(self._maps(belief, sensor, interest), self._first, shape)
         return self._field(values, belief, frame)
 
     def window(
@@ -223,14 +231,16 @@ class FieldSensor(eqx.Module):
         """Where the cell of node (0, 0) is in the maps of a whole belief."""
         return jnp.full(2, self.table.reach + self.stride // 2, jnp.int32)
 
-    def _maps(self, belief: OccupancyGrid, sensor: CellSensor) -> CellMaps:
+    def _maps(
+        self, belief: OccupancyGrid, sensor: CellSensor, interest: GridValues | None = None
+    ) -> CellMaps:
         """Return the maps of a whole belief, with margins as wide as beams are long."""
         reach = self.table.reach
         rows, columns = (
             (reach, reach + (count + 1) * self.stride - size)
             for count, size in zip(self._lattice(belief), belief.shape, strict=True)
         )
-        return self.table.maps(belief.probability, None, sensor, (rows, columns))
+        return self.table.maps(belief.probability, None, sensor, (rows, columns), interest)
 
     def _all(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Values:
         """Evaluate a whole lattice, in strips of about equal height."""

@@ -99,6 +99,26 @@ def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -
     )
 
 
+def near_point(
+    point: Position, frame: GridFrame, is_open: Bool[Array, "H W"]
+) -> Float[Array, "H W"]:
+    """Return the distance from a point of the open nodes nearest to it [m]; infinite elsewhere.
+
+    As `geodesic` takes its sources: paths end at the point, or as near to it as there is a node.
+
+    Args:
+        point: (x, y) [m].
+        frame: of the lattice.
+        is_open: (H, W) nodes that paths may use.
+    """
+    rows, columns = is_open.shape
+    centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
+    offset = centres - point
+    distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+    is_nearest = distance <= distance.min() + frame.resolution
+    return jnp.where(is_nearest, distance, jnp.inf)
+
+
 def geodesic(
     initial: Float[Array, "H W"], slowness: Float[Array, "H W"], is_open: Bool[Array, "H W"]
 ) -> Float[Array, "H W"]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,18 +10,28 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Flag, Pose, Position, Scalar, Vector
+from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore.information.belief import Belief
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.information.guidance import ROOMY, GuidanceField, downhill, geodesic, roadmap
+from jaxplore.information.goal_field import goal_field
+from jaxplore.information.guidance import (
+    ROOMY,
+    GuidanceField,
+    downhill,
+    geodesic,
+    near_point,
+    roadmap,
+)
+from jaxplore.information.watch import Watch
 from jaxplore.information.zones import unknown_fraction
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.base import Scan, Sensor, updated
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
-from jaxplore.sensing.lidar import Lidar, Scan
 
 LEFTOVER_DETOUR = 1e3
 """How much farther away a place with little information counts [m]."""
@@ -53,8 +64,14 @@ class Perception(eqx.Module):
     A goal is one more place worth going to: after all worthwhile information, before what is left
     over, and alone as soon as less than `max_unknown` of the map is unknown.
 
+    Where the ground is known, cells that may not be entered are closed, whatever stands on them.
+
+    With a `watch` it also keeps how long ago each cell was seen, and what that makes a look worth
+    is added to the information field, so that guidance leads there as well.
+
     Args:
-        lidar: the sensor.
+        sensors: what the robot carries, one or several. All of them make the map; the first leads:
+            information is what it would see, and it keeps the watch.
         resolution: side of a map cell [m].
         robot_radius: radius of the disc that must fit [m].
         sensor_model: the update that a measurement makes.
@@ -70,12 +87,18 @@ class Perception(eqx.Module):
         goal: (x, y) to go to in the end [m]; none when absent.
         max_unknown: share of the map's cells with `4 p (1 - p) > 1/2` below which it counts as
             explored, if there is a goal.
+        ground: of the map's cells; level and passable when absent.
+        watch: what is looked for beside the map; nothing when absent.
+        is_goal_apart: whether the goal gets a cost to go of its own, `Belief.to_goal`, instead of
+            being the last place worth going to; static.
+        unknown_factor: how much farther unknown space counts on the way to a goal apart.
 
     Raises:
-        ValueError: a size, rate or length out of its range.
+        ValueError: a size, rate or length out of its range; no sensors; a goal apart that is not
+            given.
     """
 
-    lidar: Lidar
+    sensors: tuple[Sensor, ...]
     sensor_model: InverseSensorModel
     field_sensor: FieldSensor
     resolution: float = eqx.field(static=True)
@@ -87,10 +110,14 @@ class Perception(eqx.Module):
     memory: Scalar
     goal: Position | None
     max_unknown: Scalar
+    ground: Ground | None
+    watch: Watch | None
+    unknown_factor: Scalar
+    is_goal_apart: bool = eqx.field(static=True)
 
     def __init__(
         self,
-        lidar: Lidar,
+        sensors: Sensor | Sequence[Sensor],
         resolution: float,
         robot_radius: ArrayLike,
         *,
@@ -105,16 +132,20 @@ class Perception(eqx.Module):
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,
         max_unknown: ArrayLike = 0.05,
+        ground: Ground | None = None,
+        watch: Watch | None = None,
+        is_goal_apart: bool = False,
+        unknown_factor: ArrayLike = 0.5,
     ) -> None:
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
-        self.lidar = lidar
+        self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
         if _checks.positive_int("num_directions", num_directions) < 4:
             raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")
         spacing = _checks.number("node_spacing", node_spacing, above=0.0)
         self.field_sensor = FieldSensor(
-            lidar,
+            self.sensors[0],
             resolution,
             num_directions,
             safe_stride(spacing, resolution, float(radius)),
@@ -130,6 +161,11 @@ class Perception(eqx.Module):
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
+        self.ground, self.watch = ground, watch
+        self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
+        if is_goal_apart and goal is None:
+            raise ValueError("goal is None; accepted: a position, for a goal apart")
+        self.is_goal_apart = is_goal_apart
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief of a robot that has seen nothing: free where it stands.
@@ -149,17 +185,52 @@ class Perception(eqx.Module):
         probability = jnp.where(stands_on, freed, grid.probability)
         grid = OccupancyGrid(probability, grid.resolution, grid.frame.origin)
         clearance = self._clearance(grid)
-        information = self.field_sensor.field(grid, self.sensor_model)
+        idleness = None if self.watch is None else self.watch.init(grid.shape)
+        information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
         is_known = self._is_known(grid)
         guidance = self._guidance(clearance, information, dwell, is_known)
         is_explored = is_known | self._is_goal_next(guidance, pose)
-        return Belief(grid, clearance, information, guidance, dwell, is_explored, self.patience)
+        return Belief(
+            grid,
+            clearance,
+            information,
+            guidance,
+            dwell,
+            is_explored,
+            self.patience,
+            pose,
+            self.ground,
+            self._to_goal(grid),
+            None,
+            idleness,
+        )
 
-    def observe(self, belief: Belief, scan: Scan, pose: Pose) -> Belief:
-        """Return the belief after a scan: the map and the clearance."""
-        grid = self.lidar.update(belief.grid, scan, pose, self.sensor_model)
-        return dataclasses.replace(belief, grid=grid, clearance=self._clearance(grid))
+    def observe(
+        self,
+        belief: Belief,
+        scans: Scan | Sequence[Scan],
+        pose: Pose,
+        elapsed: ArrayLike = 0.1,
+    ) -> Belief:
+        """Return the belief after a scan of each sensor: the map, the clearance, the idleness.
+
+        Args:
+            belief: before.
+            scans: one for each sensor.
+            pose: where the robot takes itself to be.
+            elapsed: time since the last scans [s]; for the idleness.
+        """
+        scans = (scans,) if isinstance(scans, Scan) else tuple(scans)
+        grid, idleness = belief.grid, belief.idleness
+        for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
+            sighting = sensor.sight(grid, scan, pose, self.ground)
+            grid = updated(grid, sighting, self.sensor_model)
+            if index == 0 and self.watch is not None and idleness is not None:
+                step = jnp.asarray(elapsed, jnp.float32)
+                idleness = self.watch.seen(idleness, sighting.is_seen, step)
+        clearance = self._clearance(grid)
+        return dataclasses.replace(belief, grid=grid, clearance=clearance, idleness=idleness)
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Return the belief with its information and guidance brought up to date.
@@ -169,7 +240,7 @@ class Perception(eqx.Module):
             pose: where the robot is now.
             elapsed: time since the last update [s].
         """
-        information = self.field_sensor.update(belief.information, belief.grid, self.sensor_model)
+        information = self._information(belief.grid, belief.idleness, belief.information)
         height, width = belief.dwell.shape
         rows, columns = jnp.mgrid[:height, :width]
         nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
@@ -186,6 +257,34 @@ class Perception(eqx.Module):
             guidance=guidance,
             dwell=dwell,
             is_explored=is_explored,
+            pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
+            to_goal=self._to_goal(belief.grid),
+        )
+
+    def _information(
+        self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
+    ) -> InformationField:
+        """Return the information field, brought up to date where that is enough."""
+        if self.watch is not None and idleness is not None:
+            # Time changes every cell's worth.
+            interest = self.watch.interest(idleness)
+            return self.field_sensor.field(grid, self.sensor_model, interest)
+        if before is None:
+            return self.field_sensor.field(grid, self.sensor_model)
+        return self.field_sensor.update(before, grid, self.sensor_model)
+
+    def _to_goal(self, grid: OccupancyGrid) -> GuidanceField | None:
+        if not self.is_goal_apart or self.goal is None:
+            return None
+        return goal_field(
+            grid,
+            None if self.ground is None else ~self.ground.is_traversable,
+            self.goal,
+            self.required_clearance,
+            unknown_factor=self.unknown_factor,
+            max_clearance=self.max_clearance,
+            stride=self.field_sensor.stride,
+            num_layers=LAYERS,
         )
 
     def _is_known(self, grid: OccupancyGrid) -> Flag:
@@ -196,13 +295,16 @@ class Perception(eqx.Module):
 
     def _is_goal_next(self, guidance: GuidanceField, pose: Pose) -> Flag:
         """Say whether nothing worthwhile can be reached any more, from a place on the map."""
-        if self.goal is None:
+        if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
         cost = guidance(pose[:2])
         return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)
 
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
-        return clearance_field(~grid.is_free, grid.frame, self.max_clearance)
+        closed = ~grid.is_free
+        if self.ground is not None:
+            closed = closed | ~self.ground.is_traversable
+        return clearance_field(closed, grid.frame, self.max_clearance)
 
     def _guidance(
         self, clearance: ScalarField, information: InformationField, dwell: Array, is_known: Flag
@@ -215,7 +317,7 @@ class Perception(eqx.Module):
         detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
         is_source = worth >= LEFTOVER_SHARE * self.min_information
         source = jnp.where(is_source, detour - pull, jnp.inf)
-        if self.goal is not None:
+        if self.goal is not None and not self.is_goal_apart:
             source = self._with_goal(source, frame, is_open, is_known)
         distance = geodesic(source, roads.slowness, is_open)
         return downhill(distance, frame, LAYERS)
@@ -223,13 +325,20 @@ class Perception(eqx.Module):
     def _with_goal(self, source: Array, frame: GridFrame, is_open: Array, is_known: Flag) -> Array:
         """Return the sources with the goal among them: the open nodes nearest to it."""
         assert self.goal is not None
-        rows, columns = source.shape
-        centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
-        offset = centres - self.goal
-        distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
-        is_nearest = distance <= distance.min() + frame.resolution
-        at_goal = jnp.where(is_nearest, distance + GOAL_DETOUR, jnp.inf)
+        at_goal = near_point(self.goal, frame, is_open) + GOAL_DETOUR
         return jnp.minimum(jnp.where(is_known, jnp.inf, source), at_goal)
+
+
+def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Return one or several sensors as several.
+
+    Raises:
+        ValueError: none, or something else.
+    """
+    given = (sensors,) if isinstance(sensors, Sensor) else tuple(sensors)
+    if not given or not all(isinstance(sensor, Sensor) for sensor in given):
+        raise ValueError(f"sensors is {sensors!r}; accepted: a sensor, or several")
+    return given
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:

@@ -12,57 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.report.animation import write_animation
+from jaxplore.report.colours import SERIES
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.save import DOTS_PER_INCH, settings_document
+from jaxplore.report.summary import Summary as Summary
+from jaxplore.report.summary import summarise
+from jaxplore.report.table import markdown, table_rows
 from jaxplore.simulation.recording import Recording
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLOURS = ("#1f6fb2", "#d1495b", "#2a7f5f", "#b5651d", "#7a5195", "#4a4e57")
-"""Of the curves, in turn."""
 CURVE_POINTS = 400
 """Points of a curve."""
-
-Spread = tuple[float, float, float]
-"""Lower quartile, median and upper quartile; infinite where too few runs have a value."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Summary:
-    """What the runs of one controller come to.
-
-    Quartiles are over runs; one that did not finish counts as infinitely late, so no controller
-    gains by failing where it is slow.
-
-    Args:
-        num_runs: how many there are.
-        num_finished: that reached the end.
-        finished_at: time of the end [s].
-        time_to_90: until 90 % coverage [s].
-        path_length: [m].
-        information_per_metre: [nat/m]; 0 of a robot that did not move.
-        final_unknown: share of the map's cells.
-        coverage: at the end.
-        collisions: in all runs together.
-        minimum_clearance: the least of all runs [m]; infinite if nothing was near.
-        command_jerk: [ranges/s^2].
-        fault_steps: in all runs together.
-    """
-
-    num_runs: int
-    num_finished: int
-    finished_at: Spread
-    time_to_90: Spread
-    path_length: Spread
-    information_per_metre: Spread
-    final_unknown: Spread
-    coverage: Spread
-    collisions: int
-    minimum_clearance: float
-    command_jerk: Spread
-    fault_steps: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -85,36 +48,12 @@ class Comparison:
         return {name: summarise(metrics) for name, metrics in self.runs.items() if metrics}
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return a table: its header, then one row for each controller; median [quartiles]."""
-        header = (
-            "",
-            "finished",
-            "after [s]",
-            "90 % after [s]",
-            "path [m]",
-            "nat/m",
-            "unknown [%]",
-            "collisions",
-            "clearance [m]",
-            "jerk [1/s²]",
-        )
-        rows: list[tuple[str, ...]] = [header]
-        for name, each in self.summaries().items():
-            rows.append(
-                (
-                    name,
-                    f"{each.num_finished} of {each.num_runs}",
-                    _spread(each.finished_at, 1),
-                    _spread(each.time_to_90, 1),
-                    _spread(each.path_length, 1),
-                    _spread(each.information_per_metre, 1),
-                    _spread(tuple(100.0 * share for share in each.final_unknown), 1),
-                    str(each.collisions),
-                    _number(each.minimum_clearance, 2),
-                    _spread(each.command_jerk, 0),
-                )
-            )
-        return rows
+        """Return a table: its header, then one row for each controller; median [quartiles].
+
+        Targets, idleness and steps on ground that may not be entered have columns where any run
+        has them.
+        """
+        return table_rows(self.summaries())
 
     def __str__(self) -> str:
         return markdown(self.rows())
@@ -191,35 +130,6 @@ def check_names(names: Iterable[str]) -> None:
             )
 
 
-def summarise(metrics: tuple[Metrics, ...]) -> Summary:
-    """Return what the runs of one controller come to.
-
-    Args:
-        metrics: of the runs; at least one.
-
-    Raises:
-        ValueError: no runs.
-    """
-    if not metrics:
-        raise ValueError("metrics is empty; accepted: at least one run")
-    information = [each.information_per_metre for each in metrics]
-    clearances = [each.minimum_clearance for each in metrics]
-    return Summary(
-        num_runs=len(metrics),
-        num_finished=sum(each.is_finished for each in metrics),
-        finished_at=_quartiles([each.finished_at for each in metrics]),
-        time_to_90=_quartiles([each.time_to["90"] for each in metrics]),
-        path_length=_quartiles([each.path_length for each in metrics]),
-        information_per_metre=_quartiles([0.0 if each is None else each for each in information]),
-        final_unknown=_quartiles([each.final_unknown for each in metrics]),
-        coverage=_quartiles([each.coverage for each in metrics]),
-        collisions=sum(each.collisions for each in metrics),
-        minimum_clearance=min(math.inf if each is None else each for each in clearances),
-        command_jerk=_quartiles([each.command_jerk for each in metrics]),
-        fault_steps=sum(each.fault_steps for each in metrics),
-    )
-
-
 def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     """Return coverage and unknown share over time: medians, and bands between the quartiles.
 
@@ -239,7 +149,7 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     shown = {name: metrics for name, metrics in runs.items() if metrics}
     for panel, curve in zip(panels, ("coverage", "unknown"), strict=True):
         for number, (name, metrics) in enumerate(shown.items()):
-            colour = COLOURS[number % len(COLOURS)]
+            colour = SERIES[number % len(SERIES)]
             low, median, high = np.percentile(
                 [100.0 * _curve(each, curve, time) for each in metrics], [25, 50, 75], axis=0
             )
@@ -262,18 +172,6 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     return figure
 
 
-def markdown(rows: list[tuple[str, ...]]) -> str:
-    """Return a table, header first, in Markdown."""
-    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
-
-    def line(cells: tuple[str, ...]) -> str:
-        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
-        return f"| {' | '.join(padded)} |"
-
-    rule = line(tuple("-" * width for width in widths))
-    return "\n".join([line(rows[0]), rule, *(line(row) for row in rows[1:])])
-
-
 def _curve(metrics: Metrics, name: str, time: np.ndarray) -> np.ndarray:
     points = [
         (at, value)
@@ -284,24 +182,6 @@ def _curve(metrics: Metrics, name: str, time: np.ndarray) -> np.ndarray:
     ]
     at, values = np.asarray(points).T
     return np.asarray(np.interp(time, at, values))
-
-
-def _quartiles(values: list[float | None]) -> Spread:
-    """Return the quartiles, nothing interpolated between a value and infinity."""
-    numbers = np.sort([math.inf if value is None else value for value in values])
-    low, median, high = np.percentile(numbers, [25, 50, 75], method="higher")
-    if np.isfinite(numbers).all():
-        low, median, high = np.percentile(numbers, [25, 50, 75])
-    return float(low), float(median), float(high)
-
-
-def _spread(values: tuple[float, ...], digits: int) -> str:
-    low, median, high = (_number(value, digits) for value in values)
-    return median if low == high else f"{median} [{low}, {high}]"
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _plain(value: Any) -> Any:

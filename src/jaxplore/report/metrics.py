@@ -1,48 +1,28 @@
 """The numbers by which a run is judged."""
 
 import dataclasses
-import math
 import os
 import platform
 import sys
-from collections import deque
 from importlib.metadata import version
-from typing import Any, SupportsFloat
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
 from jaxplore._version import __version__
-from jaxplore.simulation.recording import Recording, Timing
+from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report.compute import Compute as Compute
+from jaxplore.report.compute import compute_cost
+from jaxplore.report.missions import fusion_means, idleness, last_target_at, member_means
+from jaxplore.report.progress import at_instants, longest_stall, progress
+from jaxplore.simulation.recording import Recording
 
 LEVELS = (50, 90, 95, 99)
 """Coverages [%] at which time and path are compared."""
-STALL_RADIUS = 0.25
-"""A robot that stays this close to one place [m], along each axis, may be stalled."""
 CURVE_PERIOD = 0.5
 """Time between the points of the coverage curve [s]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Compute:
-    """Wall-clock cost; None where nothing was timed.
-
-    Args:
-        step_ms_p50: median of the steps timed one at a time [ms].
-        step_ms_p99: their 99th percentile [ms].
-        loop_step_ms: mean per step of the uninterrupted loop [ms].
-        steps_per_second: of that loop.
-        real_time_factor: control period over the mean step; above 1 is faster than real time.
-        compile_seconds: of the loop [s].
-    """
-
-    step_ms_p50: float | None
-    step_ms_p99: float | None
-    loop_step_ms: float | None
-    steps_per_second: float | None
-    real_time_factor: float | None
-    compile_seconds: float | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +33,7 @@ class Metrics:
         duration: simulated [s].
         num_steps: control periods done.
         coverage: share of the reachable cells known to be free, at the end.
-        target_coverage: at which exploration is finished.
+        target_coverage: at which exploration is finished; None if it never is.
         is_finished: the target was reached, or with a goal its end: at the goal, the map known.
         finished_at: when that was [s]; None if it was not.
         is_interrupted: the user stopped the run.
@@ -80,6 +60,20 @@ class Metrics:
         mean_effective_sample_size: over the steps.
         minimum_effective_sample_size: over the steps.
         non_finite_steps: steps without a single finite rollout.
+        untraversable_steps: steps that ended with some of the robot on ground that may not be
+            entered.
+        num_targets: how many places there were to see.
+        targets_seen: how many of them were seen.
+        last_target_at: when the last of all was seen [s]; None if some were not.
+        mean_idleness: of the reachable cells, the time since each was seen, mean over the second
+            half of the run: the first is needed to see everything once [s]. None if nobody keeps
+            watch.
+        worst_idleness: the longest of them in the second half [s].
+        members: of a controller that holds several, by name: mean `share` in the control, and
+            means of its `uncertainty` [half ranges], `effective_sample_size` and `cost` where they
+            were finite. None of any other controller.
+        diversity: mean distance between two members' controls [half ranges].
+        replaced: share of the steps in which a member's plan took the place of the mixture.
         reachable_area: [m^2].
         longest_stall: longest time in which the positions fit into a square of side
             `2 * STALL_RADIUS` along the world's axes while the best coverage so far did not rise
@@ -94,7 +88,7 @@ class Metrics:
     duration: float
     num_steps: int
     coverage: float
-    target_coverage: float
+    target_coverage: float | None
     is_finished: bool
     finished_at: float | None
     is_interrupted: bool
@@ -115,6 +109,15 @@ class Metrics:
     mean_effective_sample_size: float | None
     minimum_effective_sample_size: float | None
     non_finite_steps: int
+    untraversable_steps: int
+    num_targets: int
+    targets_seen: int
+    last_target_at: float | None
+    mean_idleness: float | None
+    worst_idleness: float | None
+    members: dict[str, dict[str, float | None]] | None
+    diversity: float | None
+    replaced: float | None
     reachable_area: float
     longest_stall: float
     compute: Compute
@@ -128,9 +131,12 @@ class Metrics:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what matters as (name, text), for tables."""
-        end = "finished" if self.is_finished else "not finished"
+        ends = (
+            self.target_coverage is not None or self.num_targets or self.goal_distance is not None
+        )
+        end = ", finished" if self.is_finished else ", not finished" if ends else ""
         rows = [
-            ("coverage", f"{_percent(self.coverage)} of {self.reachable_area:.1f} m², {end}"),
+            ("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}"),
             ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
             ("path", f"{self.path_length:.2f} m"),
         ]
@@ -144,39 +150,67 @@ class Metrics:
             path = self.path_to[level]
             reached = seconds is not None and path is not None
             rows.append((f"  to {level} %", f"{seconds:.2f} s, {path:.2f} m" if reached else "-"))
+        rows += self._mission_rows()
         compute, versions = self.compute, self.versions
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
-            ("entropy", f"{_text(self.initial_entropy, 0)} -> {_text(self.final_entropy, 0)} nat"),
+            ("entropy", f"{text(self.initial_entropy, 0)} -> {text(self.final_entropy, 0)} nat"),
             (
                 "unknown",
-                f"{_percent(self.initial_unknown)} -> {_percent(self.final_unknown)} of all cells",
+                f"{percent(self.initial_unknown)} -> {percent(self.final_unknown)} of all cells",
             ),
-            ("information", f"{_text(self.information_per_metre, 1)} nat/m"),
-            ("command jerk", f"{_text(self.command_jerk, 1)} ranges/s²"),
+            ("information", f"{text(self.information_per_metre, 1)} nat/m"),
+            ("command jerk", f"{text(self.command_jerk, 1)} ranges/s²"),
             ("collisions", f"{self.collisions} ({self.collision_steps} steps)"),
-            ("clearance", f"{_text(self.minimum_clearance, 3)} m at least"),
+            *(
+                [("untraversable", f"{self.untraversable_steps} steps")]
+                if self.untraversable_steps
+                else []
+            ),
+            ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
             ("longest stall", f"{self.longest_stall:.2f} s"),
-            ("sample size", f"{_text(sizes[0], 1)} effective, {_text(sizes[1], 1)} at least"),
+            ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
+            *self._member_rows(),
             (
                 "step",
-                f"{_text(compute.step_ms_p50, 2)} ms p50, {_text(compute.step_ms_p99, 2)} ms p99",
+                f"{text(compute.step_ms_p50, 2)} ms p50, {text(compute.step_ms_p99, 2)} ms p99",
             ),
-            ("loop", f"{_text(compute.loop_step_ms, 2)} ms a step"),
-            ("real time", f"{_text(compute.real_time_factor, 1)} times as fast"),
-            ("compilation", f"{_text(compute.compile_seconds, 1)} s"),
+            ("loop", f"{text(compute.loop_step_ms, 2)} ms a step"),
+            ("real time", f"{text(compute.real_time_factor, 1)} times as fast"),
+            ("compilation", f"{text(compute.compile_seconds, 1)} s"),
             ("seed", "-" if self.seed is None else str(self.seed)),
             ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
             ("device", str(versions["device"])),
         ]
         return rows
 
+    def _mission_rows(self) -> list[tuple[str, str]]:
+        rows = []
+        if self.num_targets:
+            seen, last = f"{self.targets_seen} of {self.num_targets} seen", self.last_target_at
+            rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
+        if self.mean_idleness is not None:
+            both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
+            rows.append(("idleness", f"{both}, in the second half"))
+        return rows
+
+    def _member_rows(self) -> list[tuple[str, str]]:
+        if self.members is None:
+            return []
+        replaced = f"replaced in {percent(self.replaced)} of the steps"
+        rows = [("members", f"{text(self.diversity, 3)} apart, {replaced}")]
+        for name, mean in self.members.items():
+            size, spread = text(mean["effective_sample_size"], 1), text(mean["uncertainty"], 3)
+            share = percent(mean["share"])
+            rows.append((f"  {name}", f"{share}, {size} effective, uncertainty {spread}"))
+        return rows
+
     def __str__(self) -> str:
         rows = self.rows()
         width = max(len(name) for name, _ in rows)
-        return "\n".join(f"{name:<{width}}  {text}" for name, text in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
 
 def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics:
@@ -195,9 +229,7 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
     sample_size = sample_size[np.isfinite(sample_size)]
     stride = max(1, round(CURVE_PERIOD / period))
     kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
-    unknown = np.append(
-        np.asarray(records.unknown), records.unknown[-1:] if steps else [recording.initial_unknown]
-    )
+    unknown = at_instants(records.unknown, recording.initial_unknown)
     curve = {
         "time": time,
         "coverage": coverage,
@@ -206,6 +238,8 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
         "unknown": unknown,
     }
     finished_at = _finished_at(recording, float(coverage[-1]))
+    mean_idleness, worst_idleness = idleness(recording)
+    diversity, replaced = fusion_means(recording)
     return Metrics(
         duration=steps * period,
         num_steps=steps,
@@ -217,86 +251,50 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
         time_to={name: None if k is None else k * period for name, k in reached.items()},
         path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
         path_length=float(path[-1]),
-        initial_entropy=_finite(recording.initial_entropy),
-        final_entropy=_finite(entropy[-1]),
+        initial_entropy=finite(recording.initial_entropy),
+        final_entropy=finite(entropy[-1]),
         initial_unknown=recording.initial_unknown,
         final_unknown=float(records.unknown[-1]) if steps else recording.initial_unknown,
         information_per_metre=(
-            _finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
+            finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
         ),
         goal_distance=_goal_distance(recording),
         command_jerk=_command_jerk(recording),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
         collisions=int(begins.sum()),
         collision_steps=int(in_contact.sum()),
-        minimum_clearance=_finite(np.min(records.clearance, initial=np.inf)),
-        mean_effective_sample_size=_finite(sample_size.mean()) if sample_size.size else None,
-        minimum_effective_sample_size=_finite(np.min(sample_size, initial=np.inf)),
+        minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
+        mean_effective_sample_size=finite(sample_size.mean()) if sample_size.size else None,
+        minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
+        untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
+        num_targets=len(recording.targets),
+        targets_seen=int(records.targets_seen[-1]) if steps else 0,
+        last_target_at=last_target_at(recording),
+        mean_idleness=mean_idleness,
+        worst_idleness=worst_idleness,
+        members=member_means(recording),
+        diversity=diversity,
+        replaced=replaced,
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
-        longest_stall=_longest_stall(recording.positions, coverage) * period,
-        compute=_compute(recording.timing, period),
+        longest_stall=longest_stall(recording.positions, coverage) * period,
+        compute=compute_cost(recording.timing, period),
         seed=seed,
         versions=_versions(),
         coverage_curve={
-            name: [_finite(value, digits=5) for value in values[kept]]
+            name: [finite(value, digits=5) for value in values[kept]]
             for name, values in curve.items()
         },
     )
 
 
-def progress(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
-
-    Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after
-    the last step, so coverage and entropy keep their last values there. In a run without a step
-    they are those at the start.
-    """
-    records, steps = recording.records, recording.num_steps
-    coverage, entropy = (
-        np.append(values, values[-1:] if steps else [initial]).astype(np.float32)
-        for values, initial in (
-            (records.coverage, recording.initial_coverage),
-            (records.entropy, recording.initial_entropy),
-        )
-    )
-    moves = np.diff(recording.positions.astype(np.float64), axis=0)
-    path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]))])
-    return np.arange(steps + 1) * recording.control_period, coverage, entropy, path
-
-
-def _longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
-    """Return the most steps between two instants of one stall.
-
-    One pass with two ends: the later end advances, the earlier one follows as far as it must.
-    Four queues keep the window's extremes, so the whole pass is O(N).
-    """
-    best = np.maximum.accumulate(coverage).tolist()
-    axes = [signed.tolist() for axis in positions.T for signed in (axis, -axis)]
-    queues: list[deque[int]] = [deque() for _ in axes]
-    first = longest = 0
-    for last in range(len(positions)):
-        for values, queue in zip(axes, queues, strict=True):
-            while queue and values[queue[-1]] <= values[last]:
-                queue.pop()
-            queue.append(last)
-        while best[first] != best[last] or any(
-            axes[i][queues[i][0]] + axes[i + 1][queues[i + 1][0]] > 2.0 * STALL_RADIUS
-            for i in (0, 2)
-        ):
-            first += 1
-            for queue in queues:
-                if queue[0] < first:
-                    queue.popleft()
-        longest = max(longest, last - first)
-    return longest
-
-
 def _finished_at(recording: Recording, coverage: float) -> float | None:
     if recording.finished_step is not None:
         return recording.finished_step * recording.control_period
-    is_covered = recording.goal is None and coverage >= np.float32(recording.target_coverage)
-    return 0.0 if is_covered and recording.num_steps == 0 else None
+    target = recording.target_coverage
+    if recording.goal is not None or len(recording.targets) or target is None:
+        return None
+    return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
 
 
 def _goal_distance(recording: Recording) -> float | None:
@@ -312,21 +310,7 @@ def _command_jerk(recording: Recording) -> float | None:
     jerk = np.diff(controls, 2, axis=0) / (
         recording.control_half_range * recording.control_period**2
     )
-    return _finite(np.sqrt(np.mean(jerk**2)))
-
-
-def _compute(timing: Timing, period: float) -> Compute:
-    measured = timing.loop_steps > 0 and timing.loop_seconds > 0.0
-    mean = timing.loop_seconds / timing.loop_steps if measured else None
-    single = 1e3 * np.asarray(timing.step_seconds, np.float64)
-    return Compute(
-        step_ms_p50=float(np.percentile(single, 50)) if single.size else None,
-        step_ms_p99=float(np.percentile(single, 99)) if single.size else None,
-        loop_step_ms=None if mean is None else 1e3 * mean,
-        steps_per_second=None if mean is None else 1.0 / mean,
-        real_time_factor=None if mean is None else period / mean,
-        compile_seconds=_finite(timing.compile_seconds),
-    )
+    return finite(np.sqrt(np.mean(jerk**2)))
 
 
 def _versions() -> dict[str, str | int | None]:
@@ -345,18 +329,3 @@ def _versions() -> dict[str, str | int | None]:
 
 def _first(mask: np.ndarray) -> int | None:
     return int(mask.argmax()) if mask.any() else None
-
-
-def _finite(value: SupportsFloat, *, digits: int | None = None) -> float | None:
-    number = float(value)
-    if not math.isfinite(number):
-        return None
-    return number if digits is None else round(number, digits)
-
-
-def _text(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.1f} %"

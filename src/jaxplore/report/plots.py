@@ -1,105 +1,38 @@
 """Pictures of a run as a whole."""
 
-import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.ndimage
 
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
-from jaxplore.report.metrics import LEVELS, compute_metrics, progress
+from jaxplore.report.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    MISSED,
+    OUTLINE,
+    TARGET,
+    belief_colours,
+    shade,
+)
+from jaxplore.report.metrics import LEVELS, compute_metrics
+from jaxplore.report.overlays import (
+    add_footprint,
+    add_ground,
+    add_movers,
+    add_targets,
+    closed_cells,
+)
+from jaxplore.report.progress import at_instants, progress
+from jaxplore.report.window import Window
 from jaxplore.simulation.recording import Recording
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MARGIN = 1.0
-"""Drawn around the reachable cells [m]."""
-FREE, UNKNOWN, OCCUPIED = (252, 252, 250), (190, 195, 203), (43, 48, 58)
-"""Colours of a belief of 0, 1/2 and 1."""
-MISSED = (209, 73, 91)
-"""Colour of a true wall that the belief does not hold."""
-OUTLINE = "#4f8fc0"
-"""Colour of the outline of the true free space."""
 MAX_SEGMENTS = 2000
 """Pieces of the path that are coloured by time."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Window:
-    """The part of a grid that is drawn; it may reach beyond the grid.
-
-    Args:
-        first: row and column of its first cell.
-        shape: its rows and columns.
-        origin: pose of the grid [m, m, rad].
-        resolution: side of a cell [m].
-    """
-
-    first: tuple[int, int]
-    shape: tuple[int, int]
-    origin: np.ndarray
-    resolution: float
-
-    @classmethod
-    def around_reachable(cls, recording: Recording) -> "Window":
-        """Return the box around the reachable cells and a margin; all of the grid without any."""
-        cells = recording.reachable
-        rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
-        margin = round(MARGIN / recording.resolution)
-        first = (int(rows.min()) - margin, int(columns.min()) - margin)
-        last = (int(rows.max()) + margin, int(columns.max()) + margin)
-        shape = (last[0] - first[0] + 1, last[1] - first[1] + 1)
-        return cls(first, shape, recording.origin, recording.resolution)
-
-    @property
-    def size(self) -> tuple[float, float]:
-        """Extent along the grid's x and y axes [m]."""
-        return self.shape[1] * self.resolution, self.shape[0] * self.resolution
-
-    @property
-    def is_turned(self) -> bool:
-        """The grid's axes are not the world's."""
-        return bool(self.origin[2] != 0.0)
-
-    @property
-    def corner(self) -> np.ndarray:
-        """(2,) the window's first corner on the axes that are drawn [m].
-
-        They are the world's, or the grid's own if it is turned.
-        """
-        corner = np.asarray(self.first[::-1], np.float64) * self.resolution
-        return corner if self.is_turned else corner + self.origin[:2]
-
-    def crop(self, cells: np.ndarray, fill: float | bool) -> np.ndarray:
-        """Return the window's cells, `fill` where it reaches beyond the grid."""
-        rows, columns = (
-            np.arange(start, start + count)
-            for start, count in zip(self.first, self.shape, strict=True)
-        )
-        inside = np.ix_(
-            (rows >= 0) & (rows < cells.shape[0]), (columns >= 0) & (columns < cells.shape[1])
-        )
-        cropped = np.full(self.shape, fill, cells.dtype)
-        cropped[inside] = cells[
-            np.ix_(
-                rows[(rows >= 0) & (rows < cells.shape[0])],
-                columns[(columns >= 0) & (columns < cells.shape[1])],
-            )
-        ]
-        return cropped
-
-    def place(self, points: np.ndarray) -> np.ndarray:
-        """Turn world points (..., 2) into metres from the window's corner along the grid's axes."""
-        return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution
-
-
-def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Turn world points (..., 2) [m] into (x, y) [m] along the axes of a pose [m, m, rad]."""
-    yaw = float(pose[2])
-    shifted = np.asarray(points, np.float64) - np.asarray(pose[:2], np.float64)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return np.asarray(shifted @ turn)
 
 
 def true_outline(recording: Recording, window: Window) -> np.ndarray:
@@ -116,18 +49,13 @@ def true_outline(recording: Recording, window: Window) -> np.ndarray:
     return np.asarray(edges * recording.resolution)
 
 
-def belief_colours() -> np.ndarray:
-    """Return the (256, 3) colours of a belief in 256 levels, free to occupied."""
-    level = np.linspace(0.0, 1.0, 256)
-    nodes = np.array([FREE, UNKNOWN, OCCUPIED], np.float64)
-    channels = [np.interp(level, [0.0, 0.5, 1.0], nodes[:, channel]) for channel in range(3)]
-    return np.round(np.stack(channels, axis=-1)).astype(np.uint8)
-
-
 def map_figure(recording: Recording) -> "Figure":
     """Return the final belief with the robot's path and the outline of the true free space.
 
-    In red, the walls that were not seen.
+    In red, the walls that were not seen. Where there are any: the height of the ground as contour
+    lines and, hatched, ground that may not be entered; targets; moving obstacles at their last
+    places, with the places they were at in the frames; a rectangular robot's outline at the
+    start and at the end.
 
     A map that is turned is drawn along its own axes.
     """
@@ -146,6 +74,9 @@ def map_figure(recording: Recording) -> "Figure":
 
     levels = np.round(255.0 * window.crop(recording.belief, 0.5)).astype(np.uint8)
     colours = belief_colours()[levels]
+    closed = closed_cells(recording, window)
+    tint = CLOSED_SHARE * (np.asarray(CLOSED) - colours[closed].astype(np.float64))
+    colours[closed] = np.round(colours[closed] + tint).astype(np.uint8)
     colours[window.crop(_unseen_walls(recording), False)] = MISSED
     axes.imshow(
         colours,
@@ -181,18 +112,35 @@ def map_figure(recording: Recording) -> "Figure":
         LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7, zorder=1.5), autolim=False
     )
     axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
-    missed = np.asarray(MISSED) / 255.0
-    axes.plot([], [], "s", color=missed.tolist(), markersize=5.0, label="wall not seen")
+    axes.plot([], [], "s", color=shade(MISSED), markersize=5.0, label="wall not seen")
+    add_ground(axes, recording, window)
+    add_targets(axes, recording, window)
+    add_movers(axes, recording, window)
+    add_footprint(axes, recording, window)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""
     axes.set_xlabel(f"{prefix}x [m]")
     axes.set_ylabel(f"{prefix}y [m]")
-    figure.legend(loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
-    figure.suptitle(
-        f"{100.0 * coverage[-1]:.1f} % covered, {time[-1]:.1f} s, {path[-1]:.1f} m", fontsize=11
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=4 if len(labels) <= 5 or inches[0] > 5.0 else 3,
+        frameon=False,
+        fontsize=9,
     )
+    figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
+    title = f"{100.0 * coverage[-1]:.1f} % covered, {time[-1]:.1f} s, {path[-1]:.1f} m"
+    if len(recording.targets):
+        title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
+    figure.suptitle(title, fontsize=11)
     return figure
+
+
+def _targets_seen(recording: Recording) -> np.ndarray:
+    """Return (N + 1,) how many targets had been seen at each instant."""
+    return at_instants(recording.records.targets_seen, 0.0)
 
 
 def _unseen_walls(recording: Recording) -> np.ndarray:
@@ -208,16 +156,21 @@ def _unseen_walls(recording: Recording) -> np.ndarray:
 
 
 def coverage_figure(recording: Recording) -> "Figure":
-    """Return coverage and entropy over time, and when each level of coverage was reached."""
+    """Return coverage and entropy over time, and when each level of coverage was reached.
+
+    With targets, below, how many of them had been seen.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     blue, brown = "#1f6fb2", "#b5651d"
     time, coverage, entropy, path = progress(recording)
     metrics = compute_metrics(recording)
-    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    has_targets = len(recording.targets) > 0
+    figure = Figure(figsize=(8.0, 6.0 if has_targets else 4.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    grid = figure.add_gridspec(2, 1, height_ratios=[3.2, 1.0]) if has_targets else None
+    axes = figure.add_subplot() if grid is None else figure.add_subplot(grid[0])
     duration = max(float(time[-1]), recording.control_period)
     right = axes.twinx()
     right.plot(time, entropy, color=brown, linewidth=1.4)
@@ -229,7 +182,9 @@ def coverage_figure(recording: Recording) -> "Figure":
     axes.set_zorder(right.get_zorder() + 1)
     axes.patch.set_visible(False)
     axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0)
-    axes.axhline(100.0 * recording.target_coverage, color="0.6", linewidth=0.8, linestyle="--")
+    if recording.target_coverage is not None:
+        level = 100.0 * recording.target_coverage
+        axes.axhline(level, color="0.6", linewidth=0.8, linestyle="--")
     for level, colour in zip(LEVELS, ("#7fb7be", "#3d9a8b", "#2a7f5f", "#14532d"), strict=True):
         seconds, metres = metrics.time_to[str(level)], metrics.path_to[str(level)]
         if seconds is None or metres is None:
@@ -257,4 +212,23 @@ def coverage_figure(recording: Recording) -> "Figure":
     above.set_xlim(0.0, duration)
     above.set_xticks(ticks, [f"{metres:.1f}" for metres in np.interp(ticks, time, path)])
     above.set_xlabel("distance travelled [m]")
+    if grid is not None:
+        axes.set_xlabel("")
+        axes.tick_params(axis="x", labelbottom=False)
+        below = figure.add_subplot(grid[1], sharex=axes)
+        _draw_targets_seen(below, recording, time)
     return figure
+
+
+def _draw_targets_seen(axes: "Axes", recording: Recording, time: np.ndarray) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    most = len(recording.targets)
+    colour = shade(TARGET)
+    axes.step(time, _targets_seen(recording), where="post", color=colour, linewidth=2.0)
+    axes.axhline(most, color="0.6", linewidth=0.8, linestyle="--", zorder=0.5)
+    axes.set(ylim=(0.0, 1.12 * most), xlabel="time [s]")
+    axes.set_ylabel(f"targets seen\nof {most}", color=colour)
+    axes.tick_params(axis="y", colors=colour)
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

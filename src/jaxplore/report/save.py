@@ -11,8 +11,11 @@ import yaml
 
 from jaxplore.report.animation import write_animation
 from jaxplore.report.folder import MARK, run_folder
-from jaxplore.report.metrics import Metrics, progress
+from jaxplore.report.idleness import idleness_figure
+from jaxplore.report.members import members_figure
+from jaxplore.report.metrics import Metrics
 from jaxplore.report.plots import coverage_figure, map_figure
+from jaxplore.report.progress import progress
 from jaxplore.simulation.recording import Recording
 
 DOTS_PER_INCH = 150
@@ -30,7 +33,8 @@ def save_recording(
 ) -> None:
     """Write a run folder: it appears complete or not at all.
 
-    `metrics.json`, `arrays.npz` (see `arrays`), `map.png`, `coverage.png`, with `animation`
+    `metrics.json`, `arrays.npz` (see `arrays`), `map.png`, `coverage.png`; `members.png` of a
+    controller with several members; `idleness.png` of a robot that keeps watch; with `animation`
     `exploration.gif`, and with `settings` `settings.yaml`.
 
     Args:
@@ -55,6 +59,10 @@ def save_recording(
         _write_arrays(folder / "arrays.npz", recording)
         map_figure(recording).savefig(folder / "map.png", dpi=DOTS_PER_INCH)
         coverage_figure(recording).savefig(folder / "coverage.png", dpi=DOTS_PER_INCH)
+        if recording.records.members is not None:
+            members_figure(recording).savefig(folder / "members.png", dpi=DOTS_PER_INCH)
+        if recording.idleness is not None:
+            idleness_figure(recording).savefig(folder / "idleness.png", dpi=DOTS_PER_INCH)
         before = 0.2
         if animation:
             on_progress(before)
@@ -76,10 +84,28 @@ def arrays(recording: Recording) -> dict[str, np.ndarray]:
     (N + 1, 2) [m], start included: step k leads from row k to row k + 1, and its coverage and
     entropy were measured at `time[k]`; `world`, `belief` (H, W) probabilities and `reachable`
     (H, W); `origin` [m, m, rad], `resolution` [m], `control_period` [s], `start` and `state_names`.
+
+    Where there are any: each field of `Members` as `members_NAME`, one row a step, with
+    `member_names`; `targets` (M, 2) [m]; `idleness` (H, W) [s], infinite where nothing was ever
+    seen; `elevation` (H, W) [m] and `traversable` (H, W) of the ground; `mover_radii` (M,) [m];
+    `footprint` (4, 2) corners of a rectangular robot [m].
     """
     time, *_ = progress(recording)
+    steps = recording.records._asdict()
+    members = steps.pop("members")
+    if members is not None:
+        steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
+        steps["member_names"] = np.asarray(recording.member_names, np.str_)
+    optional = {
+        "targets": recording.targets,
+        "idleness": recording.idleness,
+        "elevation": recording.elevation,
+        "traversable": recording.traversable,
+        "mover_radii": recording.mover_radii,
+        "footprint": recording.footprint,
+    }
     return {
-        **{name: np.asarray(rows) for name, rows in recording.records._asdict().items()},
+        **{name: np.asarray(rows) for name, rows in steps.items()},
         "time": time,
         "positions": recording.positions,
         "world": recording.world,
@@ -90,6 +116,7 @@ def arrays(recording: Recording) -> dict[str, np.ndarray]:
         "control_period": np.asarray(recording.control_period),
         "start": recording.start,
         "state_names": np.asarray(recording.state_names, np.str_),
+        **{name: each for name, each in optional.items() if each is not None and len(each)},
     }
 
 

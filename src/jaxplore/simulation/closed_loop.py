@@ -5,21 +5,29 @@ compiled program runs a chunk, a single step that is to be timed, and ends the m
 reached; between steps nothing returns to Python.
 """
 
+import dataclasses
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Count, Flag, Key, Pose, Scalar, StateVector
-from jaxplore.control.base import Controller
+from jaxplore.control.base import Controller, Members
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.information.belief import Belief
+from jaxplore.information.tracks import Tracks
 from jaxplore.information.zones import unknown_fraction
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.simulation.collision import disc_clearance
+from jaxplore.sensing.base import Scan
+from jaxplore.simulation.collision import discs_clearance, footprint_clearance
+from jaxplore.simulation.movers import Movers
 from jaxplore.simulation.scenario import Scenario
+
+MOVERS = 2**31 - 1
+"""Sets the randomness of what moves apart from that of the steps."""
 
 
 class LoopState(NamedTuple):
@@ -34,6 +42,8 @@ class LoopState(NamedTuple):
         finished: steps done since the scenario was finished, 0 before.
         observed: (nx,) what the controller was told last.
         pending: (D, nu) commands that have not taken effect yet, oldest first.
+        is_seen: (M,) which targets have been seen.
+        movers: what moves, as it began.
     """
 
     robot: StateVector
@@ -44,14 +54,18 @@ class LoopState(NamedTuple):
     finished: Count
     observed: StateVector
     pending: Float[Array, "D nu"]
+    is_seen: Bool[Array, " M"]
+    movers: Movers | None
 
 
 class Progress(NamedTuple):
-    """How much of the map is known: see `Record`."""
+    """How much of the map is known, and how long ago it was seen: see `Record`."""
 
     coverage: Scalar
     entropy: Scalar
     unknown: Scalar
+    mean_idleness: Scalar
+    worst_idleness: Scalar
 
 
 class Record(NamedTuple):
@@ -65,9 +79,15 @@ class Record(NamedTuple):
         unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
         clearance: from the robot's edge to the nearest solid cell [m], up to half a metre.
         is_collision: the step would have led into something; the robot stopped instead.
+        is_untraversable: some of the robot is on ground that may not be entered.
         effective_sample_size: of the controller's rollouts.
         is_finite: whether any of them was finite.
         is_faulty: whether scans or odometry failed, by the scenario's faults.
+        targets_seen: how many targets have been seen.
+        mean_idleness: of the reachable cells, the time since each was seen, or since the start [s];
+            0 if nobody keeps watch.
+        worst_idleness: the longest of them [s].
+        members: of a controller that holds several.
     """
 
     state: StateVector
@@ -77,16 +97,29 @@ class Record(NamedTuple):
     unknown: Scalar
     clearance: Scalar
     is_collision: Flag
+    is_untraversable: Flag
     effective_sample_size: Scalar
     is_finite: Flag
     is_faulty: Flag
+    targets_seen: Count
+    mean_idleness: Scalar
+    worst_idleness: Scalar
+    members: Members | None
 
 
 @eqx.filter_jit
-def initial_loop_state(controller: Controller, scenario: Scenario) -> LoopState:
+def initial_loop_state(
+    controller: Controller, scenario: Scenario, key: Key | None = None
+) -> LoopState:
     """Return the state before the first step: what is known beforehand, and that the robot stands
-    free."""
+    free. Where what moves begins depends on the key; without, it is as the scenario has it."""
     belief = scenario.perception.init(scenario.prior, robot_pose(scenario.robot, scenario.start))
+    movers = scenario.movers
+    if movers is not None:
+        if key is not None:
+            phases = jax.random.uniform(jax.random.fold_in(key, MOVERS), movers.phase.shape)
+            movers = eqx.tree_at(lambda some: some.phase, movers, phases)
+        belief = dataclasses.replace(belief, tracks=Tracks.unseen(movers.radius))
     delay = 0 if scenario.faults is None else scenario.faults.control_delay
     robot = scenario.robot
     return LoopState(
@@ -94,10 +127,12 @@ def initial_loop_state(controller: Controller, scenario: Scenario) -> LoopState:
         belief=belief,
         controller=controller.init(),
         step=jnp.zeros((), jnp.int32),
-        progress=_progress(scenario, belief),
+        progress=_progress(scenario, belief, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),
         observed=scenario.start,
         pending=jnp.broadcast_to(robot.default_control, (delay, robot.control_size)),
+        is_seen=jnp.zeros(scenario.num_targets, bool),
+        movers=movers,
     )
 
 
@@ -114,27 +149,36 @@ def closed_loop_step(
     perception, faults = scenario.perception, scenario.faults
     world, observed = world_at(scenario, state.step), state.robot
     is_blind, is_faulty = jnp.array(False), jnp.array(False)
+    period = scenario.control_period
+    time = period * state.step.astype(jnp.float32)
     if faults is not None:
-        period = scenario.control_period
-        time = period * state.step.astype(jnp.float32)
         is_blind, is_faulty = faults.is_blind(time), faults.is_active(time)
         observed = faults.observe(state.robot, state.observed, time, period)
     # The map is made with the pose that the robot takes for its own, the scan where it really is.
     pose = robot_pose(scenario.robot, observed)
     is_placed = jnp.isfinite(pose).all()
 
-    def sense(belief: Belief, _: Progress) -> tuple[Belief, Progress]:
+    def sense(belief: Belief, _: Progress, is_seen: Array) -> tuple[Belief, Progress, Array]:
         at = robot_pose(scenario.robot, state.robot)
-        scan = scenario.lidar.scan(world, at, key=scan_key)
-        belief = perception.observe(belief, scan, pose)
-        return belief, _progress(scenario, belief)
+        scans = scan_all(scenario, world, at, state.movers, time, scan_key)
+        since = period * scenario.steps_per_scan.astype(jnp.float32)
+        belief = perception.observe(belief, scans, pose, since)
+        if scenario.num_targets > 0:
+            is_seen |= scenario.sensors[0].sees(world, at, scenario.targets, scenario.ground)
+        if state.movers is not None:
+            belief = _tracked(scenario, world, belief, at, state.movers, time, scan_key)
+        return belief, _progress(scenario, belief, time), is_seen
 
-    belief, progress = jax.lax.cond(
+    belief = state.belief
+    if belief.tracks is not None:
+        belief = dataclasses.replace(belief, tracks=_unmeasured(belief.tracks, period))
+    belief, progress, is_seen = jax.lax.cond(
         (state.step % scenario.steps_per_scan == 0) & ~is_blind & is_placed,
         sense,
         lambda *unchanged: unchanged,
-        state.belief,
+        belief,
         state.progress,
+        state.is_seen,
     )
     # One step ahead of what a controller does at the same rate, a strategy for example: that reads
     # fresh fields, and no single step has to pay for both.
@@ -152,17 +196,26 @@ def closed_loop_step(
     pending = state.pending
     if faults is not None:
         pending, control = faults.delay(pending, control)
-    moved = scenario.robot.step(state.robot, control, scenario.control_period)
-    solid = ~world.is_free
+    model = scenario.robot
+    moved = model.step(state.robot, control, period)
+    solid, frame, footprint = ~world.is_free, world.frame, model.footprint
+    reach = scenario.clearance_reach
 
     def clearance(robot: Array) -> Array:
-        return disc_clearance(
-            solid,
-            scenario.world.frame.to_grid(scenario.robot.position(robot)),
-            scenario.robot.radius,
-            scenario.world.resolution,
-            scenario.clearance_reach,
-        )
+        position, heading = model.position(robot), model.heading(robot)
+        room = footprint_clearance(solid, frame, position, heading, footprint, reach)
+        if state.movers is None:
+            return room
+        there = state.movers.at(time + period).positions
+        gap = discs_clearance(there, state.movers.radius, position, heading, footprint)
+        return jnp.minimum(room, gap)
+
+    def is_untraversable(robot: Array) -> Array:
+        if scenario.ground is None:
+            return jnp.array(False)
+        position, heading = model.position(robot), model.heading(robot)
+        closed = ~scenario.ground.is_traversable
+        return footprint_clearance(closed, frame, position, heading, footprint, reach) < 0.0
 
     is_finite = jnp.all(jnp.isfinite(moved))
     is_collision = is_finite & (clearance(moved) < 0.0)
@@ -170,7 +223,7 @@ def closed_loop_step(
     robot = jnp.where(is_collision, blocked, jnp.where(is_finite, moved, state.robot))
     # What the controller is told while it is frozen is what it was told last, unless that was lost.
     told = jnp.where(jnp.isfinite(observed).all(), observed, state.observed)
-    is_over = _is_finished(scenario, robot, progress) | (state.finished > 0)
+    is_over = _is_finished(scenario, robot, progress, is_seen) | (state.finished > 0)
     record = Record(
         state=robot,
         control=control,
@@ -179,9 +232,14 @@ def closed_loop_step(
         unknown=progress.unknown,
         clearance=clearance(robot),
         is_collision=is_collision,
+        is_untraversable=is_untraversable(robot),
         effective_sample_size=info.effective_sample_size,
         is_finite=info.is_finite,
         is_faulty=is_faulty,
+        members=info.members,
+        targets_seen=jnp.sum(is_seen, dtype=jnp.int32),
+        mean_idleness=progress.mean_idleness,
+        worst_idleness=progress.worst_idleness,
     )
     after = LoopState(
         robot=robot,
@@ -192,12 +250,18 @@ def closed_loop_step(
         finished=state.finished + is_over.astype(jnp.int32),
         observed=told,
         pending=pending,
+        is_seen=is_seen,
+        movers=state.movers,
     )
     return after, record
 
 
-def _is_finished(scenario: Scenario, robot: StateVector, progress: Progress) -> Flag:
+def _is_finished(
+    scenario: Scenario, robot: StateVector, progress: Progress, is_seen: Bool[Array, " M"]
+) -> Flag:
     is_covered = progress.coverage >= scenario.target_coverage
+    if scenario.num_targets > 0:
+        is_covered = jnp.all(is_seen)
     if scenario.goal is None:
         return is_covered
     offset = scenario.robot.position(robot) - scenario.goal
@@ -211,7 +275,7 @@ def is_unfinished(scenario: Scenario, state: LoopState) -> Flag:
     A scenario without a goal that is covered beforehand takes no step.
     """
     is_over = state.finished > scenario.hover_steps
-    if scenario.goal is None:
+    if scenario.goal is None and scenario.num_targets == 0:
         is_done = state.progress.coverage >= scenario.target_coverage
         is_over = is_over | (is_done & (scenario.hover_steps == 0))
     return ~is_over
@@ -239,7 +303,7 @@ def run_chunk(
     Returns:
         The state, the records (the first axis has `capacity` entries) and how many are filled.
     """
-    buffer = _blank(scenario, capacity)
+    buffer = _blank(controller, scenario, capacity)
 
     def unfinished(carry: tuple[LoopState, Record, Array]) -> Array:
         current, _, done = carry
@@ -254,10 +318,14 @@ def run_chunk(
     return jax.lax.while_loop(unfinished, advance, (state, buffer, jnp.zeros((), jnp.int32)))
 
 
-def _blank(scenario: Scenario, capacity: int) -> Record:
+def _blank(controller: Controller, scenario: Scenario, capacity: int) -> Record:
     """Return records to be filled; to trace a step for their shapes would take a second."""
     robot = scenario.robot
     number, flag = jnp.zeros(capacity), jnp.zeros(capacity, bool)
+    members = None
+    if controller.member_names:
+        one = Members.blank(len(controller.member_names), robot.control_size)
+        members = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), one)
     return Record(
         state=jnp.zeros((capacity, robot.state_size)),
         control=jnp.zeros((capacity, robot.control_size)),
@@ -266,10 +334,65 @@ def _blank(scenario: Scenario, capacity: int) -> Record:
         unknown=number,
         clearance=number,
         is_collision=flag,
+        is_untraversable=flag,
         effective_sample_size=number,
         is_finite=flag,
         is_faulty=flag,
+        members=members,
+        targets_seen=jnp.zeros(capacity, jnp.int32),
+        mean_idleness=number,
+        worst_idleness=number,
     )
+
+
+def scan_all(
+    scenario: Scenario,
+    world: OccupancyGrid,
+    pose: Pose,
+    movers: Movers | None,
+    time: Scalar,
+    key: Key,
+) -> tuple[Scan, ...]:
+    """Return what each sensor measures from a pose at a time."""
+    discs = None if movers is None else movers.discs(time)
+    keys = [key, *(jax.random.fold_in(key, k) for k in range(1, len(scenario.sensors)))]
+    return tuple(
+        sensor.scan(world, pose, key=each, ground=scenario.ground, movers=discs)
+        for sensor, each in zip(scenario.sensors, keys, strict=True)
+    )
+
+
+def _tracked(
+    scenario: Scenario,
+    world: OccupancyGrid,
+    belief: Belief,
+    pose: Pose,
+    movers: Movers,
+    time: Scalar,
+    key: Key,
+) -> Belief:
+    """Return the belief with what the tracker measures of those in sight of some sensor."""
+    assert belief.tracks is not None
+    now = movers.at(time)
+    position_std, velocity_std = scenario.tracking_noise
+    keys = jax.random.split(jax.random.fold_in(key, MOVERS), 2)
+    in_sight = [
+        sensor.sees(world, pose, now.positions, scenario.ground) for sensor in scenario.sensors
+    ]
+    tracks = belief.tracks.update(
+        now.positions + position_std * jax.random.normal(keys[0], now.positions.shape),
+        now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
+        functools.reduce(jnp.logical_or, in_sight),
+        position_std,
+        jnp.zeros(()),
+    )
+    return dataclasses.replace(belief, tracks=tracks)
+
+
+def _unmeasured(tracks: Tracks, elapsed: Scalar) -> Tracks:
+    """Return what is known after a time without a measurement."""
+    nothing = jnp.zeros_like(tracks.is_known)
+    return tracks.update(tracks.positions, tracks.velocities, nothing, jnp.zeros(()), elapsed)
 
 
 def world_at(scenario: Scenario, step: Count) -> OccupancyGrid:
@@ -284,12 +407,18 @@ def robot_pose(robot: Dynamics, state: StateVector) -> Pose:
     return jnp.concatenate([robot.position(state), robot.heading(state)[None]])
 
 
-def _progress(scenario: Scenario, belief: Belief) -> Progress:
-    """Return how much is known of the reachable cells, and of all."""
+def _progress(scenario: Scenario, belief: Belief, time: Scalar) -> Progress:
+    """Return how much is known of the reachable cells, and of all, and how recently."""
     reachable = scenario.reachable
     known = jnp.sum(belief.grid.is_free & reachable, dtype=jnp.float32)
+    mean, worst = jnp.zeros(()), jnp.zeros(())
+    if belief.idleness is not None:
+        idle = jnp.where(reachable, jnp.minimum(belief.idleness, time), 0.0)
+        mean, worst = jnp.sum(idle) / jnp.sum(reachable, dtype=jnp.float32), jnp.max(idle)
     return Progress(
         coverage=known / jnp.sum(reachable, dtype=jnp.float32),
         entropy=jnp.sum(jnp.where(reachable, belief.grid.entropy, 0.0)),
         unknown=unknown_fraction(belief.grid),
+        mean_idleness=mean,
+        worst_idleness=worst,
     )

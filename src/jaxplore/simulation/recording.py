@@ -23,6 +23,7 @@ class Frame:
         plan: (T + 1, 2) positions along the nominal [m].
         heading: of the robot [rad].
         reference: (R, 2) positions that the plan is to follow [m]; empty if there are none.
+        movers: (M, 2) where what moves is [m].
         terms: what the nominal pays for each term of the cost.
     """
 
@@ -37,6 +38,7 @@ class Frame:
     plan: np.ndarray
     heading: float
     reference: np.ndarray
+    movers: np.ndarray
     terms: dict[str, float]
 
 
@@ -84,8 +86,16 @@ class Recording:
         control_half_range: (nu,) half the range between the bounds of each control.
         state_names: of the robot's state.
         robot_radius: [m].
-        target_coverage: at which exploration is finished.
+        target_coverage: at which exploration is finished; None if it never is.
         is_interrupted: the user stopped the run; what is here was done before.
+        footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
+            disc.
+        targets: (M, 2) what was to be seen [m].
+        elevation: (H, W) of the ground [m]; None if it is level.
+        traversable: (H, W) cells of the ground that may be entered; None if it is level.
+        idleness: (H, W) time since each cell was seen, at the end [s]; None if nobody keeps watch.
+        mover_radii: (M,) of what moves [m].
+        member_names: of a controller that holds several.
     """
 
     records: Record
@@ -108,8 +118,15 @@ class Recording:
     control_half_range: np.ndarray
     state_names: tuple[str, ...]
     robot_radius: float
-    target_coverage: float
+    target_coverage: float | None
     is_interrupted: bool
+    footprint: np.ndarray
+    targets: np.ndarray
+    elevation: np.ndarray | None
+    traversable: np.ndarray | None
+    idleness: np.ndarray | None
+    mover_radii: np.ndarray
+    member_names: tuple[str, ...]
 
     @property
     def num_steps(self) -> int:

@@ -17,6 +17,7 @@ from jax import Array
 from jaxplore import _checks
 from jaxplore._types import Key
 from jaxplore.control.base import Controller, SampledPlan
+from jaxplore.geometry.footprint import Footprint, Rectangle
 from jaxplore.simulation.closed_loop import (
     LoopState,
     Record,
@@ -24,6 +25,7 @@ from jaxplore.simulation.closed_loop import (
     is_unfinished,
     robot_pose,
     run_chunk,
+    scan_all,
     world_at,
 )
 from jaxplore.simulation.recording import Frame, Recording, Timing
@@ -75,7 +77,7 @@ def record_run(
     period = round(float(scenario.control_period), 7)  # 0.02, not the nearest float32
     controller = controller.at_period(scenario.control_period)
     began = time.perf_counter()
-    state = initial_loop_state(controller, scenario)
+    state = initial_loop_state(controller, scenario, key)
     beginning = state.progress
     chunk = max(1, round(CHUNK_SECONDS / period))
 
@@ -150,8 +152,21 @@ def record_run(
         finished_step=total - int(state.finished) + 1 if int(state.finished) else None,
         state_names=scenario.robot.state_names,
         robot_radius=float(scenario.robot.radius),
-        target_coverage=float(scenario.target_coverage),
+        target_coverage=None
+        if float(scenario.target_coverage) > 1.0
+        else (float(scenario.target_coverage)),
         is_interrupted=is_interrupted,
+        footprint=_outline(scenario.robot.footprint),
+        targets=np.asarray(scenario.targets),
+        elevation=None if scenario.ground is None else np.asarray(scenario.ground.elevation),
+        traversable=(
+            None if scenario.ground is None else np.asarray(scenario.ground.is_traversable)
+        ),
+        idleness=None if belief.idleness is None else np.asarray(belief.idleness),
+        mover_radii=(
+            np.zeros(0) if scenario.movers is None else np.asarray(scenario.movers.radius)
+        ),
+        member_names=controller.member_names,
     )
 
 
@@ -167,6 +182,7 @@ class _Look(NamedTuple):
     plan: Array
     heading: Array
     reference: Array
+    movers: Array
     terms: dict[str, Array]
 
 
@@ -176,8 +192,11 @@ def _look(
 ) -> _Look:
     scan_key, plan_key = jax.random.split(jax.random.fold_in(key, state.step))
     pose = robot_pose(scenario.robot, state.robot)
-    scan = scenario.lidar.scan(world_at(scenario, state.step), pose, key=scan_key)
-    angles = pose[2] + jnp.asarray(scenario.lidar.beam_angles)
+    time = scenario.control_period * state.step.astype(jnp.float32)
+    world = world_at(scenario, state.step)
+    # Of the sensor that leads: what it looks at is where the robot learns.
+    scan, *_ = scan_all(scenario, world, pose, state.movers, time, scan_key)
+    angles = pose[2] + jnp.asarray(scenario.sensors[0].beam_angles)
     ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     plan: SampledPlan = controller.inspect(
         state.controller,
@@ -197,6 +216,7 @@ def _look(
         plan=position(plan.nominal.states),
         heading=pose[2],
         reference=jnp.zeros((0, 2)) if plan.reference is None else plan.reference[:, :2],
+        movers=jnp.zeros((0, 2)) if state.movers is None else state.movers.at(time).positions,
         terms=plan.nominal.terms,
     )
 
@@ -207,6 +227,18 @@ def _frame(look: _Look, step: int, seconds: float) -> Frame:
     heading = float(arrays.pop("heading"))
     kept = {name: np.asarray(value) for name, value in arrays.items()}
     return Frame(step=step, time=seconds, terms=terms, heading=heading, **kept)
+
+
+def _outline(footprint: Footprint) -> np.ndarray:
+    """Return the corners (4, 2) of a rectangle in the robot's frame [m]; none of another robot."""
+    if not isinstance(footprint, Rectangle):
+        return np.zeros((0, 2))
+    front, rear, half = (
+        float(footprint.front),
+        -float(footprint.rear),
+        0.5 * float(footprint.width),
+    )
+    return np.array([[front, half], [rear, half], [rear, -half], [front, -half]])
 
 
 @contextmanager

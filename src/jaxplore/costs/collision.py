@@ -1,0 +1,82 @@
+"""The cost of colliding, and nothing else: what no objective is worth."""
+
+import functools
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Flag, Scalar
+from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
+from jaxplore.costs._distance import length, offset
+from jaxplore.costs._many import add_up
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+from jaxplore.information.belief import Belief
+from jaxplore.information.tracks import Tracks
+
+
+class CollisionCost(Cost):
+    """How deep the robot is in what it must not touch; 0 for one that keeps clear.
+
+    With d the least clearance on the belief of the discs that cover the robot, r their radius, v
+    its speed and, for each moving obstacle, g_n the least distance of a disc's centre from where
+    its surface is expected,
+
+        ((c - d)_+ / 0.05 m)^2 + sum_n ((c + caution s_n(t) - g_n)_+ / 0.05 m)^2,
+        c = r + margin + reaction_time |v|,   s_n(t) = deviation of its place
+
+    the hard part of `ObstacleCost` and `TrackedObstacleCost` alone. For a `Portfolio`, whose
+    members weigh how far to keep from obstacles, but not whether to hit them. Moving obstacles are
+    those of `belief.tracks`; where it is absent there are none.
+
+    Args:
+        margin: kept beyond the radius [m].
+        reaction_time: [s].
+        caution: standard deviations of where an obstacle will be that are kept free.
+
+    Raises:
+        ValueError: a negative value.
+    """
+
+    margin: Scalar
+    reaction_time: Scalar
+    caution: Scalar
+
+    def __init__(
+        self,
+        margin: ArrayLike = 0.02,
+        reaction_time: ArrayLike = 0.05,
+        caution: ArrayLike = 1.0,
+    ) -> None:
+        self.margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
+        self.caution = _checks.scalar("caution", caution, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the squared depth, in 5 cm."""
+        too_close = contact(state, self.margin, self.reaction_time)
+        parts = levers(state)
+
+        def clearance(lever: Lever) -> Scalar:
+            centre = state.position
+            return belief.clearance(jnp.stack(shifted(tuple(centre), lever)) if lever else centre)
+
+        deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)
+        total = deep * deep
+        if belief.tracks is None:
+            return total
+        tracks: Tracks = belief.tracks
+
+        def price(obstacle: tuple[Array, Scalar, Scalar, Flag]) -> Scalar:
+            centre, radius, spread, counts = obstacle
+            away = [length(shifted(offset(state, centre), lever)) for lever in parts]
+            gap = functools.reduce(jnp.minimum, away) - radius
+            inside = depth(gap, too_close + spread)
+            return jnp.where(counts, inside * inside, 0.0)
+
+        is_known = tracks.is_known
+        places = jnp.where(is_known[:, None], tracks.predicted(t), 0.0)
+        spreads = self.caution * jnp.where(is_known, tracks.deviation(t), 0.0)
+        return total + add_up(price, (places, tracks.radii, spreads, is_known))

@@ -1,0 +1,72 @@
+"""Costs of not going somewhere: to a goal along its field, or into one of several regions."""
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.costs._distance import length
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+from jaxplore.information.belief import Belief
+
+
+class ToGoalCost(Cost):
+    """Cost to go to the goal around what is known to be in the way, and of not facing it [m].
+
+        U(x) + turning * (1 - h . g(x))
+
+    as `GuidanceCost` has it, with the field of the goal: `Belief.to_goal`, which a `Perception`
+    with `is_goal_apart` keeps.
+
+    Args:
+        turning: what facing sideways costs [m].
+
+    Raises:
+        ValueError: a negative value. When traced, a belief without that field.
+    """
+
+    turning: Scalar
+
+    def __init__(self, turning: ArrayLike = 0.3) -> None:
+        self.turning = _checks.scalar("turning", turning, at_least=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the cost to go and of the heading."""
+        if belief.to_goal is None:
+            raise ValueError(
+                "belief.to_goal is None; accepted: the belief of a Perception with a goal apart"
+            )
+        position, heading = state.position, state.heading
+        way = belief.to_goal.direction(position)
+        facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
+        return belief.to_goal(position) + self.turning * (1.0 - facing)
+
+
+class RegionCost(Cost):
+    """How far the robot has gone without going in a direction, `|d| - d . n` [m].
+
+    d is its way from where it is now and n a unit vector, `direction` from its heading now: 0 for
+    one that goes that way, twice the distance for one that goes the other way. With one direction
+    for each member of a `Portfolio`, ahead, left and right, members search different regions.
+
+    Source: the design notes for ground vehicles, "regional decomposition".
+
+    Args:
+        direction: from the heading, counter-clockwise [rad].
+
+    Raises:
+        ValueError: a direction that is not a finite number.
+    """
+
+    direction: Scalar
+
+    def __init__(self, direction: ArrayLike = 0.0) -> None:
+        self.direction = _checks.scalar("direction", direction)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Return the distance gone elsewhere."""
+        position = state.position
+        x, y = position[0] - belief.pose[0], position[1] - belief.pose[1]
+        angle = belief.pose[2] + self.direction
+        return length((x, y)) - (x * jnp.cos(angle) + y * jnp.sin(angle))

@@ -1,0 +1,175 @@
+"""What decides, from settings."""
+
+from collections.abc import Callable, Mapping
+
+from jaxplore.control.base import Controller
+from jaxplore.control.knots import Knots
+from jaxplore.control.parameterisations import Direct, Parameterisation
+from jaxplore.control.smooth import Smooth
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.experiment.place import Place
+from jaxplore.information.pose import PoseInformation
+from jaxplore.information.trajectory import TrajectoryInformation
+from jaxplore.information.zones import Zones
+from jaxplore.planning.architectures import (
+    FieldNumbers,
+    Flight,
+    goal_mppi,
+    informative_mppi,
+    random_walk,
+)
+from jaxplore.planning.explorer import explorer
+from jaxplore.planning.fusion import (
+    ROLES,
+    Contextual,
+    Fusion,
+    SafeFusion,
+    WeightedVote,
+    fusion_by_name,
+)
+from jaxplore.planning.gradient_reference import GradientReference
+from jaxplore.planning.ground_vehicle import Mission, ground_portfolio
+from jaxplore.planning.portfolio import Portfolio
+from jaxplore.planning.targets import (
+    RemainingInformation,
+    TargetChoice,
+    TargetReference,
+    Targets,
+    TrajectoryChoice,
+)
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings import Settings
+
+
+def controller_of(
+    settings: Settings, robot: Dynamics, place: Place, model: InverseSensorModel, view: float
+) -> Controller:
+    """Return what decides.
+
+    Raises:
+        ValueError: an architecture that the place does not allow, a part that does not accept its
+            settings.
+    """
+    if settings.architecture == "explorer":
+        return explorer(robot, **settings.controller.model_dump())
+    if settings.architecture == "portfolio":
+        return _portfolio(settings, robot, place)
+    given = settings.informative.model_dump()
+    given["parameterisation"] = PARAMETERISATIONS[given["parameterisation"]]()
+    period = 1.0 / settings.rates.control
+    flight = Flight(
+        **{name: given.pop(name) for name in Flight._fields if name in given},
+        control_period=period,
+        altitude=settings.altitude,
+        max_speed=settings.robot.max_speed,
+    )
+    if settings.architecture == "random-walk":
+        return random_walk(robot, flight)
+    goal = place.goal
+    if goal is not None and "z" not in robot.state_names:
+        goal = goal[:2]
+    if settings.architecture == "goal":
+        if goal is None:
+            raise ValueError("goal is missing; accepted: a position, for the architecture goal")
+        return goal_mppi(robot, goal, flight)
+    fields = FieldNumbers(
+        **{name: given.pop(name) for name in FieldNumbers._fields if name in given},
+        field_of_view=view,
+        field_period=1.0 / settings.rates.fields,
+    )
+    for name in ("target_choice", "distance_weight", "depleted"):
+        given.pop(name)
+    reference = None
+    if settings.architecture == "sequential":
+        walk = GradientReference(given["reference_speed"], given["reference_steps"], flight.dt)
+        reference = TargetReference(_target_choice(settings, place, model, view), walk)
+    return informative_mppi(
+        robot,
+        "parallel" if settings.architecture == "parallel" else "two-layer",
+        reference=reference,
+        resolution=place.world.resolution,
+        sensor_model=model,
+        goal=goal,
+        flight=flight,
+        fields=fields,
+        **given,
+    )
+
+
+def _target_choice(
+    settings: Settings, place: Place, model: InverseSensorModel, view: float
+) -> TargetChoice:
+    if place.goal is None or not place.zones:
+        raise ValueError(
+            "architecture is 'sequential', which goes from zone to zone and then to the goal; "
+            "accepted: a world with both"
+        )
+    given = settings.informative
+    targets = Targets(
+        Zones.from_rectangles(place.zones, place.world),
+        place.goal[:2],
+        depleted=given.depleted,
+        required_clearance=settings.robot.radius + settings.fields.margin,
+    )
+    weight = given.distance_weight
+    if given.target_choice == "remaining":
+        return RemainingInformation(targets, 0.05 if weight is None else weight)
+    lidar = Lidar(settings.lidar.num_beams, settings.lidar.max_range, view)
+    scans = TrajectoryInformation(PoseInformation(lidar, model), given.target_choice)
+    return TrajectoryChoice(targets, scans, weight=1.0 if weight is None else weight)
+
+
+PARAMETERISATIONS: Mapping[str, Callable[[], Parameterisation]] = {
+    "direct": Direct,
+    "smooth": Smooth,
+    "knots": lambda: Knots(8),
+}
+
+
+def _portfolio(settings: Settings, robot: Dynamics, place: Place) -> Portfolio:
+    given = settings.portfolio
+    goal = None if place.goal is None else place.goal[:2]
+    return ground_portfolio(
+        robot,
+        Mission(goal, has_terrain=place.ground is not None, has_movers=bool(place.movers)),
+        members=given.members if given.weights is None else given.weights,
+        decomposition=given.decomposition,
+        fusion=_fusion(settings, goal),
+        common=given.common,
+        parameterisation=PARAMETERISATIONS[given.parameterisation](),
+        **given.model_dump(include=set(_PORTFOLIO)),
+    )
+
+
+_PORTFOLIO = (
+    "effort",
+    "horizon",
+    "num_samples",
+    "temperature",
+    "noise_share",
+    "dt",
+    "clearance",
+    "margin",
+)
+"""Settings of a portfolio that `ground_portfolio` takes by the same name."""
+
+
+def _fusion(settings: Settings, goal: tuple[float, ...] | None) -> Fusion:
+    """Return how plans become one."""
+    given = settings.portfolio
+    if given.fusion == "weighted-vote":
+        fusion: Fusion = WeightedVote(given.vote_temperature)
+    elif given.fusion == "contextual":
+        names = tuple(given.members or ROLES) if given.weights is None else tuple(given.weights)
+        fusion = Contextual(
+            names,
+            goal=goal,
+            near_goal=given.near_goal,
+            near_obstacle=given.near_obstacle,
+            rich_information=given.rich_information,
+            hysteresis=given.hysteresis,
+        )
+    else:
+        fusion = fusion_by_name(given.fusion)
+    return SafeFusion(fusion, regret=given.regret) if given.is_safe else fusion

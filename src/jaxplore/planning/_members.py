@@ -1,0 +1,87 @@
+"""What a portfolio is given for its members: weights by number or by name, one number for each."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import Rows, Vector
+from jaxplore.costs.base import Cost
+
+
+def stacked(name: str, costs: Sequence[Cost], number: int) -> Cost:
+    """Return N costs of one kind as one whose arrays have a leading axis of N."""
+    given = tuple(costs)
+    structures = {jax.tree.structure(cost) for cost in given}
+    if len(given) != number or not all(isinstance(cost, Cost) for cost in given):
+        raise ValueError(
+            f"objectives[{name!r}] has {len(given)} entries; accepted: a cost, or one for each of "
+            f"the {number} members"
+        )
+    if len(structures) != 1:
+        raise ValueError(
+            f"objectives[{name!r}] has costs of different kinds; accepted: one kind, in which only "
+            "numbers differ"
+        )
+    stacked: Cost = jax.tree.map(lambda *leaves: jnp.stack(leaves), *given)
+    return stacked
+
+
+def weight_rows(
+    weights: Rows | Mapping[str, Mapping[str, float]],
+    names: Sequence[str] | None,
+    objectives: tuple[str, ...],
+) -> tuple[Float[Array, "N O"], tuple[str, ...]]:
+    """Return the weights (N, O), rows adding up to 1, and the members' names."""
+    if isinstance(weights, Mapping):
+        if names is not None:
+            raise ValueError(f"names is {names!r} beside weights by name; accepted: one of them")
+        names = tuple(weights)
+        weights = [named_row(row, objectives) for row in weights.values()]
+    if isinstance(weights, jax.core.Tracer):
+        given: Any = weights
+    else:
+        try:
+            given = np.asarray(weights, np.float32)
+        except (TypeError, ValueError):
+            given = np.zeros(0, np.float32)
+    if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(objectives):
+        raise ValueError(
+            f"weights has shape {given.shape}; accepted: (N, {len(objectives)}), one for each "
+            f"member and objective ({', '.join(objectives)})"
+        )
+    if not _checks.is_traced(given):
+        if not (np.isfinite(given) & (given >= 0.0)).all():
+            raise ValueError(f"weights is {given.tolist()}; accepted: finite numbers >= 0")
+        if (given.sum(axis=1) <= 0.0).any():
+            raise ValueError(
+                f"weights is {given.tolist()}; accepted: in each row a weight that is not 0"
+            )
+    count = given.shape[0]
+    labels = tuple(str(index + 1) for index in range(count)) if names is None else tuple(names)
+    if len(labels) != count or len(set(labels)) != count:
+        raise ValueError(f"names is {labels}; accepted: {count} different names")
+    rows = jnp.asarray(given, jnp.float32)
+    return rows / jnp.sum(rows, axis=1, keepdims=True), labels
+
+
+def named_row(row: Any, objectives: tuple[str, ...]) -> Any:
+    if not isinstance(row, Mapping):
+        return row
+    for name in row:
+        if name not in objectives:
+            raise ValueError(f"objective is {name!r}; accepted: {', '.join(objectives)}")
+    return [row.get(name, 0.0) for name in objectives]
+
+
+def one_each(name: str, value: Vector | None, number: int) -> Float[Array, " N"] | None:
+    if value is None:
+        return None
+    given = _checks.vector(name, value, number)
+    if not _checks.is_traced(given) and (np.asarray(given) <= 0.0).any():
+        raise ValueError(f"{name} is {given.tolist()}; accepted: {number} positive numbers")
+    return given

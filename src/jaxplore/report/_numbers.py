@@ -1,0 +1,32 @@
+"""Numbers that may not be there."""
+
+import math
+from typing import SupportsFloat
+
+import numpy as np
+from jax.typing import ArrayLike
+
+
+def finite(value: SupportsFloat, *, digits: int | None = None) -> float | None:
+    """Return a number, rounded if asked to; None if it is not finite."""
+    number = float(value)
+    if not math.isfinite(number):
+        return None
+    return number if digits is None else round(number, digits)
+
+
+def finite_mean(values: ArrayLike) -> float | None:
+    """Return the mean of what is finite; None if nothing is."""
+    numbers = np.asarray(values, np.float64)
+    numbers = numbers[np.isfinite(numbers)]
+    return float(numbers.mean()) if numbers.size else None
+
+
+def text(value: float | None, digits: int) -> str:
+    """Return a number with so many digits behind the point, or a dash."""
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def percent(share: float | None) -> str:
+    """Return a share in percent, or a dash."""
+    return "-" if share is None else f"{100.0 * share:.1f} %"

@@ -1,0 +1,41 @@
+"""Colours that the pictures and the animation share."""
+
+import numpy as np
+
+FREE, UNKNOWN, OCCUPIED = (252, 252, 250), (190, 195, 203), (43, 48, 58)
+"""Colours of a belief of 0, 1/2 and 1."""
+MISSED = (209, 73, 91)
+"""Colour of a true wall that the belief does not hold."""
+OUTLINE = "#4f8fc0"
+"""Colour of the outline of the true free space."""
+CLOSED, CLOSED_SHARE = (140, 98, 60), 0.5
+"""Colour of ground that may not be entered, and how much of it covers the belief."""
+TARGET = (91, 42, 134)
+"""Colour of what is to be seen."""
+MOVER, MOVER_EDGE = (43, 48, 58), (250, 204, 21)
+"""Colours of a moving obstacle and of its edge."""
+SERIES = ("#1f6fb2", "#d1495b", "#2a7f5f", "#b5651d", "#7a5195", "#4a4e57")
+"""Of curves side by side, in turn."""
+
+
+def belief_colours() -> np.ndarray:
+    """Return the (256, 3) colours of a belief in 256 levels, free to occupied."""
+    level = np.linspace(0.0, 1.0, 256)
+    nodes = np.array([FREE, UNKNOWN, OCCUPIED], np.float64)
+    channels = [np.interp(level, [0.0, 0.5, 1.0], nodes[:, channel]) for channel in range(3)]
+    return np.round(np.stack(channels, axis=-1)).astype(np.uint8)
+
+
+def blend(colour: tuple[int, ...], ground: tuple[int, ...], share: float) -> tuple[int, int, int]:
+    """Return a share of one colour over another; whatever follows red, green and blue is left."""
+    red, green, blue = (
+        round(share * over + (1.0 - share) * under)
+        for over, under in zip(colour[:3], ground, strict=True)
+    )
+    return red, green, blue
+
+
+def shade(colour: tuple[int, int, int]) -> tuple[float, float, float]:
+    """Return a colour in 256 levels as matplotlib takes it, in [0, 1]."""
+    red, green, blue = (level / 255.0 for level in colour)
+    return red, green, blue

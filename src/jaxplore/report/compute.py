@@ -1,0 +1,49 @@
+"""What a run costs in wall-clock time."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxplore.report._numbers import finite
+from jaxplore.simulation.recording import Timing
+
+
+@dataclasses.dataclass(frozen=True)
+class Compute:
+    """Wall-clock cost; None where nothing was timed.
+
+    Args:
+        step_ms_p50: median of the steps timed one at a time [ms].
+        step_ms_p99: their 99th percentile [ms].
+        loop_step_ms: mean per step of the uninterrupted loop [ms].
+        steps_per_second: of that loop.
+        real_time_factor: control period over the mean step; above 1 is faster than real time.
+        compile_seconds: of the loop [s].
+    """
+
+    step_ms_p50: float | None
+    step_ms_p99: float | None
+    loop_step_ms: float | None
+    steps_per_second: float | None
+    real_time_factor: float | None
+    compile_seconds: float | None
+
+
+def compute_cost(timing: Timing, period: float) -> Compute:
+    """Return what the steps of a run cost.
+
+    Args:
+        timing: of the run.
+        period: control period [s].
+    """
+    measured = timing.loop_steps > 0 and timing.loop_seconds > 0.0
+    mean = timing.loop_seconds / timing.loop_steps if measured else None
+    single = 1e3 * np.asarray(timing.step_seconds, np.float64)
+    return Compute(
+        step_ms_p50=float(np.percentile(single, 50)) if single.size else None,
+        step_ms_p99=float(np.percentile(single, 99)) if single.size else None,
+        loop_step_ms=None if mean is None else 1e3 * mean,
+        steps_per_second=None if mean is None else 1.0 / mean,
+        real_time_factor=None if mean is None else period / mean,
+        compile_seconds=finite(timing.compile_seconds),
+    )

@@ -1,0 +1,111 @@
+"""The strip below an animated map: numbers, the legend and the coverage curve."""
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from jaxplore.report.canvas import FOOTER, SUPERSAMPLING, Canvas, pairs
+from jaxplore.report.colours import CLOSED, CLOSED_SHARE, FREE, MOVER, TARGET, blend
+from jaxplore.report.palette import (
+    HEAT,
+    HIDDEN_WALL,
+    INK,
+    LIDAR_RAY,
+    MAX_HEAT,
+    PALE,
+    PAPER,
+    PLAN,
+    REFERENCE,
+    STRONG,
+    TRAIL,
+    Colour,
+)
+from jaxplore.simulation.recording import Frame
+
+NARROW = 560
+"""Width below which the legend is left out [pixels]."""
+
+
+def draw_footer(canvas: Canvas, frame: Frame, image: Image.Image) -> None:
+    """Draw time, coverage, distance, targets, the legend and the coverage curve.
+
+    Args:
+        canvas: of the animation.
+        frame: what is shown.
+        image: of the whole frame; its lowest rows are drawn into.
+    """
+    time, coverage, _, path = canvas.progress
+    top, step = canvas.map_size[1], min(frame.step, len(time) - 1)
+    draw = ImageDraw.Draw(image)
+    large, small = ImageFont.load_default(size=21), ImageFont.load_default(size=13)
+    percent = (
+        100.0 * float(coverage[step]) if frame.step else 100.0 * canvas.recording.initial_coverage
+    )
+    targets = canvas.recording.targets
+    # The third line needs room above it.
+    first, second = (8, 38) if len(targets) else (14, 50)
+    draw.text((16, top + first), f"{percent:.1f} %", INK, large)
+    draw.text((100, top + first + 6), "covered", PALE, small)
+    draw.text((16, top + second), f"{frame.time:.1f} s", INK, small)
+    draw.text((100, top + second), f"{path[step]:.1f} m", INK, small)
+    if len(targets):
+        seen = canvas.recording.records.targets_seen
+        count = int(seen[min(frame.step, len(seen)) - 1]) if frame.step else 0
+        draw.text((16, top + 59), f"targets {count} of {len(targets)}", INK, small)
+    if canvas.width >= NARROW:
+        entries = _legend(canvas)
+        # Two lines of three; more entries move together.
+        lines, above, apart = (2, 20, 30) if len(entries) <= 6 else (3, 11, 23)
+        for index, (name, colour) in enumerate(entries):
+            x, y = 190 + 108 * (index // lines), top + above + apart * (index % lines)
+            draw.rounded_rectangle((x, y + 2, x + 16, y + 11), 3, colour)
+            draw.text((x + 22, y - 1), name, INK, small)
+    _draw_curve(canvas, step, image)
+
+
+def _legend(canvas: Canvas) -> list[tuple[str, Colour]]:
+    recording = canvas.recording
+    entries: list[tuple[str, Colour]] = [
+        ("plan", PLAN),
+        ("rollouts", STRONG),
+        ("trail", TRAIL),
+        ("information", blend(HEAT, PAPER, MAX_HEAT)),
+        ("lidar", LIDAR_RAY[:3]),
+        ("unseen wall", HIDDEN_WALL),
+    ]
+    if recording.goal is not None:
+        entries[4] = ("reference, goal", REFERENCE)
+    if len(recording.targets):
+        entries.append(("target", TARGET))
+    if len(recording.mover_radii):
+        entries.append(("mover", MOVER))
+    if canvas.closed.any():
+        entries.append(("untraversable", blend(CLOSED, FREE, CLOSED_SHARE)))
+    return entries
+
+
+def _draw_curve(canvas: Canvas, step: int, image: Image.Image) -> None:
+    """Draw the coverage until now into the lower right corner."""
+    time, coverage, *_ = canvas.progress
+    width = 190 if canvas.width >= NARROW else canvas.width - 180
+    height = FOOTER - 24
+    factor = 2 * SUPERSAMPLING
+    box = Image.new("RGB", (width * factor, height * factor), PAPER)
+    draw = ImageDraw.Draw(box)
+    duration = max(float(time[-1]), canvas.recording.control_period)
+
+    def spots(seconds: np.ndarray, share: np.ndarray) -> list[tuple[float, float]]:
+        x = 4 + (width - 8) * seconds / duration
+        y = height - 4 - (height - 8) * share
+        return pairs(np.stack([x, y], axis=-1) * factor)
+
+    ends = np.array([0.0, duration])
+    draw.line(spots(ends, np.zeros(2)), PALE, factor)
+    if canvas.recording.target_coverage is not None:
+        draw.line(spots(ends, np.full(2, canvas.recording.target_coverage)), HIDDEN_WALL, factor)
+    kept = np.unique(np.linspace(0, step, min(step + 1, 4 * width)).round().astype(int))
+    curve = spots(time[kept], coverage[kept])
+    if len(curve) > 1:
+        draw.line(curve, TRAIL, 2 * factor, "curve")
+    x, y = curve[-1]
+    draw.ellipse((x - 3 * factor, y - 3 * factor, x + 3 * factor, y + 3 * factor), TRAIL)
+    image.paste(box.reduce(factor), (canvas.width - width - 12, canvas.map_size[1] + 12))

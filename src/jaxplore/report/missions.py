@@ -1,0 +1,65 @@
+"""What is judged besides the map: targets, a place that is watched, a controller's members."""
+
+import numpy as np
+
+from jaxplore.report._numbers import finite, finite_mean
+from jaxplore.simulation.recording import Recording
+
+
+def last_target_at(recording: Recording) -> float | None:
+    """Return when the last of all targets was seen [s]; None if some were not, or there are none.
+
+    The record of step k holds what was seen at its beginning, so the time is k control periods.
+    """
+    is_all = np.asarray(recording.records.targets_seen) >= len(recording.targets)
+    if len(recording.targets) == 0 or not is_all.any():
+        return None
+    return int(is_all.argmax()) * recording.control_period
+
+
+def judged_from(recording: Recording) -> int:
+    """Return the first step of the second half of a run, N // 2."""
+    return recording.num_steps // 2
+
+
+def idleness(recording: Recording) -> tuple[float | None, float | None]:
+    """Return the mean over time of the mean idleness, and the worst idleness [s].
+
+    Over the second half of the run: the first is needed to see everything once. None if nobody
+    keeps watch, or nothing was done.
+    """
+    if recording.idleness is None or recording.num_steps == 0:
+        return None, None
+    records, begin = recording.records, judged_from(recording)
+    worst = np.asarray(records.worst_idleness[begin:], np.float64)
+    return finite_mean(records.mean_idleness[begin:]), finite(np.max(worst))
+
+
+def member_means(recording: Recording) -> dict[str, dict[str, float | None]] | None:
+    """Return for each member its mean share in the control, and what its own plans were like.
+
+    `share`, `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps
+    in which they were finite; None if they never were. None without members or without a step.
+    """
+    members = recording.records.members
+    if members is None or recording.num_steps == 0:
+        return None
+    columns = {
+        "share": members.shares,
+        "uncertainty": members.uncertainties,
+        "effective_sample_size": members.effective_sample_sizes,
+        "cost": members.costs,
+    }
+    return {
+        name: {key: finite_mean(rows[:, number]) for key, rows in columns.items()}
+        for number, name in enumerate(recording.member_names)
+    }
+
+
+def fusion_means(recording: Recording) -> tuple[float | None, float | None]:
+    """Return the mean diversity of the members' controls [half ranges], and the share of steps in
+    which one member's plan took the place of the mixture; None without members or a step."""
+    members = recording.records.members
+    if members is None or recording.num_steps == 0:
+        return None, None
+    return finite_mean(members.diversity), finite_mean(members.is_replaced)

@@ -1,0 +1,73 @@
+"""How a run went on: what was known when and where, and where it stood still."""
+
+from collections import deque
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxplore.simulation.recording import Recording
+
+STALL_RADIUS = 0.25
+"""A robot that stays this close to one place [m], along each axis, may be stalled."""
+
+
+def progress(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
+
+    Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after
+    the last step, so coverage and entropy keep their last values there. In a run without a step
+    they are those at the start.
+    """
+    records, steps = recording.records, recording.num_steps
+    coverage, entropy = (
+        at_instants(values, initial).astype(np.float32)
+        for values, initial in (
+            (records.coverage, recording.initial_coverage),
+            (records.entropy, recording.initial_entropy),
+        )
+    )
+    moves = np.diff(recording.positions.astype(np.float64), axis=0)
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(moves[:, 0], moves[:, 1]))])
+    return np.arange(steps + 1) * recording.control_period, coverage, entropy, path
+
+
+def at_instants(values: ArrayLike, initial: float) -> np.ndarray:
+    """Return (N + 1,) what was recorded of N steps, the last one kept to the end of the run.
+
+    Args:
+        values: (N,) measured at the beginning of each step.
+        initial: of a run without a step.
+    """
+    rows = np.asarray(values)
+    return np.append(rows, rows[-1:] if len(rows) else [initial])
+
+
+def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
+    """Return the most steps between two instants of one stall.
+
+    One pass with two ends: the later end advances, the earlier one follows as far as it must.
+    Four queues keep the window's extremes, so the whole pass is O(N).
+
+    Args:
+        positions: (N + 1, 2) of the robot [m].
+        coverage: (N + 1,) at the same instants.
+    """
+    best = np.maximum.accumulate(coverage).tolist()
+    axes = [signed.tolist() for axis in positions.T for signed in (axis, -axis)]
+    queues: list[deque[int]] = [deque() for _ in axes]
+    first = longest = 0
+    for last in range(len(positions)):
+        for values, queue in zip(axes, queues, strict=True):
+            while queue and values[queue[-1]] <= values[last]:
+                queue.pop()
+            queue.append(last)
+        while best[first] != best[last] or any(
+            axes[i][queues[i][0]] + axes[i + 1][queues[i + 1][0]] > 2.0 * STALL_RADIUS
+            for i in (0, 2)
+        ):
+            first += 1
+            for queue in queues:
+                if queue[0] < first:
+                    queue.popleft()
+        longest = max(longest, last - first)
+    return longest

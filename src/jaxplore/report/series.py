@@ -1,0 +1,38 @@
+"""Curves over time that several pictures draw alike."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jax.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
+    """Return (N, ...) means over `width` rows around each, fewer at the ends.
+
+    What is not finite counts as nothing; where all of a window is not, the mean is not a number.
+
+    Args:
+        rows: (N, ...).
+        width: whole number >= 1; an even one reaches one row further back.
+    """
+    values = np.asarray(rows, np.float64)
+    is_finite = np.isfinite(values)
+    count = len(values)
+    first = np.maximum(np.arange(count) - width // 2, 0)
+    end = np.minimum(np.arange(count) - width // 2 + width, count)
+
+    def sums(each: np.ndarray) -> np.ndarray:
+        until = np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
+        return np.asarray(until[end] - until[first])
+
+    total, number = sums(np.where(is_finite, values, 0.0)), sums(is_finite.astype(np.float64))
+    return np.where(number > 0.0, total / np.maximum(number, 1.0), np.nan)
+
+
+def style_time(axes: "Axes", duration: float) -> None:
+    """Lay out an axis of time from 0 to the duration [s], with a faint grid."""
+    axes.set(xlim=(0.0, duration), xlabel="time [s]")
+    axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

@@ -1,0 +1,100 @@
+"""The part of a map that pictures show, and where things are in it."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxplore.simulation.recording import Recording
+
+MARGIN = 1.0
+"""Drawn around the reachable cells [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Window:
+    """The part of a grid that is drawn; it may reach beyond the grid.
+
+    Args:
+        first: row and column of its first cell.
+        shape: its rows and columns.
+        origin: pose of the grid [m, m, rad].
+        resolution: side of a cell [m].
+    """
+
+    first: tuple[int, int]
+    shape: tuple[int, int]
+    origin: np.ndarray
+    resolution: float
+
+    @classmethod
+    def around_reachable(cls, recording: Recording) -> "Window":
+        """Return the box around the reachable cells and a margin; all of the grid without any."""
+        cells = recording.reachable
+        rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
+        margin = round(MARGIN / recording.resolution)
+        first = (int(rows.min()) - margin, int(columns.min()) - margin)
+        last = (int(rows.max()) + margin, int(columns.max()) + margin)
+        shape = (last[0] - first[0] + 1, last[1] - first[1] + 1)
+        return cls(first, shape, recording.origin, recording.resolution)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Extent along the grid's x and y axes [m]."""
+        return self.shape[1] * self.resolution, self.shape[0] * self.resolution
+
+    @property
+    def is_turned(self) -> bool:
+        """The grid's axes are not the world's."""
+        return bool(self.origin[2] != 0.0)
+
+    @property
+    def corner(self) -> np.ndarray:
+        """(2,) the window's first corner on the axes that are drawn [m].
+
+        They are the world's, or the grid's own if it is turned.
+        """
+        corner = np.asarray(self.first[::-1], np.float64) * self.resolution
+        return corner if self.is_turned else corner + self.origin[:2]
+
+    def crop(self, cells: np.ndarray, fill: float | bool) -> np.ndarray:
+        """Return the window's cells, `fill` where it reaches beyond the grid."""
+        rows, columns = (
+            np.arange(start, start + count)
+            for start, count in zip(self.first, self.shape, strict=True)
+        )
+        inside = np.ix_(
+            (rows >= 0) & (rows < cells.shape[0]), (columns >= 0) & (columns < cells.shape[1])
+        )
+        cropped = np.full(self.shape, fill, cells.dtype)
+        cropped[inside] = cells[
+            np.ix_(
+                rows[(rows >= 0) & (rows < cells.shape[0])],
+                columns[(columns >= 0) & (columns < cells.shape[1])],
+            )
+        ]
+        return cropped
+
+    def place(self, points: np.ndarray) -> np.ndarray:
+        """Turn world points (..., 2) into metres from the window's corner along the grid's axes."""
+        return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution
+
+
+def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Turn world points (..., 2) [m] into (x, y) [m] along the axes of a pose [m, m, rad]."""
+    yaw = float(pose[2])
+    shifted = np.asarray(points, np.float64) - np.asarray(pose[:2], np.float64)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return np.asarray(shifted @ turn)
+
+
+def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.ndarray:
+    """Return the world points (..., 2) [m] of a robot's corners, given in its own frame.
+
+    Args:
+        corners: (..., 2) [m].
+        position: (2,) of the robot [m].
+        heading: [rad].
+    """
+    cos, sin = np.cos(heading), np.sin(heading)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(np.asarray(corners, np.float64) @ turn + np.asarray(position, np.float64))
