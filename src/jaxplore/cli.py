@@ -26,7 +26,6 @@ from jaxplore.settings import (
     is_scenario_file,
     make_settings,
     read_settings,
-    scenario_path,
 )
 
 # Options that stand for a setting: option, dotted setting, type, help.
@@ -143,10 +142,8 @@ def _entries(options: dict[str, Any]) -> dict[str, Any]:
 
 def _place(name: str) -> dict[str, Any]:
     """Return the settings that a map, a world, a scenario or the name of one stands for."""
-    if name in (OFFICE, ZONES):
+    if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
-    if name in SCENARIOS:
-        return read_settings(scenario_path(name))
     if is_scenario_file(name):
         return {"map": str(Path(name).absolute()), **read_settings(name)}
     return {"map": str(Path(name).absolute())}

@@ -187,7 +187,7 @@ class PortfolioSettings(_Section):
     noise_share: Positive = 0.5
     dt: Positive = 0.05
     clearance: Positive = 0.4
-    margin: NonNegative = 0.02
+    margin: NonNegative = 0.03
 
 
 class InformativeSettings(_Section):
@@ -348,14 +348,22 @@ def make_settings(entries: dict[str, Any]) -> Settings:
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Return the entries over the defaults of their architecture and map."""
+    if entries.get("map") in SCENARIOS and entries.get("world") is None:
+        entries = _merged(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     if entries.get("architecture", "explorer") in GROUND:
         return entries
-    merged = dict(entries)
-    for name, defaults in FLIGHT.items():
-        given = entries.get(name, {})
-        merged[name] = {**defaults, **given} if isinstance(given, dict) else given
+    return _merged(FLIGHT, entries)
+
+
+def _merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
+    """Return the entries over defaults, section by section."""
+    merged = {**defaults, **entries}
+    for name, section in defaults.items():
+        given = merged[name]
+        if isinstance(section, dict) and isinstance(given, dict):
+            merged[name] = {**section, **given}
     return merged
 
 

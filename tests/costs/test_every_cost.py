@@ -1,26 +1,41 @@
-"""What holds for every cost that reads no belief."""
+"""What holds for every cost, of those that read a belief for the ones of ground vehicles."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from jaxplore import (
+    CollisionCost,
     ControlCost,
     ControlJerkCost,
     ControlRateCost,
     Cost,
     DiscObstacleCost,
     GoalCost,
+    Ground,
+    InformationField,
     MovingObstacleCost,
+    OccupancyGrid,
     PathCost,
     QuadraticControlCost,
     ReferenceCost,
+    RegionCost,
     State,
     StateBoundsCost,
     StateCost,
+    TerrainCost,
+    ToGoalCost,
+    TraversabilityCost,
     WaypointCost,
 )
+from jaxplore.costs.moving import TrackedObstacleCost
+from jaxplore.information.belief import Belief
+from jaxplore.information.guidance import GuidanceField
+from jaxplore.information.tracks import Tracks
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.frame import GridFrame
 
 RNG = np.random.default_rng(0)
 # All goals, obstacles and paths lead through (0, 0): that is where gradients are delicate.
@@ -63,19 +78,67 @@ PAIRS = {
     ],
     "rate": [ControlRateCost(1.0), ControlRateCost(2.0)],
     "jerk": [ControlJerkCost(1.0), ControlJerkCost(2.0)],
+    "collision": [CollisionCost(1.0, 1.0, 1.0), CollisionCost(2.0, 3.0, 4.0)],
+    "tracked": [TrackedObstacleCost(), TrackedObstacleCost(1.0, 2.0, 3.0)],
+    "terrain": [TerrainCost(), TerrainCost(1.0, 2.0)],
+    "traversability": [TraversabilityCost(), TraversabilityCost(1.0, 0.9)],
+    "to goal": [ToGoalCost(), ToGoalCost(2.0)],
+    "region": [RegionCost(), RegionCost(2.0)],
     "sum": [
         2.0 * GoalCost(HERE).named("a") + ControlCost(),
         3.0 * GoalCost([1.0, 2.0], None, 2.0).named("a") + ControlCost(),
     ],
 }
-every_cost = pytest.mark.parametrize("pair", PAIRS.values(), ids=PAIRS.keys())
+READERS = ("collision", "tracked", "terrain", "traversability", "to goal", "region")
 
 
-def total(cost: Cost, state: State, control, t, controls):
+def small_belief(seed: int = 0) -> Belief:
+    """Return 6 x 6 cells around the origin in which every field is uneven; the robot is on it."""
+    rng = np.random.default_rng(seed)
+    origin = (-3.0, -3.0, 0.0)
+    frame, ways = GridFrame(1.0, origin), rng.uniform(-0.7, 0.7, (2, 6, 6))
+
+    def field() -> jax.Array:
+        return jnp.asarray(rng.uniform(0.0, 1.0, (6, 6)), jnp.float32)
+
+    guidance = GuidanceField(field(), jnp.asarray(ways, jnp.float32), frame, jnp.asarray(1e4))
+    discs = Tracks.unseen([0.3, 0.4, 0.5])
+    places = jnp.asarray([HERE, [1.0, -1.0], [np.nan, 0.0]], jnp.float32)
+    known = jnp.asarray([True, True, False])
+    discs = eqx.tree_at(lambda some: (some.positions, some.is_known), discs, (places, known))
+    return Belief(
+        grid=OccupancyGrid(np.zeros((6, 6)), 1.0, origin),
+        clearance=ScalarField(field(), frame, jnp.zeros(())),
+        information=no_information(frame),
+        guidance=guidance,
+        dwell=jnp.zeros((6, 6)),
+        ground=Ground(rng.uniform(0.0, 0.5, (6, 6)), 1.0, origin),
+        to_goal=guidance,
+        tracks=discs,
+    )
+
+
+def no_information(frame: GridFrame) -> InformationField:
+    return InformationField(
+        sectors=jnp.zeros((4, 6, 6)),
+        cumulative=jnp.zeros((5, 6, 6)),
+        source=jnp.zeros((6, 6)),
+        frame=frame,
+        field_of_view=2.0 * np.pi,
+        num_beams=8,
+    )
+
+
+# A cost that is not to read its belief gets none.
+KNOWN = {name: small_belief() if name in READERS else None for name in PAIRS}
+every_cost = pytest.mark.parametrize("name", PAIRS)
+
+
+def total(cost: Cost, state: State, control, t, controls, known: Belief | None):
     """Return everything a cost may ask for."""
     return (
-        cost.stage(state, control, t, None)
-        + cost.terminal(state, None)
+        cost.stage(state, control, t, known)
+        + cost.terminal(state, known)
         + cost.sequence(controls, controls[0], jnp.asarray(0.1), state.dynamics)
     )
 
@@ -84,8 +147,8 @@ CONTROLS = jnp.asarray(RNG.normal(size=(4, 3)), jnp.float32)
 
 
 @every_cost
-def test_numbers_are_leaves_and_another_number_does_not_recompile(pair, drone) -> None:
-    first, second = pair
+def test_numbers_are_leaves_and_another_number_does_not_recompile(name, drone) -> None:
+    (first, second), known = PAIRS[name], KNOWN[name]
     assert jax.tree.structure(first) == jax.tree.structure(second)
     for one, other in zip(jax.tree.leaves(first), jax.tree.leaves(second), strict=True):
         assert isinstance(one, jax.Array)
@@ -98,22 +161,22 @@ def test_numbers_are_leaves_and_another_number_does_not_recompile(pair, drone) -
     def price(cost, state):
         nonlocal traced
         traced += 1
-        return total(cost, state, CONTROLS[0], jnp.asarray(0.1), CONTROLS)
+        return total(cost, state, CONTROLS[0], jnp.asarray(0.1), CONTROLS, known)
 
-    found = [price(cost, drone(x=0.7, y=-0.3, yaw=1.0, v=0.5)) for cost in pair]
+    found = [price(cost, drone(x=0.7, y=-0.3, yaw=1.0, v=0.5)) for cost in (first, second)]
     assert traced == 1
     assert len(jax.tree.leaves(first)) == 0 or found[0] != found[1]
 
 
 @every_cost
-def test_samples_on_the_last_axis_are_priced_one_by_one(pair, drone) -> None:
-    cost, robot = pair[1], drone().dynamics
+def test_samples_on_the_last_axis_are_priced_one_by_one(name, drone) -> None:
+    cost, known, robot = PAIRS[name][1], KNOWN[name], drone().dynamics
     states = jnp.asarray(2.0 * RNG.normal(size=(5, 6)), jnp.float32)
     controls = jnp.asarray(RNG.normal(size=(4, 3, 6)), jnp.float32)
 
     @jax.jit
     def price(values, controls):
-        return total(cost, State(values, robot), controls[1], jnp.asarray(0.3), controls)
+        return total(cost, State(values, robot), controls[1], jnp.asarray(0.3), controls, known)
 
     together = jax.vmap(price, in_axes=-1)(states, controls)
     alone = [float(price(states[:, k], controls[:, :, k])) for k in range(6)]
@@ -121,13 +184,14 @@ def test_samples_on_the_last_axis_are_priced_one_by_one(pair, drone) -> None:
 
 
 @every_cost
-def test_gradients_are_finite_everywhere(pair, drone) -> None:
-    cost, robot = pair[0], drone().dynamics
+def test_gradients_are_finite_everywhere(name, drone) -> None:
+    cost, known, robot = PAIRS[name][0], KNOWN[name], drone().dynamics
 
     @jax.jit
     def slopes(values, cost):
         def price(values, cost):
-            return total(cost, State(values, robot), CONTROLS[0], jnp.asarray(0.1), CONTROLS)
+            state = State(values, robot)
+            return total(cost, state, CONTROLS[0], jnp.asarray(0.1), CONTROLS, known)
 
         return jax.value_and_grad(price, (0, 1))(values, cost)
 
@@ -138,9 +202,11 @@ def test_gradients_are_finite_everywhere(pair, drone) -> None:
 
 
 @every_cost
-def test_the_same_cost_serves_another_model(pair, drone, shuffled) -> None:
-    price = jax.jit(lambda cost, state: total(cost, state, CONTROLS[1], jnp.ones(()), CONTROLS))
-    for cost in pair:
+def test_the_same_cost_serves_another_model(name, drone, shuffled) -> None:
+    price = jax.jit(
+        lambda cost, state: total(cost, state, CONTROLS[1], jnp.ones(()), CONTROLS, KNOWN[name])
+    )
+    for cost in PAIRS[name]:
         values = [
             float(price(cost, make(x=0.7, y=-0.3, z=2.0, yaw=1.0, v=0.5)))
             for make in (drone, shuffled)

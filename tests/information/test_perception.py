@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 
 from jaxplore import (
+    Camera,
     DifferentialDrive,
+    Ground,
     GuidanceCost,
     InverseSensorModel,
     Lidar,
     OccupancyGrid,
     Perception,
     State,
+    Watch,
 )
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
@@ -175,7 +178,7 @@ def test_numbers_are_leaves_and_do_not_recompile() -> None:
     ],
 )
 def test_bad_input_is_named(argument: str, value: float) -> None:
-    arguments = {"lidar": LIDAR, "resolution": 0.1, "robot_radius": 0.2, argument: value}
+    arguments = {"sensors": LIDAR, "resolution": 0.1, "robot_radius": 0.2, argument: value}
     with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
         Perception(**arguments)
 
@@ -331,3 +334,186 @@ def test_a_robot_that_is_lost_has_not_explored(lost) -> None:
 def test_a_bad_end_is_named(argument: str, value) -> None:
     with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
         Perception(LIDAR, 0.1, 0.2, **{argument: value})
+
+
+# Several sensors, watch and ground
+
+CAMERA = Camera(33, 2.5, math.radians(60.0), math.radians(90.0), height=0.4, tilt=0.0)
+POSE = jnp.asarray([2.5, 1.5, 0.0])
+FLAT = Ground(np.zeros((30, 60)), 0.1)
+
+
+def two(watch: Watch | None = None, ground: Ground | None = FLAT) -> Perception:
+    return Perception(
+        [CAMERA, LIDAR], 0.1, 0.2, num_directions=8, node_spacing=0.2, watch=watch, ground=ground
+    )
+
+
+def unknown() -> OccupancyGrid:
+    return OccupancyGrid.unknown((30, 60), OccupancyGrid(room(), 0.1).frame)
+
+
+@pytest.fixture(scope="module")
+def looked():
+    """Return the belief before and after one look with both sensors, and what each measured."""
+    perception, world = two(Watch(10.0)), OccupancyGrid(room(), 0.1)
+    before = init(perception, unknown(), POSE)
+    scans = tuple(
+        sensor.scan(world, POSE, key=jax.random.key(0), ground=FLAT) for sensor in (CAMERA, LIDAR)
+    )
+    return before, scans, observe(perception, before, scans, POSE, 0.25)
+
+
+def test_both_sensors_make_the_map(looked) -> None:
+    before, _, after = looked
+    is_free = np.asarray(after.grid.is_free)
+    rows, columns = np.mgrid[:30, :60]
+    x, y = 0.1 * columns + 0.05 - 2.5, 0.1 * rows + 0.05 - 1.5
+    away, bearing = np.hypot(x, y), np.abs(np.arctan2(y, x))
+    inside = (rows > 0) & (rows < 29)
+    # Within the lidar's 1.5 m all around; of what is farther only what the camera looks at.
+    assert is_free[inside & (away < 1.0)].all()  # where a cell is wider than a beam
+    ahead = inside & (bearing < math.radians(28.0)) & (away > 1.65) & (away < 2.35)
+    assert ahead.sum() > 100
+    assert is_free[ahead].all()
+    np.testing.assert_array_equal(after.grid.probability[(away > 1.65) & (bearing > 0.6)], 0.5)
+    assert float(after.clearance(POSE[:2])) > float(before.clearance(POSE[:2]))
+
+
+def test_the_map_is_that_of_one_sensor_after_the_other(looked) -> None:
+    before, scans, after = looked
+    grid = before.grid
+    for sensor, scan in zip((CAMERA, LIDAR), scans, strict=True):
+        grid = sensor.update(grid, scan, POSE, InverseSensorModel(), FLAT)
+    np.testing.assert_allclose(after.grid.probability, grid.probability, rtol=1e-6)
+
+
+def test_only_the_first_sensor_keeps_watch(looked) -> None:
+    before, _, after = looked
+    assert np.isinf(before.idleness).all()
+    idleness = np.asarray(after.idleness)
+    rows, columns = np.mgrid[:30, :60]
+    x, y = 0.1 * columns + 0.05 - 2.5, 0.1 * rows + 0.05 - 1.5
+    away, bearing = np.hypot(x, y), np.abs(np.arctan2(y, x))
+    # The camera is 0.4 m high and looks 45 degrees down: it sees the ground from 0.4 m on.
+    seen = (bearing < math.radians(28.0)) & (away > 0.6) & (away < 2.35)
+    np.testing.assert_array_equal(idleness[seen], 0.0)
+    aside = (bearing > 1.3) | ((bearing > 0.75) & (away > 0.5))
+    assert np.isinf(idleness[aside | (away > 2.65) | (away < 0.3)]).all()
+
+
+def test_what_is_not_seen_again_grows_older_by_the_time_given(looked) -> None:
+    _, scans, after = looked
+    perception = two(Watch(10.0))
+    away = jnp.asarray([2.5, 1.5, math.pi])
+    later = np.asarray(observe(perception, after, scans, away, 0.75).idleness)
+    seen = np.asarray(after.idleness) == 0.0
+    rows, columns = np.nonzero(seen & (np.mgrid[:30, :60][1] > 26))
+    assert len(rows) > 100
+    np.testing.assert_allclose(later[rows, columns], 0.75)
+
+
+def test_what_a_look_is_worth_again_draws_the_robot() -> None:
+    """All is known; one end was not seen for a long time, the rest just now."""
+    perception, plain = two(Watch(10.0)), two()
+    belief = init(perception, OccupancyGrid(room(), 0.1), POSE)
+    idleness = jnp.zeros((30, 60)).at[:, 45:].set(100.0)
+    for given, drawn in ((idleness, True), (idleness[:, ::-1], False)):
+        belief = eqx.tree_at(lambda some: some.idleness, belief, given)
+        after = update_fields(perception, belief, POSE, jnp.asarray(0.2))
+        left, right = (float(after.guidance(jnp.asarray([x, 1.5]))) for x in (2.0, 3.0))
+        assert (right < left) == drawn
+        assert float(after.information.total.max()) > 3.0
+        np.testing.assert_array_equal(after.idleness, given)
+    calm = eqx.tree_at(lambda some: some.idleness, belief, jnp.zeros((30, 60)))
+    after = update_fields(perception, calm, POSE, jnp.asarray(0.2))
+    alone = init(plain, OccupancyGrid(room(), 0.1), POSE)
+    assert alone.idleness is None
+    np.testing.assert_allclose(after.information.total, alone.information.total, atol=1e-5)
+
+
+def test_ground_that_may_not_be_entered_is_closed() -> None:
+    passable = np.ones((30, 60))
+    passable[1:20, 20] = 0.2  # the way round is in the north
+    ground = Ground(np.zeros((30, 60)), 0.1, traversability=passable, threshold=0.3)
+    start = jnp.asarray([1.0, 0.5, 0.0])
+    world = room()
+    world[:, 48:] = 0.5  # too far to be seen across
+    belief = init(two(None, ground), OccupancyGrid(world, 0.1), start)
+    assert float(belief.clearance(jnp.asarray([2.05, 1.05]))) == 0.0
+    assert float(belief.clearance(jnp.asarray([1.65, 1.05]))) == pytest.approx(0.35, abs=1e-4)
+    below, above = (float(belief.guidance(jnp.asarray([1.5, y]))) for y in (0.5, 2.4))
+    assert below > above + 1.0
+    # Nothing is known to stand there.
+    assert np.asarray(belief.grid.is_free)[1:20, 20].all()
+    walled = world.copy()
+    walled[1:20, 20] = 0.993
+    expected = init(two(), OccupancyGrid(walled, 0.1), start)
+    np.testing.assert_array_equal(belief.clearance.values, expected.clearance.values)
+    level = init(two(), OccupancyGrid(world, 0.1), start)
+    below, above = (float(level.guidance(jnp.asarray([1.5, y]))) for y in (0.5, 2.4))
+    assert below < above + 0.5
+
+
+# A goal apart
+
+APART = Perception(LIDAR, 0.1, 0.2, num_directions=16, goal=GOAL, is_goal_apart=True)
+
+
+def test_a_goal_apart_has_a_field_of_its_own_and_guidance_ignores_it() -> None:
+    for world in (room(), np.full((30, 60), 0.5, np.float32)):
+        belief, aimless = (beginning(world, (2.0, 1.5, 0.0), each) for each in (APART, PERCEPTION))
+        assert aimless.to_goal is None
+        np.testing.assert_array_equal(belief.guidance.values, aimless.guidance.values)
+        np.testing.assert_array_equal(belief.guidance.descent, aimless.guidance.descent)
+        costs = [float(belief.to_goal(jnp.asarray([x, 1.5]))) for x in np.arange(0.7, 4.9, 0.2)]
+        assert (np.diff(costs) < 0.0).all()
+    assert beginning(room(), (2.0, 1.5, 0.0), HOMING).to_goal is None
+
+
+def test_the_way_to_a_goal_apart_is_kept_up_to_date() -> None:
+    start, pose = (2.0, 1.5, 0.0), jnp.asarray([2.0, 1.5, 0.0])
+    belief = beginning(np.full((30, 60), 0.5, np.float32), start, APART)
+    world = room()
+    world[1:20, 35] = 0.993
+    before = float(belief.to_goal(pose[:2]))
+    found = eqx.tree_at(lambda some: some.grid, belief, OccupancyGrid(world, 0.1))
+    after = update_fields(APART, found, pose, jnp.asarray(0.2))
+    # Through the unknown 3 m counted half as much again; now they are free, but for a wall.
+    assert before == pytest.approx(4.5, abs=0.4)
+    x, y = np.array([2.0, 3.5, 5.0]), np.array([1.5, 2.2, 1.5])
+    around = np.hypot(np.diff(x), np.diff(y)).sum()
+    assert around < float(after.to_goal(pose[:2])) < 2.0 * around
+    assert float(after.to_goal.direction(jnp.asarray([3.2, 1.2]))[1]) > 0.5
+
+
+def test_a_goal_apart_counts_as_explored_by_what_is_unknown_alone() -> None:
+    assert bool(beginning(room(), (2.0, 1.5, 0.0), APART).is_explored)
+    world = room()
+    world[:, :20], world[:, 20] = 0.5, 0.993  # walled off
+    assert not bool(beginning(world, (3.5, 1.5, 0.0), APART).is_explored)
+
+
+def test_a_goal_apart_must_be_given() -> None:
+    with pytest.raises(ValueError, match="goal is None; accepted: a position, for a goal apart"):
+        Perception(LIDAR, 0.1, 0.2, is_goal_apart=True)
+
+
+@pytest.mark.parametrize(
+    ("argument", "value", "message"),
+    [
+        ("sensors", (), r"sensors is \(\); accepted: a sensor, or several"),
+        ("unknown_factor", -0.1, "unknown_factor is -0.1; accepted"),
+        ("unknown_factor", math.nan, "unknown_factor is nan; accepted"),
+    ],
+)
+def test_bad_sensors_and_factors_are_named(argument: str, value, message: str) -> None:
+    arguments = {"sensors": LIDAR, "resolution": 0.1, "robot_radius": 0.2, argument: value}
+    with pytest.raises(ValueError, match=message):
+        Perception(**arguments)
+
+
+def test_as_many_scans_as_sensors(looked) -> None:
+    before, scans, _ = looked
+    with pytest.raises(ValueError, match="zip"):
+        observe(two(Watch(10.0)), before, scans[:1], POSE, 0.25)

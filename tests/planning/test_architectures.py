@@ -29,7 +29,8 @@ from jaxplore.dynamics.base import State
 from jaxplore.information.belief import StrategicBelief
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning.architectures import ARCHITECTURES, FieldNumbers, Flight
-from jaxplore.simulation.closed_loop import LoopState, Record, initial_loop_state, run_chunk
+from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.record import Record
 
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxplore.control.base import Members
-from jaxplore.simulation.closed_loop import Record
+from jaxplore.simulation.record import Record
 from jaxplore.simulation.recording import Frame, Recording, Timing
 
 PERIOD = 0.5

@@ -20,11 +20,11 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.information.belief import Belief
 from jaxplore.simulation.closed_loop import (
-    Progress,
     _is_finished,
     initial_loop_state,
     run_chunk,
 )
+from jaxplore.simulation.record import Progress
 from jaxplore.simulation.simulate import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice

@@ -13,7 +13,8 @@ import pytest
 from jaxplore import MPPI, Faults, GoalCost, Quadrotor
 from jaxplore.experiment.assembly import Experiment, build
 from jaxplore.settings import make_settings
-from jaxplore.simulation.closed_loop import Record, initial_loop_state, run_chunk
+from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.record import Record
 from jaxplore.simulation.scenario import Scenario
 
 SHORT: dict[str, Any] = {

@@ -9,13 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import (
+    Camera,
     DifferentialDrive,
     Faults,
+    Ground,
     Lidar,
+    Movers,
     OccupancyGrid,
     Perception,
     Quadrotor,
     Scenario,
+    TerrainMap,
 )
 from jaxplore.simulation.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.reachability import open_spot, reachable_cells
@@ -139,7 +143,8 @@ def test_off_the_map_hint_follows_a_turned_map() -> None:
 def test_a_perception_must_fit_the_scenario() -> None:
     grid = OccupancyGrid(WORLD, 0.1)
     for perception in (Perception(LIDAR, 0.2, 0.2), Perception(Lidar(16, 2.0), 0.1, 0.2)):
-        with pytest.raises(ValueError, match=r"perception is for .*; accepted: .* 1 m and 0.1 m"):
+        message = r"perception is for .*; accepted: .* \[1\.0\] m and 0\.1 m"
+        with pytest.raises(ValueError, match=message):
             Scenario(grid, ROBOT, LIDAR, (1.5, 0.5, 0.0), perception=perception)
 
 
@@ -251,3 +256,110 @@ def test_altitude_is_the_start_of_robots_that_fly() -> None:
     np.testing.assert_array_equal(scenario(altitude=-1.25).start, [1.5, 0.5, 0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="altitude is nan; accepted"):
         Scenario(GRID, robot, LIDAR, START, altitude=math.nan)
+
+
+# Sensors, ground, targets and what moves
+
+CLIFF = np.ones((30, 30))
+CLIFF[:10, 15] = 0.0
+TERRAIN = TerrainMap(GRID, Ground(np.zeros((30, 30)), 0.1, traversability=CLIFF))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"targets": [(2.5, 1.05)]}, r"targets\[0\] is \[2.5, 1.0.*\]; accepted: a place in free"),
+        ({"targets": [(0.5, 0.5), (1.5, 2.05)]}, r"targets\[1\] is .*; accepted: a place in free"),
+        ({"targets": [(0.5, 0.5), (3.5, 0.5)]}, r"targets\[1\] is \[3.5, 0.5\]; accepted"),
+        ({"targets": [(0.5, math.nan)]}, r"targets\[0\] is \[0.5, nan\]; accepted"),
+        ({"targets": [(0.5, 0.5, 0.0)]}, r"targets has shape \(1, 3\); accepted: \(M, 2\)"),
+        ({"targets": np.zeros((0, 2))}, r"targets has shape \(0, 2\); accepted: .* M >= 1"),
+        ({"targets": (0.5, 0.5)}, r"targets has shape \(2,\); accepted: \(M, 2\)"),
+        ({"tracking_noise": (0.1,)}, "tracking_noise is .*; accepted: 2 finite numbers"),
+        ({"tracking_noise": (0.1, math.nan)}, "tracking_noise is .*; accepted: 2 finite numbers"),
+        ({"tracking_noise": (-0.1, 0.1)}, "tracking_noise .*; accepted"),
+        # Free, but behind the wall.
+        ({"goal": (1.5, 1.5)}, r"goal is \[1.5, 1.5\], which a robot of radius 0.2 m cannot reach"),
+        (
+            {"goal": (1.5, 0.97), "goal_radius": 0.1},
+            "0.23 m is the nearest it gets; accepted",
+        ),
+    ],
+)
+def test_what_cannot_be_seen_or_reached_is_named(arguments: dict, message: str) -> None:
+    arguments = {"goal_radius": 0.3, **arguments}
+    with pytest.raises(ValueError, match=message) as error:
+        scenario(**arguments)
+    assert "\n" not in str(error.value)
+
+
+def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
+    assert scenario(goal=(1.5, 0.97), goal_radius=0.25).goal is not None
+    # Across the wall, but near enough.
+    assert scenario(goal=(1.5, 1.5), goal_radius=0.8).goal is not None
+
+
+def test_no_sensor_and_no_mover() -> None:
+    with pytest.raises(ValueError, match=r"sensors is \(\); accepted: a sensor, or several"):
+        Scenario(GRID, ROBOT, (), START)
+    assert scenario(movers=Movers.none()).movers is None
+    assert scenario().movers is None
+    assert scenario().num_targets == 0
+    assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2
+
+
+def test_several_sensors_are_kept_in_their_order() -> None:
+    camera = Camera(8, 2.0)
+    made = Scenario(GRID, ROBOT, [camera, LIDAR], START)
+    assert made.sensors == made.perception.sensors == (camera, LIDAR)
+    other = Perception([LIDAR, camera], 0.1, 0.2)
+    message = r"perception is for ranges of \[1\.0, 2\.0\] m .*; accepted: .* \[2\.0, 1\.0\] m"
+    with pytest.raises(ValueError, match=message):
+        Scenario(GRID, ROBOT, [camera, LIDAR], START, perception=other)
+    message = r"perception is for ranges of \[1\.0\] m .*; accepted: .* \[2\.0, 1\.0\] m"
+    with pytest.raises(ValueError, match=message):
+        Scenario(GRID, ROBOT, [camera, LIDAR], START, perception=Perception(LIDAR, 0.1, 0.2))
+
+
+def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
+    made = Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0))
+    reachable = np.asarray(made.reachable)
+    assert reachable[4, 3:13].all()
+    assert not reachable[:, 13:].any()
+    assert np.asarray(scenario().reachable)[4, 3:27].all()
+    # It is no wall: the world stays as it is.
+    np.testing.assert_array_equal(made.world.probability, WORLD)
+    assert made.ground is TERRAIN.ground
+    assert made.perception.ground is TERRAIN.ground
+    with pytest.raises(ValueError, match=r"goal is .* cannot reach from its start"):
+        Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3)
+
+
+def test_the_perception_shares_the_ground() -> None:
+    plain = Perception(LIDAR, 0.1, 0.2)
+    with pytest.raises(ValueError, match="perception has no ground; accepted: that of the world"):
+        Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), perception=plain)
+    hilly = Perception(LIDAR, 0.1, 0.2, ground=TERRAIN.ground)
+    with pytest.raises(
+        ValueError, match="perception has another ground; accepted: that of the world"
+    ):
+        scenario(perception=hilly)
+
+
+def test_a_perception_for_another_ground_is_refused() -> None:
+    other = Ground(np.zeros((30, 30)), 0.1)
+    for ground in (other, Ground(np.zeros((29, 30)), 0.1)):
+        message = r"perception has .* ground; accepted: that of the world"
+        with pytest.raises(ValueError, match=message):
+            Scenario(
+                TERRAIN,
+                ROBOT,
+                LIDAR,
+                (0.7, 0.5, 0.0),
+                perception=Perception(LIDAR, 0.1, 0.2, ground=ground),
+            )
+
+
+def test_never_is_a_coverage_that_is_not_reached() -> None:
+    assert float(scenario(target_coverage=None).target_coverage) > 1.0
+    assert float(scenario(target_coverage=1.0).target_coverage) == 1.0

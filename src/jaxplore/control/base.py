@@ -56,9 +56,11 @@ class Info(NamedTuple):
         controls: (T, nu) the plan; its first row is the control that is returned. For several
             controls per command, apply the first n and call again n model steps later, with
             `at_period(n * dt)`.
-        weights: (K,) weight of each rollout; adds up to 1, or to 0 if none was finite.
+        weights: (K,) weight of each rollout; adds up to 1, or to 0 if none was finite. Of a
+            controller that holds N members, those of all their rollouts, each with 1 / N.
         costs: (K,) cost of each rollout; infinite where it was not finite.
-        effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite.
+        effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite. Of a
+            controller that holds several members, the mean of theirs.
         is_finite: whether any rollout was finite. If not, the control is that of the shifted
             nominal.
         members: of a controller that holds several; None of any other.

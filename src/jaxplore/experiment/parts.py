@@ -5,6 +5,7 @@ import math
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
+from jaxplore.dynamics.integrators import Integrator
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.footprint import Rectangle
@@ -15,8 +16,13 @@ from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings import RobotSettings, SensorModelSettings, Settings
 
 
-def robot_of(given: RobotSettings) -> Dynamics:
-    """Return the model of the robot."""
+def robot_of(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
+    """Return the model of the robot.
+
+    Args:
+        given: its settings.
+        integrator: of a continuous model on the ground; the model's own when absent.
+    """
     if given.model == "quadrotor":
         return Quadrotor(given.mass, radius=given.radius)
     if given.model == "unicycle":
@@ -38,6 +44,7 @@ def robot_of(given: RobotSettings) -> Dynamics:
             max_steering_rate=given.max_steering_rate,
             min_speed=given.min_speed,
             drag=given.drag,
+            integrator=integrator,
             footprint=Rectangle(given.wheelbase + overhang, overhang, given.width),
         )
     return DifferentialDrive(
@@ -47,6 +54,7 @@ def robot_of(given: RobotSettings) -> Dynamics:
         max_angular_acceleration=given.max_angular_acceleration,
         drag=given.drag,
         radius=given.radius,
+        integrator=integrator,
     )
 
 

@@ -39,7 +39,7 @@ class Belief(eqx.Module):
     clearance: ScalarField
     information: InformationField
     guidance: GuidanceField
-    dwell: GridValues
+    dwell: Float[Array, "rows columns"]
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
     patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
     pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))

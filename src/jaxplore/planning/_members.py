@@ -16,7 +16,10 @@ from jaxplore.costs.base import Cost
 def stacked(name: str, costs: Sequence[Cost], number: int) -> Cost:
     """Return N costs of one kind as one whose arrays have a leading axis of N."""
     given = tuple(costs)
-    structures = {jax.tree.structure(cost) for cost in given}
+    structures = {
+        (jax.tree.structure(cost), tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost)))
+        for cost in given
+    }
     if len(given) != number or not all(isinstance(cost, Cost) for cost in given):
         raise ValueError(
             f"objectives[{name!r}] has {len(given)} entries; accepted: a cost, or one for each of "
@@ -35,6 +38,7 @@ def weight_rows(
     weights: Rows | Mapping[str, Mapping[str, float]],
     names: Sequence[str] | None,
     objectives: tuple[str, ...],
+    argument: str = "weights",
 ) -> tuple[Float[Array, "N O"], tuple[str, ...]]:
     """Return the weights (N, O), rows adding up to 1, and the members' names."""
     if isinstance(weights, Mapping):
@@ -51,15 +55,15 @@ def weight_rows(
             given = np.zeros(0, np.float32)
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(objectives):
         raise ValueError(
-            f"weights has shape {given.shape}; accepted: (N, {len(objectives)}), one for each "
+            f"{argument} has shape {given.shape}; accepted: (N, {len(objectives)}), one for each "
             f"member and objective ({', '.join(objectives)})"
         )
     if not _checks.is_traced(given):
         if not (np.isfinite(given) & (given >= 0.0)).all():
-            raise ValueError(f"weights is {given.tolist()}; accepted: finite numbers >= 0")
+            raise ValueError(f"{argument} is {given.tolist()}; accepted: finite numbers >= 0")
         if (given.sum(axis=1) <= 0.0).any():
             raise ValueError(
-                f"weights is {given.tolist()}; accepted: in each row a weight that is not 0"
+                f"{argument} is {given.tolist()}; accepted: in each row a weight that is not 0"
             )
     count = given.shape[0]
     labels = tuple(str(index + 1) for index in range(count)) if names is None else tuple(names)
@@ -69,13 +73,13 @@ def weight_rows(
     return rows / jnp.sum(rows, axis=1, keepdims=True), labels
 
 
-def named_row(row: Any, objectives: tuple[str, ...]) -> Any:
+def named_row(row: Any, objectives: tuple[str, ...], absent: float = 0.0) -> Any:
     if not isinstance(row, Mapping):
         return row
     for name in row:
         if name not in objectives:
             raise ValueError(f"objective is {name!r}; accepted: {', '.join(objectives)}")
-    return [row.get(name, 0.0) for name in objectives]
+    return [row.get(name, absent) for name in objectives]
 
 
 def one_each(name: str, value: Vector | None, number: int) -> Float[Array, " N"] | None:

@@ -256,13 +256,16 @@ class Contextual(Fusion):
             situation: as it is now.
         """
         state, belief = situation.state, situation.belief
-        position, footprint = state.position, state.dynamics.footprint
+        position, heading = state.position, state.heading
+        footprint = state.dynamics.footprint
         distance = jnp.asarray(jnp.inf)
         if self.goal is not None:
             distance = jnp.linalg.norm(position - self.goal)
-        room = belief.clearance(position) - footprint.radius
+        ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        centres = position + footprint.offsets[:, None] * ahead
+        room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
         field = belief.information
-        information = field(position, state.heading) / field.num_beams
+        information = field(position, heading) / field.num_beams
         wider, narrower = 1.0 + self.hysteresis, 1.0 / (1.0 + self.hysteresis)
         near_goal = distance < self.near_goal * jnp.where(held[0], wider, 1.0)
         near_obstacle = room < self.near_obstacle * jnp.where(held[1], wider, 1.0)
@@ -347,7 +350,8 @@ class SafeFusion(Fusion):
         """Return the index of the best member."""
         hazards = jnp.where(jnp.isfinite(candidates.hazards), candidates.hazards, jnp.inf)
         is_safe = hazards <= self.tolerated
-        among = jnp.where(is_safe, candidates.costs, jnp.inf)
+        is_priced = is_safe & jnp.isfinite(candidates.costs)
+        among = jnp.where(is_priced, candidates.costs, jnp.inf)
         return jnp.where(
             jnp.isfinite(jnp.min(among)), jnp.argmin(among), _cheapest(hazards)
         ).astype(jnp.int32)

@@ -42,7 +42,17 @@ REGIONS = {"left": 0.5 * math.pi, "forward": 0.0, "right": -0.5 * math.pi}
 """Of a regional decomposition: directions from the heading [rad]."""
 REGION_WEIGHT = 0.3
 """Of a member's own region, beside the balanced weights."""
-COLLISION = 10.0
+FLOORS = {
+    "information": 0.02,
+    "goal": 0.02,
+    "safety": 0.05,
+    "terrain": 0.05,
+    "movers": 0.05,
+    "effort": 0.05,
+    "region": 0.02,
+}
+"""Least spread of each objective, for each step of the horizon [its own unit]."""
+COLLISION = 300.0
 """Cost of a rollout that is 5 cm too deep in something all along, in spreads of an objective."""
 
 
@@ -107,7 +117,7 @@ def ground_portfolio(
     dt: ArrayLike = 0.05,
     parameterisation: Parameterisation | None = None,
     clearance: ArrayLike = 0.4,
-    margin: ArrayLike = 0.02,
+    margin: ArrayLike = 0.03,
 ) -> Portfolio:
     """Return a portfolio for a ground vehicle.
 
@@ -169,6 +179,7 @@ def ground_portfolio(
         common=common,
         fusion=fusion,
         horizons=horizons,
+        floors={name: FLOORS[name] * horizon for name in terms},
     )
 
 
@@ -224,6 +235,11 @@ def _weights(
                 f"members is {dict(members)!r} beside the decomposition {decomposition!r}; "
                 "accepted: weights of one's own with 'roles'"
             )
+        for name, row in members.items():
+            if not any(row.values()):
+                raise ValueError(
+                    f"weights is {dict(row)!r} of member {name!r}; accepted: a weight that is not 0"
+                )
         return {name: {"effort": effort, **row} for name, row in members.items()}
     rows = known[decomposition]
     chosen = tuple(rows) if members is None else tuple(members)

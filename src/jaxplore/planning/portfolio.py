@@ -16,7 +16,7 @@ from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vecto
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.control.mppi import MPPI, MPPIState
 from jaxplore.control.proposals import GaussianProposal
-from jaxplore.control.rollout import Trajectory, rollout, rollout_objectives
+from jaxplore.control.rollout import rollout_objectives
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
@@ -30,11 +30,11 @@ from jaxplore.planning.fusion import (
     Situation,
     fusion_by_name,
 )
+from jaxplore.planning.judge import Judge
+from jaxplore.planning.normalisation import FLOOR, Normalisation
 
 MEMBERS = "members"
 """Name of the axis over which members are mapped."""
-FLOOR = 1e-3
-"""Least spread of an objective: one that differs by less among the rollouts does not matter."""
 
 
 class PortfolioState(NamedTuple):
@@ -64,7 +64,7 @@ class Portfolio(Controller):
 
     Member n minimises, over its own samples, with objectives J_o and what all pay alike J_hard,
 
-        sum_o w_no J_o / s_o + J_hard,     s_o = mean of |J_o - mean J_o|
+        sum_o w_no J_o / s_o + J_hard,     s_o = max(floor_o, mean of |J_o - mean J_o|)
 
     The spread s_o is that over the rollouts of all members that do not collide, smoothed over
     `smoothing_time`: so every objective moves the costs equally, whatever its unit, and the weights
@@ -92,13 +92,17 @@ class Portfolio(Controller):
         temperatures: (N,) of each member; the template's when absent.
         noise_scales: (N,) by which the noise is multiplied; 1 when absent.
         horizons: (N,) how far each looks ahead [s]; the template's when absent.
+        floors: (O,) or a mapping, the least spread by which each is divided [its unit, summed over
+            the horizon]. One that rarely matters, such as nearness to obstacles, has no spread in
+            the open; divided by that, the first wall would outweigh everything.
         is_normalised: whether objectives are divided by their spread; static.
         smoothing_time: of the spread [s].
 
     Raises:
         ValueError: weights of another shape, negative or all zero in a row; an objective that is
             not known; temperatures without a `Softmax`, noise scales without a `GaussianProposal`;
-            numbers that are not positive; a fusion that does not fit the names.
+            numbers that are not positive; a fusion that does not fit the names; a template with a
+            disturbance or a mesh.
     """
 
     mppi: MPPI
@@ -106,14 +110,13 @@ class Portfolio(Controller):
     own: tuple[Cost | None, ...]
     weights: Float[Array, "N O"]
     common: Float[Array, " O"]
+    normalisation: Normalisation
     fusion: Fusion
     temperatures: Float[Array, " N"] | None
     noise_scales: Float[Array, " N"] | None
     horizons: Float[Array, " N"] | None
-    smoothing_time: Scalar
     names: tuple[str, ...] = eqx.field(static=True)
     objective_names: tuple[str, ...] = eqx.field(static=True)
-    is_normalised: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -127,11 +130,18 @@ class Portfolio(Controller):
         temperatures: Vector | None = None,
         noise_scales: Vector | None = None,
         horizons: Vector | None = None,
+        floors: Vector | Mapping[str, float] | None = None,
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
         if not objectives:
             raise ValueError("objectives is empty; accepted: at least one cost by its name")
+        for part in ("disturbance", "mesh"):
+            if getattr(mppi, part) is not None:
+                raise ValueError(
+                    f"{part} of mppi is {getattr(mppi, part)!r}; accepted: None, members roll out "
+                    "one outcome on one device"
+                )
         self.mppi = mppi
         self.objective_names = tuple(objectives)
         self.weights, self.names = weight_rows(weights, names, self.objective_names)
@@ -144,6 +154,13 @@ class Portfolio(Controller):
             for name, cost in objectives.items()
         )
         self.common = self._common(common)
+        least = named_row(floors, self.objective_names, FLOOR)
+        given = one_each("floors", least, len(self.objective_names))
+        self.normalisation = Normalisation(
+            jnp.full(len(self.objective_names), FLOOR) if given is None else given,
+            _checks.scalar("smoothing_time", smoothing_time, above=0.0),
+            is_normalised,
+        )
         if fusion is None or isinstance(fusion, str):
             fusion = SafeFusion() if fusion is None else fusion_by_name(fusion)
         fusion.check(self.names)
@@ -163,8 +180,6 @@ class Portfolio(Controller):
         self.temperatures = one_each("temperatures", temperatures, number)
         self.noise_scales = one_each("noise_scales", noise_scales, number)
         self.horizons = one_each("horizons", horizons, number)
-        self.is_normalised = is_normalised
-        self.smoothing_time = _checks.scalar("smoothing_time", smoothing_time, above=0.0)
 
     @property
     def member_names(self) -> tuple[str, ...]:
@@ -265,29 +280,26 @@ class Portfolio(Controller):
         """
         proposed, spread = self._propose(state, observation, belief, key)
         candidates, fused, _ = self._fuse(state, proposed, spread, observation, belief)
-        each = max(1, num_trajectories // len(self.names))
+        each = min(max(1, num_trajectories // len(self.names)), self.mppi.num_samples)
         chosen = np.linspace(0, self.mppi.num_samples - 1, each).round().astype(int)
-        judged, applied = self._judged(spread), state.members.applied[0]
-
-        def follow(controls: Array, dt: Scalar) -> Trajectory:
-            return rollout(
-                self.mppi.dynamics, judged, observation, controls, dt, belief, applied=applied
-            )
+        judge = self._judge(state, spread, observation, belief)
 
         def look(index: Array, member_state: MPPIState) -> Array:
             member = self.member(index)
             controls = member.draft(member_state, key=key).controls[:, :, chosen]
-            states: Array = jax.vmap(lambda some: follow(some, member.dt).states, in_axes=-1)(
-                controls
-            )
+
+            def places(plan: Array) -> Array:
+                return judge.follow(plan, member.dt).states
+
+            states: Array = jax.vmap(places, in_axes=-1)(controls)
             return states
 
         samples = jax.vmap(look)(self._indices, state.members)
         weights = proposed.infos.weights[:, chosen] * fused.shares[:, None]
         best = jnp.argmin(jnp.where(jnp.isfinite(candidates.costs), candidates.costs, jnp.inf))
         return SampledPlan(
-            nominal=follow(fused.controls, self.mppi.dt),
-            best=follow(candidates.controls[best], self.mppi.dt),
+            nominal=judge.follow(fused.controls),
+            best=judge.follow(candidates.controls[best]),
             samples=samples.reshape(-1, *samples.shape[2:]),
             weights=weights.reshape(-1),
         )
@@ -312,26 +324,22 @@ class Portfolio(Controller):
                 applied=member_state.applied,
             )
             hard, values = paid[0], paid[1:]
-            spread = state.spread
-            if self.is_normalised:
-                now = _spread(values, hard)
-                spread = self._smoothed(state.spread, now)
-                values = values / jnp.maximum(spread, FLOOR)[:, None]
+            spread = self.normalisation.updated(
+                state.spread, values, hard, self.mppi.control_period, MEMBERS
+            )
+            values = values / self.normalisation.scale(spread)[:, None]
+            # What has no weight may be anything, also no number.
+            values = jnp.where(weights[:, None] > 0.0, values, 0.0)
             costs = hard + jnp.einsum("o,ok->k", weights, values)
             _, after, info = member.conclude(draft, costs)
             uncertainty = self._uncertainty(draft.controls, info)
+            uncertainty = jnp.where(info.is_finite, uncertainty, jnp.inf)
             return _Proposed(after, info, uncertainty), spread
 
         proposed, spreads = jax.vmap(propose, axis_name=MEMBERS)(
             self._indices, self.own, self.weights, state.members
         )
         return proposed, spreads[0]
-
-    def _smoothed(self, before: Float[Array, " O"], now: Float[Array, " O"]) -> Float[Array, " O"]:
-        """Return the spread after a step in which it was `now`; nothing new leaves it."""
-        share = -jnp.expm1(-self.mppi.control_period / self.smoothing_time)
-        after = jnp.where(before > 0.0, before + share * (now - before), now)
-        return jnp.where(now > 0.0, after, before)
 
     def _uncertainty(self, controls: Float[Array, "T nu K"], info: Info) -> Scalar:
         """Return the spread of the weighted samples over the plan, in half ranges."""
@@ -348,28 +356,11 @@ class Portfolio(Controller):
         observation: StateVector,
         belief: Any,
     ) -> tuple[Candidates, Fused, Any]:
-        model, applied = self.mppi.dynamics, state.members.applied[0]
-        scale = jnp.maximum(spread, FLOOR) if self.is_normalised else jnp.ones_like(spread)
-        factors = self.common / scale
-        judged = tuple(cost for cost in self.shared if cost is not None)
-        is_judged = np.asarray([cost is not None for cost in self.shared])
-
-        def evaluate(controls: Sequences) -> tuple[Array, Array]:
-            paid = rollout_objectives(
-                model,
-                (self.mppi.cost, *judged),
-                observation,
-                jnp.moveaxis(controls, 0, -1),
-                self.mppi.dt,
-                belief,
-                applied=applied,
-            )
-            return paid[0] + factors[np.flatnonzero(is_judged)] @ paid[1:], paid[0]
-
+        judge = self._judge(state, spread, observation, belief)
         controls = self._on_one_grid(proposed.infos.controls)
-        costs, hazards = evaluate(controls)
+        costs, hazards = judge(controls)
         candidates = Candidates(controls, costs, hazards, proposed.uncertainties)
-        situation = Situation(State(observation, model), belief, evaluate)
+        situation = Situation(State(observation, self.mppi.dynamics), belief, judge)
         fused, memory = self.fusion(state.fusion, candidates, situation)
         return candidates, fused, memory
 
@@ -379,10 +370,11 @@ class Portfolio(Controller):
             return controls
         horizon, dt = self.mppi.horizon, self.mppi.dt
         default = jnp.broadcast_to(self.mppi.dynamics.default_control, controls.shape[2:])
-        middle = dt * (jnp.arange(horizon, dtype=jnp.float32) + 0.5)
+        begin = dt * jnp.arange(horizon, dtype=jnp.float32)
 
         def held(plan: Array, length: Array) -> Array:
-            row = jnp.floor(middle * (horizon / length)).astype(jnp.int32)
+            # A step that begins with one of the member's comes rounded: it is that one.
+            row = jnp.floor(begin * (horizon / length) + 1e-3).astype(jnp.int32)
             is_planned = (row < horizon)[:, None]
             return jnp.where(is_planned, plan[jnp.minimum(row, horizon - 1)], default)
 
@@ -410,18 +402,27 @@ class Portfolio(Controller):
             ),
         )
 
-    def _judged(self, spread: Float[Array, " O"]) -> Cost:
-        """Return the common objective, term by term."""
-        scale = jnp.maximum(spread, FLOOR) if self.is_normalised else jnp.ones_like(spread)
-        factors = self.common / scale
-        terms = tuple(
-            WeightedCost(factors[number], cost.named(name))
-            for number, (name, cost) in enumerate(
-                zip(self.objective_names, self.shared, strict=True)
-            )
-            if cost is not None
+    def _judge(
+        self,
+        state: PortfolioState,
+        spread: Float[Array, " O"],
+        observation: StateVector,
+        belief: Any,
+    ) -> Judge:
+        """Return the common objective, of what all members share."""
+        pairs = zip(self.objective_names, self.shared, strict=True)
+        judged = {name: cost for name, cost in pairs if cost is not None}
+        shared = np.flatnonzero([cost is not None for cost in self.shared])
+        return Judge(
+            self.mppi.dynamics,
+            self.mppi.cost,
+            judged,
+            (self.common / self.normalisation.scale(spread))[shared],
+            self.mppi.dt,
+            observation,
+            belief,
+            state.members.applied[0],
         )
-        return SumCost((*terms, self.mppi.cost))
 
     def _objectives(self, index: int) -> tuple[Cost, ...]:
         """Return the objectives of one member."""
@@ -434,7 +435,7 @@ class Portfolio(Controller):
             mean = self.weights.mean(axis=0) * is_shared
             return mean / jnp.maximum(jnp.sum(mean), 1e-6)
         given, _ = weight_rows(
-            [named_row(common, self.objective_names)], None, self.objective_names
+            [named_row(common, self.objective_names)], None, self.objective_names, "common"
         )
         if (np.asarray(given[0]) * (1.0 - is_shared) > 0.0).any():
             raise ValueError(
@@ -468,20 +469,6 @@ def diversity(controls: Float[Array, "N nu"]) -> Scalar:
     square = jnp.mean(away * away, axis=1)
     is_equal = square <= 0.0
     return jnp.mean(jnp.where(is_equal, 0.0, jnp.sqrt(jnp.where(is_equal, 1.0, square))))
-
-
-def _spread(values: Float[Array, "O K"], hard: Float[Array, " K"]) -> Float[Array, " O"]:
-    """Return the mean of |J - mean J| over the rollouts of all members that do not collide.
-
-    J is compared with the mean of its own member: members that look farther pay more.
-    """
-    is_counted = jnp.isfinite(values) & (hard <= 0.0)
-    count = jnp.sum(is_counted, axis=1, dtype=jnp.float32)
-    kept = jnp.where(is_counted, values, 0.0)
-    mean = (jnp.sum(kept, axis=1) / jnp.maximum(count, 1.0))[:, None]
-    away = jnp.sum(jnp.where(is_counted, jnp.abs(values - mean), 0.0), axis=1)
-    total, number = jax.lax.psum((away, count), MEMBERS)  # type: ignore[no-untyped-call]
-    return total / jnp.maximum(number, 1.0)  # type: ignore[no-any-return]
 
 
 def _merged(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tuple[Cost, ...]:

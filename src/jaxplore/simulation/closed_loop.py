@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import ControlVector, Count, Flag, Key, Pose, Scalar, StateVector
-from jaxplore.control.base import Controller, Members
+from jaxplore._types import Count, Flag, Key, Pose, Scalar, StateVector
+from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.information.belief import Belief
 from jaxplore.information.tracks import Tracks
@@ -24,6 +24,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Scan
 from jaxplore.simulation.collision import discs_clearance, footprint_clearance
 from jaxplore.simulation.movers import Movers
+from jaxplore.simulation.record import Progress, Record, blank_records
 from jaxplore.simulation.scenario import Scenario
 
 MOVERS = 2**31 - 1
@@ -50,61 +51,12 @@ class LoopState(NamedTuple):
     belief: Belief
     controller: Any
     step: Count
-    progress: "Progress"
+    progress: Progress
     finished: Count
     observed: StateVector
     pending: Float[Array, "D nu"]
     is_seen: Bool[Array, " M"]
     movers: Movers | None
-
-
-class Progress(NamedTuple):
-    """How much of the map is known, and how long ago it was seen: see `Record`."""
-
-    coverage: Scalar
-    entropy: Scalar
-    unknown: Scalar
-    mean_idleness: Scalar
-    worst_idleness: Scalar
-
-
-class Record(NamedTuple):
-    """What is kept of each step; in a run every field has a leading axis of steps.
-
-    Args:
-        state: (nx,) after the step.
-        control: (nu,) that took effect during it.
-        coverage: share of the reachable cells known to be free.
-        entropy: of the belief over the reachable cells [nat].
-        unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
-        clearance: from the robot's edge to the nearest solid cell [m], up to half a metre.
-        is_collision: the step would have led into something; the robot stopped instead.
-        is_untraversable: some of the robot is on ground that may not be entered.
-        effective_sample_size: of the controller's rollouts.
-        is_finite: whether any of them was finite.
-        is_faulty: whether scans or odometry failed, by the scenario's faults.
-        targets_seen: how many targets have been seen.
-        mean_idleness: of the reachable cells, the time since each was seen, or since the start [s];
-            0 if nobody keeps watch.
-        worst_idleness: the longest of them [s].
-        members: of a controller that holds several.
-    """
-
-    state: StateVector
-    control: ControlVector
-    coverage: Scalar
-    entropy: Scalar
-    unknown: Scalar
-    clearance: Scalar
-    is_collision: Flag
-    is_untraversable: Flag
-    effective_sample_size: Scalar
-    is_finite: Flag
-    is_faulty: Flag
-    targets_seen: Count
-    mean_idleness: Scalar
-    worst_idleness: Scalar
-    members: Members | None
 
 
 @eqx.filter_jit
@@ -266,7 +218,9 @@ def _is_finished(
         return is_covered
     offset = scenario.robot.position(robot) - scenario.goal
     is_there = jnp.sum(offset * offset) < scenario.goal_radius**2
-    return is_there & (is_covered | (progress.unknown < scenario.max_unknown))
+    if scenario.num_targets == 0:
+        is_covered |= progress.unknown < scenario.max_unknown
+    return is_there & is_covered
 
 
 def is_unfinished(scenario: Scenario, state: LoopState) -> Flag:
@@ -303,7 +257,7 @@ def run_chunk(
     Returns:
         The state, the records (the first axis has `capacity` entries) and how many are filled.
     """
-    buffer = _blank(controller, scenario, capacity)
+    buffer = blank_records(controller, scenario.robot, capacity)
 
     def unfinished(carry: tuple[LoopState, Record, Array]) -> Array:
         current, _, done = carry
@@ -316,33 +270,6 @@ def run_chunk(
         return current, records, done + 1
 
     return jax.lax.while_loop(unfinished, advance, (state, buffer, jnp.zeros((), jnp.int32)))
-
-
-def _blank(controller: Controller, scenario: Scenario, capacity: int) -> Record:
-    """Return records to be filled; to trace a step for their shapes would take a second."""
-    robot = scenario.robot
-    number, flag = jnp.zeros(capacity), jnp.zeros(capacity, bool)
-    members = None
-    if controller.member_names:
-        one = Members.blank(len(controller.member_names), robot.control_size)
-        members = jax.tree.map(lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), one)
-    return Record(
-        state=jnp.zeros((capacity, robot.state_size)),
-        control=jnp.zeros((capacity, robot.control_size)),
-        coverage=number,
-        entropy=number,
-        unknown=number,
-        clearance=number,
-        is_collision=flag,
-        is_untraversable=flag,
-        effective_sample_size=number,
-        is_finite=flag,
-        is_faulty=flag,
-        members=members,
-        targets_seen=jnp.zeros(capacity, jnp.int32),
-        mean_idleness=number,
-        worst_idleness=number,
-    )
 
 
 def scan_all(

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxplore.simulation.closed_loop import Record
+from jaxplore.simulation.record import Record
 
 
 @dataclasses.dataclass(frozen=True)

@@ -123,6 +123,10 @@ class Scenario(eqx.Module):
         self.world, self.robot, self.sensors = world, robot, as_sensors(sensors)
         self.movers = None if movers is None or movers.radius.shape[0] == 0 else movers
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2)
+        if (np.asarray(self.tracking_noise) < 0.0).any():
+            raise ValueError(
+                f"tracking_noise is {self.tracking_noise.tolist()}; accepted: 2 numbers >= 0"
+            )
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         self.goal_radius = _checks.scalar("goal_radius", goal_radius, above=0.0)
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
@@ -163,11 +167,9 @@ class Scenario(eqx.Module):
                 f"perception is for ranges of {known} m and cells of {perception.resolution:g} m; "
                 f"accepted: those of the scenario, {ranges} m and {world.resolution:g} m"
             )
-        if (perception.ground is None) != (self.ground is None):
-            raise ValueError(
-                f"perception has {'no' if perception.ground is None else 'a'} ground; accepted: "
-                "that of the world"
-            )
+        if not _is_same_ground(perception.ground, self.ground):
+            kind = "no" if perception.ground is None else "another"
+            raise ValueError(f"perception has {kind} ground; accepted: that of the world")
         state = robot.at_pose(*(float(value) for value in pose))
         if "z" in robot.state_names:
             z = _checks.number("altitude", altitude)
@@ -187,7 +189,7 @@ class Scenario(eqx.Module):
         self.hover_steps = jnp.asarray(round(hover * rate), jnp.int32)
         # A share that no coverage reaches.
         self.target_coverage = (
-            jnp.asarray(2.0)
+            jnp.asarray(2.0, jnp.float32)
             if target_coverage is None
             else _checks.scalar("target_coverage", target_coverage, above=0.0, at_most=1.0)
         )
@@ -222,6 +224,14 @@ class Scenario(eqx.Module):
                     f"targets[{index}] is {spot.tolist()}; accepted: a place in free space"
                 )
         return jnp.asarray(given)
+
+
+def _is_same_ground(ground: Ground | None, other: Ground | None) -> bool:
+    if ground is None or other is None:
+        return ground is other
+    layers = ((each.elevation, each.is_traversable) for each in (ground, other))
+    (height, open_), (other_height, other_open) = layers
+    return np.array_equal(height, other_height) and np.array_equal(open_, other_open)
 
 
 def _with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:

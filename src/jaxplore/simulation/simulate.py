@@ -20,7 +20,6 @@ from jaxplore.control.base import Controller, SampledPlan
 from jaxplore.geometry.footprint import Footprint, Rectangle
 from jaxplore.simulation.closed_loop import (
     LoopState,
-    Record,
     initial_loop_state,
     is_unfinished,
     robot_pose,
@@ -28,6 +27,7 @@ from jaxplore.simulation.closed_loop import (
     scan_all,
     world_at,
 )
+from jaxplore.simulation.record import Record
 from jaxplore.simulation.recording import Frame, Recording, Timing
 from jaxplore.simulation.scenario import Scenario
 

@@ -1,0 +1,416 @@
+"""What a mission is judged by, in a closed loop with a robot that goes ahead, come what may."""
+
+import functools
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplore import (
+    Ackermann,
+    DifferentialDrive,
+    Ground,
+    InverseSensorModel,
+    Lidar,
+    Movers,
+    OccupancyGrid,
+    Perception,
+    Scenario,
+    TerrainMap,
+    Watch,
+)
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.rollout import Trajectory
+from jaxplore.geometry.footprint import Rectangle
+from jaxplore.maps.world import Mover
+from jaxplore.simulation.closed_loop import (
+    LoopState,
+    _is_finished,
+    initial_loop_state,
+    is_unfinished,
+    run_chunk,
+)
+
+SHAPE, RESOLUTION = (30, 40), 0.2  # 8 m x 6 m
+PERIOD, CAPACITY = 0.05, 40
+ROBOT = DifferentialDrive(max_speed=1.0, max_acceleration=2.0, drag=0.0, radius=0.25)
+CAR = Ackermann(max_speed=1.0, footprint=Rectangle(0.8, 0.2, 0.5))
+AHEAD = Lidar(61, 2.5, math.radians(120.0), range_noise=0.0)
+AROUND = Lidar(60, 2.0, range_noise=0.0)
+BOX = ((22, 26), (18, 21))  # rows, columns: x from 3.6 to 4.2 m, y from 4.4 to 5.2 m
+
+
+class Steady(Controller):
+    """Gives one command."""
+
+    command: jax.Array
+
+    def init(self):
+        return ()
+
+    def step(self, state, observation, belief=None, *, key):
+        one = jnp.ones(())
+        return self.command, state, Info(self.command[None], one[None], one[None], one, one > 0)
+
+    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
+        alone = Trajectory(jnp.stack([observation] * 2), self.command[None], {})
+        return SampledPlan(alone, alone, alone.states[None], jnp.ones(1))
+
+    def at_period(self, control_period):
+        return self
+
+
+def hall(has_box: bool = False) -> np.ndarray:
+    world = np.full(SHAPE, 0.01)
+    world[0], world[-1], world[:, 0], world[:, -1] = 0.99, 0.99, 0.99, 0.99
+    if has_box:
+        world[slice(*BOX[0]), slice(*BOX[1])] = 0.99
+    return world
+
+
+# In a corner that nobody comes to.
+PARKED = Mover(((7.5, 0.5), (7.5, 0.5)), 0.0, 0.1)
+CORNERS = ((0.5, 5.5), (7.5, 5.5), (0.5, 0.5), (6.5, 0.5))
+
+
+def scenario(
+    world: np.ndarray | None = None,
+    start=(1.0, 3.0, 0.0),
+    *,
+    elevation: np.ndarray | None = None,
+    mover: Mover = PARKED,
+    targets=CORNERS,
+    robot=ROBOT,
+    **more,
+) -> Scenario:
+    """Return one of many that differ in arrays only: they share one compiled loop."""
+    world = hall() if world is None else world
+    elevation = np.zeros(SHAPE) if elevation is None else elevation
+    terrain = TerrainMap(OccupancyGrid(world, RESOLUTION), Ground(elevation, RESOLUTION))
+    sensors = [AHEAD, AROUND]
+    perception = Perception(
+        sensors,
+        RESOLUTION,
+        robot.radius,
+        sensor_model=InverseSensorModel.line_of_sight(),
+        num_directions=4,
+        node_spacing=0.2,
+        ground=terrain.ground,
+        watch=Watch(20.0),
+    )
+    return Scenario(
+        terrain,
+        robot,
+        sensors,
+        start,
+        perception=perception,
+        control_rate=1.0 / PERIOD,
+        sensing_rate=0.5 / PERIOD,
+        field_rate=0.25 / PERIOD,
+        targets=targets,
+        movers=None if mover is None else Movers([mover]),
+        **more,
+    )
+
+
+class Outcome(NamedTuple):
+    """A run: the state at its end, its records, and the robot's states with the start first."""
+
+    state: LoopState
+    records: tuple
+    states: np.ndarray
+
+
+def begin(given: Scenario, command=(0.0, 0.0), seed: int = 0) -> tuple[Steady, LoopState]:
+    controller = Steady(jnp.asarray(command, jnp.float32))
+    return controller, initial_loop_state(controller, given, jax.random.key(seed))
+
+
+def advance(controller, given: Scenario, state: LoopState, steps: int, seed: int = 0):
+    key, count = jax.random.key(seed), jnp.asarray(steps, jnp.int32)
+    state, rows, done = run_chunk(controller, given, state, key, count, CAPACITY)
+    return state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
+
+
+def drive(given: Scenario, steps: int, command=(0.0, 0.0), seed: int = 0) -> Outcome:
+    controller, state = begin(given, command, seed)
+    pieces = []
+    for begun in range(0, steps, CAPACITY):
+        state, rows = advance(controller, given, state, min(CAPACITY, steps - begun), seed)
+        pieces.append(rows)
+    records = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+    states = np.concatenate([np.asarray(given.start)[None], records.state]).astype(np.float64)
+    return Outcome(state, records, states)
+
+
+def is_visible(world: np.ndarray, pose, point, sensor: Lidar) -> bool:
+    """Say whether a sensor sees the cell of a point, by samples 1 mm apart on the way there."""
+    offset = np.asarray(point, np.float64) - pose[:2]
+    distance = np.hypot(*offset)
+    bearing = (math.atan2(offset[1], offset[0]) - pose[2] + math.pi) % (2 * math.pi) - math.pi
+    if distance > sensor.max_range or abs(bearing) > 0.5 * sensor.field_of_view + 1e-9:
+        return False
+    way = pose[:2] + np.linspace(0.0, 1.0, int(1000 * distance) + 2)[:, None] * offset
+    cells = np.floor(way / RESOLUTION).astype(int)
+    before = cells[(cells != cells[-1]).any(axis=1)]
+    return bool((world[before[:, 1], before[:, 0]] < 0.25).all())
+
+
+# Targets
+
+SPOTS = ((2.3, 3.5), (4.9, 5.3), (6.1, 3.1), (7.3, 4.1))
+
+
+@pytest.fixture(scope="module")
+def search() -> tuple[Scenario, Outcome]:
+    """A robot that passes a box, behind which there is something to be seen."""
+    given = scenario(hall(has_box=True), targets=SPOTS, target_coverage=0.5)
+    return given, drive(given, 160, (1.0, 0.02))
+
+
+def test_targets_count_as_seen_when_they_are_in_sight_of_the_first_sensor(search) -> None:
+    _, outcome = search
+    seen, expected = np.zeros(len(SPOTS), bool), []
+    for step, state in enumerate(outcome.states[:-1]):
+        if step % 2 == 0:
+            seen |= [is_visible(hall(True), state[:3], spot, AHEAD) for spot in SPOTS]
+        expected.append(seen.sum())
+    np.testing.assert_array_equal(outcome.records.targets_seen, expected)
+    # One after the other, and not at once.
+    assert sorted(set(expected)) == [1, 2, 3, 4]
+
+
+def test_the_run_is_over_when_all_targets_are_seen(search) -> None:
+    given, outcome = search
+    seen = outcome.records.targets_seen
+    assert len(seen) < 160
+    assert seen[-1] == len(SPOTS)
+    assert (seen[:-1] < len(SPOTS)).all()
+    assert int(outcome.state.finished) == 1
+    assert not bool(is_unfinished(given, outcome.state))
+    # The target coverage, which is not what it is out for, was reached before.
+    assert (outcome.records.coverage[:-1] >= 0.5).any()
+
+
+def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> None:
+    given, outcome = search
+    reachable = np.asarray(given.reachable)
+
+    @jax.jit
+    def seen_from(pose):
+        scan = AHEAD.scan(given.world, pose, key=jax.random.key(0), ground=given.ground)
+        return AHEAD.sight(given.world, scan, pose, given.ground).is_seen
+
+    last = np.full(SHAPE, -np.inf)  # when each cell was seen last
+    for step, state in enumerate(outcome.states[:-1]):
+        if step % 2 == 0:
+            time = PERIOD * step
+            last[np.asarray(seen_from(jnp.asarray(state[:3], jnp.float32)))] = time
+            idle = np.minimum(time - last, time)[reachable]
+        assert outcome.records.mean_idleness[step] == pytest.approx(idle.mean(), abs=1e-3)
+        assert outcome.records.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
+    assert 0.0 < idle.mean() < idle.max()
+    np.testing.assert_allclose(outcome.state.belief.idleness, time - last, atol=1e-3)
+
+
+# What moves
+
+
+def place(mover: Mover, phase: float, time: float) -> np.ndarray:
+    """Return where a disc is that goes to and fro between two corners."""
+    first, second = np.array(mover.path)
+    length = np.hypot(*(second - first))
+    rest = (phase * 2 * length + mover.speed * time) % (2 * length)
+    return first + (second - first) * min(rest, 2 * length - rest) / length
+
+
+CROSSING = Mover(((1.5, 4.7), (6.5, 4.7)), 1.0, 0.3)
+
+
+class Watched(NamedTuple):
+    """A run past which something moves, seen at each scan."""
+
+    state: LoopState
+    phase: float
+    tracks: list
+    times: list[float]
+
+
+@pytest.fixture(scope="module")
+def watched() -> Watched:
+    given = scenario(start=(4.0, 3.7, math.pi / 2), mover=CROSSING)
+    controller, state = begin(given)
+    tracks, times = [], []
+    for scan in range(100):
+        state, _ = advance(controller, given, state, 1 if scan == 0 else 2)
+        tracks.append(jax.tree.map(np.asarray, state.belief.tracks))
+        times.append(2 * scan * PERIOD)
+    return Watched(state, float(state.movers.phase[0]), tracks, times)
+
+
+POSE = np.array([4.0, 3.7, math.pi / 2])
+
+
+def test_tracks_follow_what_is_in_sight(watched) -> None:
+    seen, errors = [], []
+    for track, time in zip(watched.tracks, watched.times, strict=True):
+        there = place(CROSSING, watched.phase, time)
+        in_sight = any(is_visible(hall(), POSE, there, sensor) for sensor in (AHEAD, AROUND))
+        seen.append(in_sight)
+        assert (track.age[0] == 0.0) == in_sight
+        assert bool(track.is_known[0]) == any(seen)
+        if in_sight:
+            errors.append(track.positions[0] - there)
+            assert track.std[0] == pytest.approx(0.05)
+            assert np.abs(np.abs(track.velocities[0]) - [1.0, 0.0]).max() < 4 * 0.1
+    assert 20 < sum(seen) < 100
+    assert np.abs(errors).max() < 4 * 0.05
+    # They are measured, not known.
+    assert 0.02 < np.std(errors) < 0.1
+
+
+def test_out_of_sight_tracks_go_on_and_grow_older(watched) -> None:
+    known = [bool(track.is_known[0]) for track in watched.tracks]
+    first = known.index(True)
+    checked = 0
+    for before, after in zip(watched.tracks[first:-1], watched.tracks[first + 1 :], strict=True):
+        if after.age[0] > 0.0:
+            assert after.age[0] == pytest.approx(before.age[0] + 2 * PERIOD, abs=1e-5)
+            expected = before.positions[0] + 2 * PERIOD * before.velocities[0]
+            np.testing.assert_allclose(after.positions[0], expected, atol=1e-4)
+            checked += 1
+    assert checked > 5
+
+
+def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
+    grid = watched.state.belief.grid
+    is_free = hall() < 0.25
+    assert not (np.asarray(grid.is_occupied) & is_free).any()
+    # What it passed in sight of the robot is known to be free by now.
+    assert np.asarray(grid.is_free)[23, 13:27].all()
+    # And the wall, seen across its way, is known.
+    outline = scenario(start=(4.0, 3.7, math.pi / 2), mover=PARKED)
+    still = drive(outline, 199).state.belief.grid
+    assert (np.asarray(still.is_occupied) & ~is_free).sum() > 0
+    np.testing.assert_array_equal(grid.is_occupied & ~is_free, still.is_occupied & ~is_free)
+
+
+def test_what_runs_into_a_standing_robot_is_a_collision() -> None:
+    mover = Mover(((1.5, 3.2), (6.5, 3.2)), 1.0, 0.3)
+    outcome = drive(scenario(start=(4.0, 3.0, 0.3), mover=mover), 200)
+    phase = float(outcome.state.movers.phase[0])
+    away = [np.hypot(*(place(mover, phase, PERIOD * (k + 1)) - (4.0, 3.0))) for k in range(200)]
+    gap = np.array(away) - 0.3 - 0.25
+    assert np.abs(gap).min() > 1e-4
+    np.testing.assert_array_equal(outcome.records.is_collision, gap < 0.0)
+    assert 10 < (gap < 0.0).sum() < 100
+    near = gap < 0.4
+    np.testing.assert_allclose(outcome.records.clearance[near], gap[near], atol=1e-4)
+    # It stands where it stood.
+    np.testing.assert_array_equal(outcome.records.state[:, :2], [[4.0, 3.0]] * 200)
+
+
+def test_where_it_begins_depends_on_the_key_alone() -> None:
+    given = scenario(start=(4.0, 3.0, 0.3), mover=CROSSING)
+    first, again, other = (drive(given, 6, (1.0, 0.5), seed) for seed in (3, 3, 4))
+    for one, two in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(one, two)
+    phases = [float(each.state.movers.phase[0]) for each in (first, other)]
+    assert phases[0] != phases[1]
+    assert all(0.0 <= phase < 1.0 for phase in phases)
+    controller, moved = begin(scenario(start=(2.0, 2.0, 1.0), mover=CROSSING), (0.3, 0.0), 3)
+    assert float(moved.movers.phase[0]) == phases[0]
+    found = [float(begin(given, seed=seed)[1].movers.phase[0]) for seed in range(12)]
+    assert min(found) < 0.3
+    assert max(found) > 0.7
+    assert controller.command.shape == (2,)
+
+
+# Ground, footprint, and the end
+
+
+def ramp() -> np.ndarray:
+    """Return ground that rises by 1 m/m for 0.6 m, from x = 4 m on."""
+    x = (np.arange(40) + 0.5) * RESOLUTION
+    return np.tile(np.clip(x - 4.0, 0.0, 0.6), (30, 1))
+
+
+def touches(closed: np.ndarray, position: np.ndarray, radius: float) -> float:
+    """Return how far a disc is from the nearest closed cell, which is a square [m]."""
+    rows, columns = np.nonzero(closed)
+    low = np.stack([columns, rows], axis=-1) * RESOLUTION
+    gap = np.maximum(np.maximum(low - position, position - low - RESOLUTION), 0.0)
+    return float(np.hypot(*gap.T).min()) - radius
+
+
+def test_steps_on_ground_that_is_too_steep_are_recorded() -> None:
+    outcome = drive(scenario(start=(3.0, 3.0, 0.1), elevation=ramp()), 80, (2.0, 0.0))
+    slope = np.gradient(ramp(), RESOLUTION, axis=1)
+    closed = 1.0 - np.clip(slope / 0.5, 0.0, 1.0) < 0.3
+    gap = np.array([touches(closed, state[:2], 0.25) for state in outcome.states[1:]])
+    assert np.abs(gap).min() > 1e-5
+    np.testing.assert_array_equal(outcome.records.is_untraversable, gap < 0.0)
+    assert 10 < (gap < 0.0).sum() < 70
+    # It gets there: such ground is no wall.
+    assert outcome.states[-1, 0] > 5.0
+    assert not outcome.records.is_collision.any()
+
+
+def test_on_level_ground_none_are() -> None:
+    outcome = drive(scenario(start=(3.0, 3.0, 0.1)), 80, (2.0, 0.0))
+    assert outcome.states[-1, 0] > 5.0
+    assert not outcome.records.is_untraversable.any()
+
+
+def test_a_rectangle_collides_with_its_corners() -> None:
+    # The face of the wall is at 7.8 m; the car is 0.5 m wide and reaches 0.8 m ahead.
+    yaw = 0.2
+    front = 0.8 * math.cos(yaw) + 0.25 * math.sin(yaw)
+    car = drive(scenario(start=(5.0, 2.5, yaw), robot=CAR), 120, (1.0, 0.0))
+    disc = drive(scenario(start=(5.0, 2.5, yaw)), 120, (1.0, 0.0))
+    for outcome, reach in ((car, front), (disc, 0.25)):
+        assert outcome.records.is_collision.any()
+        first = int(np.argmax(outcome.records.is_collision))
+        stopped = outcome.states[first, 0]
+        # One step more would have been too far; at 1 m/s that is 5 cm.
+        assert 7.8 - reach - 0.055 < stopped <= 7.8 - reach + 1e-4
+        assert (outcome.records.clearance >= 0.0).all()
+    assert disc.states[:, 0].max() > car.states[:, 0].max() + 0.5
+
+
+def test_without_a_target_coverage_there_is_no_end() -> None:
+    never, once = (scenario(targets=None, target_coverage=c) for c in (None, 1.0))
+    _, state = begin(never)
+    covered = state._replace(progress=state.progress._replace(coverage=jnp.ones(())))
+    assert bool(is_unfinished(never, covered))
+    assert not bool(is_unfinished(once, covered))
+    ends = [
+        bool(_is_finished(each, covered.robot, covered.progress, covered.is_seen))
+        for each in (never, once)
+    ]
+    assert ends == [False, True]
+
+
+def test_other_missions_do_not_recompile() -> None:
+    given = scenario(start=(2.0, 2.0, 1.0), targets=SPOTS)
+    controller, state = begin(given)
+    state, _ = advance(controller, given, state, 3)
+    before = run_chunk._cached._cache_size()
+    advance(controller, given, state, 2)
+    other = functools.partial(drive, steps=3, command=(0.5, 0.1), seed=5)
+    other(scenario(hall(True), elevation=ramp(), mover=CROSSING, target_coverage=None))
+    assert run_chunk._cached._cache_size() == before
+
+
+def test_a_run_goes_on_in_what_was_compiled_for_its_beginning() -> None:
+    given = scenario()
+    _, state = begin(given)
+    after, _ = advance(Steady(jnp.zeros(2)), given, state, 1)
+    for one, other in zip(jax.tree.leaves(state), jax.tree.leaves(after), strict=True):
+        assert (one.shape, one.dtype) == (other.shape, other.dtype)
+        assert getattr(one, "weak_type", False) == getattr(other, "weak_type", False)
+    assert eqx.tree_equal(jax.tree.structure(state), jax.tree.structure(after))

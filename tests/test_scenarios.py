@@ -1,0 +1,337 @@
+"""The scenarios of ground vehicles: their settings, and the command line that runs them."""
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+import jaxplore as jx
+from jaxplore.cli import main
+from jaxplore.experiment.assembly import build
+from jaxplore.settings import SCENARIOS, is_scenario_file, make_settings, read_settings
+from jaxplore.settings import scenario_path as path_of
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must fail as users' mistakes do: one line, code 2, nothing written."""
+    before = sorted(os.listdir())
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    captured = capsys.readouterr()
+    assert exit_.value.code == 2
+    assert captured.out == ""
+    assert captured.err.startswith("jaxplore: ")
+    assert captured.err.count("\n") == 1
+    assert sorted(os.listdir()) == before
+    return captured.err
+
+
+# Those that come with the package
+
+
+@pytest.fixture(scope="module")
+def made() -> dict[str, Any]:
+    return {name: build(make_settings(read_settings(path_of(name)))) for name in SCENARIOS}
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_each_builds_with_a_portfolio_and_what_it_says(made, name: str) -> None:
+    experiment, entries = made[name], read_settings(path_of(name))
+    assert isinstance(experiment.controller, jx.Portfolio)
+    assert experiment.controller.member_names == ("explorer", "balanced", "exploiter", "cautious")
+    scenario, world = experiment.scenario, entries["world"]
+    size = np.array(scenario.world.shape[::-1]) * scenario.world.resolution
+    np.testing.assert_allclose(size, world["size"], atol=1e-6)
+    np.testing.assert_allclose(scenario.start[:3], world["start"], atol=1e-6)
+    assert scenario.num_targets == len(world.get("targets", ()))
+    assert (scenario.ground is None) == ("hills" not in world)
+    movers = 0 if scenario.movers is None else len(scenario.movers.radius)
+    assert movers == len(world.get("movers", ()))
+    assert experiment.num_steps == round(entries["time_limit"] * 50)
+    # All of what is to be explored can be got to, or nearly.
+    free = np.asarray(scenario.world.is_free)
+    assert np.asarray(scenario.reachable).sum() > 0.4 * free.sum()
+
+
+def test_the_warehouse_is_unknown_and_the_plan_of_the_perimeter_known(made) -> None:
+    warehouse, perimeter = (made[name].scenario for name in ("warehouse", "perimeter"))
+    np.testing.assert_array_equal(warehouse.prior.probability, 0.5)
+    prior, truth = perimeter.prior.probability, perimeter.world.probability
+    np.testing.assert_array_equal(prior, truth)
+    assert float(warehouse.target_coverage) == pytest.approx(0.95)
+    (lidar,) = warehouse.sensors
+    assert lidar.field_of_view == pytest.approx(1.5 * math.pi)
+    assert warehouse.perception.watch is None
+    assert float(perimeter.perception.watch.memory) == 60.0
+    assert float(perimeter.target_coverage) > 1.0
+
+
+def test_a_camera_leads_in_the_search(made) -> None:
+    search = made["search-rescue"].scenario
+    assert [type(sensor) for sensor in search.sensors] == [jx.Camera, jx.Lidar]
+    assert isinstance(search.robot, jx.Ackermann)
+    assert isinstance(search.robot.footprint, jx.Rectangle)
+    assert search.perception.watch.memory is None
+    # Its ground is known, and some of it closed; all targets are on ground that can be driven on.
+    closed = ~np.asarray(search.ground.is_traversable)
+    assert 0.01 < closed.mean() < 0.5
+    rows, columns = np.asarray(search.world.frame.to_cell(search.targets)).T
+    assert not closed[rows, columns].any()
+
+
+def test_a_scenario_is_told_from_a_map_and_a_world(tmp_path: Path) -> None:
+    for name in SCENARIOS:
+        assert is_scenario_file(path_of(name))
+    Path("world.yaml").write_text(yaml.safe_dump(SMALL["world"]))
+    Path("list.yaml").write_text("- world")
+    for name in ("world.yaml", "list.yaml", "gone.yaml"):
+        assert not is_scenario_file(name)
+
+
+def test_the_warehouse_runs_by_its_name(capsys) -> None:
+    arguments = ["--time-limit", "0.4", "--samples", "32", "--no-animation"]
+    main(["run", "warehouse", *arguments, "--out", "it"])
+    names = {path.name for path in Path("it").iterdir()}
+    assert names == {
+        "arrays.npz",
+        "coverage.png",
+        "map.png",
+        "members.png",
+        "metrics.json",
+        "settings.yaml",
+    }
+    metrics = json.loads(Path("it/metrics.json").read_text())
+    assert metrics["num_steps"] == 20
+    assert metrics["collisions"] == 0
+    assert list(metrics["members"]) == ["explorer", "balanced", "exploiter", "cautious"]
+    shares = [member["share"] for member in metrics["members"].values()]
+    assert sum(shares) == pytest.approx(1.0, abs=1e-4)
+    used = yaml.safe_load(Path("it/settings.yaml").read_text())
+    assert used["map"] == "warehouse"
+    assert used["portfolio"]["num_samples"] == 32
+    assert str(Path("it") / "members.png") in capsys.readouterr().out
+
+
+# One's own
+
+SMALL: dict[str, Any] = {
+    "architecture": "portfolio",
+    "start": [0.8, 1.6, 0.0],
+    "time_limit": 0.4,
+    "target_coverage": None,
+    "world": {
+        "size": [4.0, 3.2],
+        "resolution": 0.2,
+        "wall_reach": 0.2,
+        "start": [0.8, 1.6, 0.0],
+        "walls": [[0, 0, 4, 0], [4, 0, 4, 3.2], [4, 3.2, 0, 3.2], [0, 3.2, 0, 0]],
+        "zones": [[2.4, 0.0, 4.0, 3.2]],
+        "targets": [[3.2, 2.4], [3.2, 0.8]],
+        "movers": [{"path": [[1.2, 0.8], [2.4, 0.8]], "speed": 0.5, "radius": 0.2}],
+    },
+    "lidar": {"num_beams": 24, "max_range": 1.5},
+    "watch": {"memory": 10.0},
+    "fields": {"num_directions": 4, "node_spacing": 0.2},
+    "portfolio": {"members": ["explorer", "cautious"], "num_samples": 8, "horizon": 4},
+}
+
+
+def write(name: str, **changes: Any) -> str:
+    """Write a scenario of one's own, with some entries or sections changed, and return its name."""
+    entries = {**SMALL}
+    for key, value in changes.items():
+        is_section = isinstance(value, dict) and key != "weights"
+        entries[key] = {**entries.get(key, {}), **value} if is_section else value
+    Path(name).write_text(yaml.safe_dump(entries))
+    return name
+
+
+def test_a_scenario_of_one_s_own_runs_and_its_settings_repeat_it(capsys) -> None:
+    name = write("yard.yaml")
+    main(["run", name, "--seed", "5", "--no-animation"])
+    folder = Path("runs/yard")
+    assert {"members.png", "idleness.png", "settings.yaml"} <= {p.name for p in folder.iterdir()}
+    main(["run", "--settings", str(folder / "settings.yaml"), "--out", "again", "--no-animation"])
+    first, again = (np.load(each / "arrays.npz") for each in (folder, Path("again")))
+    assert sorted(first.files) == sorted(again.files)
+    for key in first.files:
+        np.testing.assert_array_equal(first[key], again[key])
+    metrics = [json.loads((each / "metrics.json").read_text()) for each in (folder, Path("again"))]
+    for one in metrics:
+        one.pop("compute")
+    assert metrics[0] == metrics[1]
+    assert metrics[0]["num_targets"] == 2
+    assert metrics[0]["seed"] == 5
+    assert list(metrics[0]["members"]) == ["explorer", "cautious"]
+    used = yaml.safe_load((folder / "settings.yaml").read_text())
+    assert used["world"]["targets"] == SMALL["world"]["targets"]
+    assert used["map"] == str(Path(name).absolute())
+    assert "targets" in capsys.readouterr().out
+
+
+def test_options_win_over_a_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def note(settings: Any) -> None:
+        asked.append(settings)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("jaxplore.cli.build", note)
+    name = write("yard.yaml", map="my yard")
+    options = ["--samples", "9", "--max-speed", "0.5", "--set", "portfolio.fusion=average"]
+    for place in (name, "warehouse"):
+        with pytest.raises(SystemExit):
+            main(["run", place, *options, "--goal", "3", "2", "--set", "watch.weight=2"])
+    for settings, title in zip(asked, ("my yard", "warehouse"), strict=True):
+        assert settings.map == title
+        assert settings.goal == (3.0, 2.0)
+        assert settings.robot.max_speed == 0.5
+        assert settings.portfolio.num_samples == 9
+        assert settings.portfolio.fusion == "average"
+        assert settings.watch.weight == 2.0
+    # What else the scenario says of the section stays.
+    assert asked[0].watch.memory == 10.0
+    assert asked[0].portfolio.horizon == 4
+    assert asked[1].robot.radius == 0.3
+
+
+@pytest.mark.parametrize(
+    ("fusion", "kind"),
+    [
+        ("weighted-vote", jx.WeightedVote),
+        ("best-only", jx.BestOnly),
+        ("average", jx.Average),
+        ("median", jx.Median),
+        ("trust-weighted", jx.TrustWeighted),
+        ("contextual", jx.Contextual),
+    ],
+)
+@pytest.mark.parametrize("is_safe", [True, False])
+def test_fusions_by_name(fusion: str, kind: type, is_safe: bool) -> None:
+    given = {"members": None, "fusion": fusion, "is_safe": is_safe, "num_samples": 4}
+    settings = make_settings({**SMALL, "map": "yard", "portfolio": given})
+    found = build(settings).controller.fusion
+    if is_safe:
+        assert isinstance(found, jx.SafeFusion)
+        found = found.fusion
+    assert type(found) is kind
+
+
+@pytest.mark.parametrize(
+    ("decomposition", "names"),
+    [
+        ("roles", ("explorer", "balanced", "exploiter", "cautious")),
+        ("temporal", ("short", "middle", "long")),
+        ("regional", ("left", "forward", "right")),
+    ],
+)
+def test_decompositions_by_name(decomposition: str, names: tuple[str, ...]) -> None:
+    given = {"decomposition": decomposition, "num_samples": 4, "horizon": 4}
+    settings = make_settings({**SMALL, "map": "yard", "portfolio": given})
+    assert build(settings).controller.member_names == names
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"portfolio": {"fusion": "vote"}}, "setting portfolio.fusion is 'vote'; accepted: 'weig"),
+        (
+            {"portfolio": {"decomposition": "spatial"}},
+            "setting portfolio.decomposition is 'spatial'; accepted: 'roles'",
+        ),
+        ({"portfolio": {"members": ["explorer", "brave"]}}, "'brave'"),
+        ({"portfolio": {"members": []}}, "members"),
+        ({"portfolio": {"weights": {"one": {"information": 0.0, "effort": 0.0}}}}, "weights is"),
+        ({"portfolio": {"weights": {"one": {"fame": 1.0}}}}, "'fame'"),
+        ({"portfolio": {"weights": {"one": {"information": -1.0}}}}, "portfolio.weights.one.info"),
+        ({"portfolio": {"common": {"information": 0.0}}}, "common"),
+        ({"portfolio": {"common": {"fame": 1.0}}}, "'fame'"),
+        ({"portfolio": {"fusion": "contextual"}}, "names that include"),
+        ({"portfolio": {"speed": 1.0}}, "unknown setting portfolio.speed; accepted here"),
+        ({"watch": {"memory": 0.0}}, "setting watch.memory is 0.0"),
+        ({"camera": {"tilt": 2.0}}, "tilt is 2.0"),
+        ({"camera": {"wings": 2.0}}, "unknown setting camera.wings; accepted here: num_beams"),
+        ({"robot": {"model": "ackermann", "length": 0.4}}, "setting robot.length is 0.4"),
+        ({"goal": [3.9, 3.1]}, "goal is [3.9"),
+        ({"goal": [9.0, 1.0]}, "goal is [9.0, 1.0]; accepted: a place in free space"),
+        ({"world": {"targets": [[3.2, 2.4], [0.0, 0.0]]}}, "targets[1]"),
+        ({"world": {"targets": [[3.2, 2.4], [9.0, 0.0]]}}, "targets[1]"),
+        ({"world": {"wings": 2}}, "wings"),
+        ({"world": {"movers": [{"path": [[1.0, 1.0]], "speed": -1.0, "radius": 0.2}]}}, "movers[0"),
+        ({"terrain": {"height_map": "hills.png"}}, "terrain.height_map is 'hills.png'"),
+        ({"terrain": {"max_slope": 0.0}}, "setting terrain.max_slope is 0.0"),
+        ({"start": [0.0, 0.0, 0.0]}, "in a wall"),
+    ],
+)
+def test_bad_scenarios_are_one_line(capsys, changes: dict[str, Any], reason: str) -> None:
+    error = fails(capsys, "run", write("yard.yaml", **changes), "--out", "out")
+    assert reason in error
+
+
+def test_a_member_that_is_to_weigh_nothing_is_refused() -> None:
+    """Though effort has a weight of its own."""
+    settings = make_settings(
+        {**SMALL, "map": "yard", "portfolio": {"weights": {"one": {"information": 0.0}}}}
+    )
+    with pytest.raises(ValueError, match="weights"):
+        build(settings)
+
+
+def test_a_goal_that_cannot_be_reached_is_one_line(capsys) -> None:
+    name = write("yard.yaml", goal=[3.2, 1.6], goal_radius=0.3, world={"hidden": {
+        "walls": [[2.0, 0.0, 2.0, 3.2]]
+    }, "targets": [], "movers": []})  # fmt: skip
+    error = fails(capsys, "run", name, "--out", "out")
+    assert "goal is [3.2" in error
+    assert "cannot reach from its start" in error
+
+
+# A ROS map with a height map
+
+
+@pytest.fixture
+def ros_map(tmp_path: Path) -> str:
+    world = np.zeros((20, 30), np.float32)
+    world[0], world[-1], world[:, 0], world[:, -1] = 1.0, 1.0, 1.0, 1.0
+    jx.OccupancyGrid(world, 0.2).to_ros(tmp_path / "map.yaml")
+    return "map.yaml"
+
+
+def hills(shape: tuple[int, int], name: str = "hills.png") -> str:
+    """Write a height map that rises from black in the west to white in the east."""
+    grey = np.tile(np.linspace(0, 255, shape[1]), (shape[0], 1))
+    Image.fromarray(grey.astype(np.uint8)).save(name)
+    return name
+
+
+def test_a_height_map_is_the_ground_of_a_ros_map(ros_map: str) -> None:
+    entries = {"map": ros_map, "start": (1.0, 2.0, 0.0), "resolution": 0.2}
+    terrain = {"height_map": hills((20, 30)), "elevation_scale": 2.9, "max_slope": 2.0}
+    scenario = build(make_settings({**entries, "terrain": terrain})).scenario
+    elevation = np.asarray(scenario.ground.elevation)
+    np.testing.assert_allclose(elevation[:, 0], 0.0, atol=1e-6)
+    np.testing.assert_allclose(elevation[:, -1], 2.9, rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(scenario.ground.slope).mean(), 0.5, atol=0.03)
+    assert build(make_settings(entries)).scenario.ground is None
+
+
+@pytest.mark.parametrize(
+    ("height_map", "reason"),
+    [((20, 31), "hills.png"), ((10, 15), "hills.png"), (None, "gone.png")],
+)
+def test_a_height_map_of_another_size_is_one_line(ros_map, capsys, height_map, reason) -> None:
+    name = "gone.png" if height_map is None else hills(height_map)
+    start = ["--start", "1", "2", "0", "--resolution", "0.2"]
+    setting = ["--set", f"terrain.height_map={name}"]
+    assert reason in fails(capsys, "run", ros_map, *start, *setting, "--out", "out")
