@@ -81,6 +81,7 @@ class Case(NamedTuple):
 
     @property
     def name(self) -> str:
+        """What tells it from all others."""
         return f"{self.study}/{self.place}/{self.variant}/{self.seed}"
 
 
@@ -174,7 +175,7 @@ def step_times(counts: tuple[int, ...] = (1, 2, 4, 8), steps: int = 1000) -> lis
 
 
 def parts() -> list[dict[str, Any]]:
-    """Return times of the parts of the warehouse's step, one call at a time, after 5 s of driving."""
+    """Return times of the parts of the warehouse's step, one call at a time, after 5 s."""
     controller, scenario, _, key = experiment("warehouse", {})
     controller = controller.at_period(scenario.control_period)
     state = initial_loop_state(controller, scenario, key)

@@ -1,4 +1,4 @@
-"""Draw the pictures of `information.md` and `control.md`: `python docs/pictures.py`."""
+"""Draw the pictures of the guides that are not of runs: `python docs/pictures.py`."""
 
 from pathlib import Path
 
@@ -42,6 +42,7 @@ def main() -> None:
             ("information_overlap", overlap),
             ("control_parts", control_parts),
             ("control_rollouts", control_rollouts),
+            ("fusion_pillar", fusion_pillar),
         ):
             figure = draw()
             path = IMAGES / f"{name}.png"
@@ -101,7 +102,7 @@ def field() -> Figure:
     """Draw a half-explored office: its field, its local field and a reference that climbs it."""
     width, height = 12.0, 9.0
     world, model = jx.office(seed=1, width=width, height=height), jx.InverseSensorModel()
-    lidar = jx.Lidar(num_beams=360, max_range=5.0)
+    lidar = jx.Lidar(num_beams=360, max_range=5.0, range_noise=0.02)
     grid = jx.OccupancyGrid.unknown(world.shape, world.frame)
     poses = jnp.asarray([[0.8, 4.95, 0.0], [1.6, 4.95, 0.0], [2.3, 4.95, 0.0]])
     for number, pose in enumerate(poses):
@@ -362,6 +363,98 @@ def control_rollouts() -> Figure:
     mappable = matplotlib.cm.ScalarMappable(scale, shading)
     figure.colorbar(mappable, ax=axis, label="weight, relative to the greatest", shrink=0.8)
     return figure
+
+
+def fusion_pillar() -> Figure:
+    """Draw two members that pass a pillar on its two sides, their average, and safe fusion."""
+    robot = jx.DifferentialDrive(max_speed=1.2, radius=0.25)
+    belief, pillar, size, goal = _seen_pillar(robot)
+    x = robot.at_pose(*np.asarray(belief.pose)).at[robot.state_names.index("v")].set(1.0)
+    mppi = jx.MPPI(
+        robot,
+        0.3 * jx.CollisionCost(),
+        horizon=30,
+        num_samples=1000,
+        temperature=0.3,
+        noise_std=[0.5, 1.0],
+        dt=0.12,
+        control_period=0.02,
+    )
+    sides = [jx.RegionCost(0.25 * np.pi), jx.RegionCost(-0.25 * np.pi)]
+    row = {"goal": 0.8, "side": 0.2, "effort": 0.02}
+    average = jx.Portfolio(
+        mppi,
+        {"goal": jx.ToGoalCost(), "side": sides, "effort": jx.ControlCost()},
+        {"left": row, "right": row},
+        fusion="average",
+    )
+    safe = eqx.tree_at(lambda one: one.fusion, average, jx.SafeFusion(jx.Average()))
+    step, state = eqx.filter_jit(jx.Portfolio.step), average.init()
+    for number in range(60):
+        _, state, _ = step(average, state, x, belief, key=jax.random.key(number))
+
+    plans, key = {}, jax.random.key(60)
+    for number, name in enumerate(average.names):
+        alone = average.single(name, spread=state.spread)
+        own = jax.tree.map(lambda leaf, at=number: leaf[at], state.members)
+        plans[name] = eqx.filter_jit(alone.step)(own, x, belief, key=key)[2].controls
+    plans["average"] = step(average, state, x, belief, key=key)[2].controls
+    plans["safe fusion"] = step(safe, state, x, belief, key=key)[2].controls
+    paths = {
+        name: np.asarray(jx.rollout(robot, jx.ControlCost(), x, plan, mppi.dt, belief).states)
+        for name, plan in plans.items()
+    }
+
+    figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.3), sharey=True, layout="constrained")
+    for axis, name, title in (
+        (axes[0], "average", "Average: into the pillar"),
+        (axes[1], "safe fusion", "Safe fusion: one of them"),
+    ):
+        axis.imshow(_cover(belief.grid), origin="lower", extent=(0.0, size[0], 0.0, size[1]))
+        for path in paths[name][::4]:
+            is_hit = np.hypot(*(path[:2] - pillar[:2])) < pillar[2] + float(robot.radius)
+            colour = VERMILION if is_hit else GREY
+            axis.add_patch(
+                Circle(path[:2], float(robot.radius), facecolor=colour, alpha=0.25, lw=0)
+            )
+        for member, colour in (("left", BLUE), ("right", GREEN)):
+            axis.plot(*paths[member][:, :2].T, color=colour, linewidth=2, label=member)
+        axis.plot(*paths[name][:, :2].T, "--", color=VERMILION, linewidth=2.5, label=name)
+        axis.plot(*x[:2], "o", color="white", markeredgecolor=INK, markersize=8)
+        axis.plot(*goal, "*", color=VERMILION, markersize=13)
+        axis.text(goal[0], goal[1] - 0.4, "goal", ha="center", color=INK)
+        axis.set(xlabel="x [m]", xlim=(0.0, size[0]), ylim=(0.0, size[1]))
+        axis.set_title(title, loc="left")
+        axis.legend(loc="upper right", bbox_to_anchor=(1.0, 0.97))
+    axes[0].set_ylabel("y [m]")
+    return figure
+
+
+def _seen_pillar(
+    robot: jx.Dynamics,
+) -> tuple[jx.Belief, tuple[float, ...], tuple[float, float], tuple[float, float]]:
+    """Return what a robot knows of a room with a pillar (x, y, radius), its size, and a goal."""
+    (width, height), pillar, start = (6.0, 4.0), (2.6, 2.0, 0.3), (0.7, 2.0, 0.0)
+    corners = (0.0, 0.0), (width, 0.0), (width, height), (0.0, height)
+    walls = tuple((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+    goal = (5.2, 2.0)
+    world = jx.World(
+        size=(width, height),
+        start=start,
+        goal=goal,
+        wall_reach=0.1,
+        known=jx.Shapes(walls=walls, discs=(pillar,)),
+    ).truth()
+    lidar = jx.Lidar(num_beams=360, max_range=6.0, range_noise=0.0)
+    perception = jx.Perception(lidar, 0.1, robot.radius, goal=goal, is_goal_apart=True)
+    # From behind the pillar as well, so that nothing in its shadow is unknown.
+    poses = jnp.asarray([[4.0, 3.3, 0.0], [4.0, 0.7, 0.0], start])
+    belief = perception.init(jx.OccupancyGrid.unknown(world.shape, world.frame), poses[-1])
+    for number, pose in enumerate(poses):
+        scan = lidar.scan(world, pose, key=jax.random.key(number))
+        belief = perception.observe(belief, scan, pose)
+    belief = perception.update_fields(belief, poses[-1], jnp.asarray(0.2))
+    return belief, pillar, (width, height), goal
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.runs import compare as compare_runs
 from jaxplore.runs import progress_bar, simulate
 from jaxplore.settings import (
+    GROUND,
     OFFICE,
     SCENARIOS,
     ZONES,
@@ -34,12 +35,17 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--time-limit", "time_limit", float, "Simulated time [s]."),
     ("--target-coverage", "target_coverage", float, "Share of reachable cells at which to stop."),
     ("--resolution", "resolution", float, "Side of a map cell [m]; finer maps are resampled."),
-    ("--robot", "robot.model", str, "Model of the robot: differential_drive or quadrotor."),
+    (
+        "--robot",
+        "robot.model",
+        str,
+        "Model of the robot: differential_drive, unicycle, ackermann or quadrotor.",
+    ),
     (
         "--architecture",
         "architecture",
         str,
-        "explorer; for quadrotors two-layer, parallel, sequential, random-walk, goal.",
+        "explorer or portfolio; for quadrotors two-layer, parallel, sequential, random-walk, goal.",
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
@@ -167,12 +173,16 @@ def run(
     animation: bool,
     **options: Any,
 ) -> None:
-    """Let a robot explore a ROS map, a world file, a generated office or the three zones.
+    """Let a robot explore a ROS map, a world or scenario file, or one that has a name.
+
+    Names: office (generated), zones (a quadrotor's), and the ground vehicles' scenarios
+    warehouse, search-rescue and perimeter.
 
     Writes a run folder with metrics, arrays, pictures, an animation and the settings used:
 
     \b
       jaxplore run office
+      jaxplore run warehouse
       jaxplore run zones --architecture parallel
       jaxplore run maps/depot.yaml --start 4.62 7.73 0 --out runs/depot
       jaxplore run --settings runs/depot/settings.yaml --out runs/again
@@ -220,13 +230,14 @@ def compare(
     animation: bool,
     **options: Any,
 ) -> None:
-    """Compare a quadrotor's architectures on a map, with the same seeds for all.
+    """Compare architectures on a map or in a scenario, with the same seeds for all.
 
     Writes a folder with a table, curves of coverage and of what is unknown, all metrics, and an
     animation of the first run of each:
 
     \b
       jaxplore compare zones
+      jaxplore compare warehouse --seeds 5
       jaxplore compare zones --architectures two-layer,parallel --seeds 5
       jaxplore compare maps/depot.yaml --start 4.62 7.73 0 --range 5 --seeds 5 --time-limit 240
 
@@ -235,15 +246,18 @@ def compare(
     entries = _entries(options)
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
-    if architectures is None:
+    if architectures is None and make_settings(entries).architecture == "portfolio":
+        names: tuple[str, ...] = GROUND
+    elif architectures is None:
         names = comparable(make_settings({**entries, "architecture": "two-layer"}))
     else:
         names = tuple(name.strip() for name in architectures.split(","))
     settings = {name: make_settings({**entries, "architecture": name}) for name in names}
-    if "explorer" in names and len(names) > 1:
+    ground = [name for name in names if name in GROUND]
+    if ground and len(ground) < len(names):
         raise ValueError(
-            f"--architectures is {architectures!r}, of which explorer drives another robot with "
-            "another sensor; accepted: explorer alone, or the others"
+            f"--architectures is {architectures!r}, of which {', '.join(ground)} drives another "
+            f"robot with another sensor; accepted: {', '.join(GROUND)}, or of the others"
         )
     common = settings[names[0]]
     first = common.seed

@@ -179,15 +179,15 @@ class PortfolioSettings(_Section):
     near_obstacle: Positive = 0.3
     rich_information: Positive = 0.2
     hysteresis: NonNegative = 0.2
-    parameterisation: Literal["direct", "smooth", "knots"] = "direct"
+    parameterisation: Literal["direct", "smooth", "knots"] = "knots"
     effort: NonNegative = 0.02
     horizon: Count = 30
     num_samples: Count = 1000
-    temperature: Positive = 0.3
+    temperature: Positive = 0.05
     noise_share: Positive = 0.5
     dt: Positive = 0.05
     clearance: Positive = 0.4
-    margin: NonNegative = 0.03
+    margin: NonNegative = 0.02
 
 
 class InformativeSettings(_Section):

@@ -52,7 +52,7 @@ FLOORS = {
     "region": 0.02,
 }
 """Least spread of each objective, for each step of the horizon [its own unit]."""
-COLLISION = 300.0
+COLLISION = 100.0
 """Cost of a rollout that is 5 cm too deep in something all along, in spreads of an objective."""
 
 
@@ -112,12 +112,12 @@ def ground_portfolio(
     effort: float = 0.02,
     horizon: int = 30,
     num_samples: int = 1000,
-    temperature: ArrayLike = 0.3,
+    temperature: ArrayLike = 0.05,
     noise_share: ArrayLike = 0.5,
     dt: ArrayLike = 0.05,
     parameterisation: Parameterisation | None = None,
     clearance: ArrayLike = 0.4,
-    margin: ArrayLike = 0.03,
+    margin: ArrayLike = 0.02,
 ) -> Portfolio:
     """Return a portfolio for a ground vehicle.
 
@@ -138,7 +138,9 @@ def ground_portfolio(
         decomposition: how members divide the work.
         fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
             by name has the mission's goal.
-        common: weights of the common objective; the mean of the members' when absent.
+        common: weights of the common objective, by which plans compare; when absent those of what
+            the vehicle is out for: of the exploiter with a goal, of the explorer without. Of
+            members that have none of these objectives, the mean of theirs.
         effort: weight of "effort" in every member that does not give one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
@@ -161,6 +163,12 @@ def ground_portfolio(
     elif decomposition == "regional":
         terms["region"] = [RegionCost(REGIONS[name]) for name in weights]
         weights = {name: {**row, "region": REGION_WEIGHT} for name, row in weights.items()}
+    if common is None:
+        role = ROLE_WEIGHTS["explorer" if mission.goal is None else "exploiter"]
+        weighed = {name for row in weights.values() for name, weight in row.items() if weight > 0.0}
+        wanted = {"effort": effort, **_fitted(role, mission)}
+        wanted = {name: weight for name, weight in wanted.items() if name in weighed}
+        common = wanted if wanted.keys() - {"effort"} else None
     if fusion == "contextual":
         fusion = Contextual(tuple(weights), goal=mission.goal)
     return Portfolio(
