@@ -25,6 +25,17 @@ def test_information_cost_is_per_beam(stage, at) -> None:
     assert stage(InformationCost(), at(-4.0, 3.5)) == 0.0
 
 
+def test_information_fades_where_the_robot_stays(belief, at) -> None:
+    _, columns = np.mgrid[:9, :9].astype(np.float32)
+    dwelt = dataclasses.replace(belief, dwell=jnp.asarray(columns), patience=jnp.asarray(2.0))
+    cost, nothing = InformationCost(is_fading=True), (jnp.zeros(2), jnp.asarray(0.0))
+    for x, dwell in ((4.0, 3.5), (1.5, 1.0)):  # between nodes it is linear in the time
+        found = float(cost.stage(at(x, 3.5), *nothing, dwelt))
+        assert found == pytest.approx(-3 * 3.0 / 10 * math.exp(-dwell / 2.0), rel=1e-5)
+        assert float(cost.stage(at(x, 3.5), *nothing, belief)) == pytest.approx(-3 * 3.0 / 10)
+    assert float(cost.stage(at(-4.0, 3.5), *nothing, dwelt)) == 0.0
+
+
 def test_guidance_cost_is_the_cost_to_go_and_of_facing_elsewhere(stage, at) -> None:
     for yaw in (0.0, 1.0, math.pi, -2.0):
         facing = 0.6 * math.cos(yaw) + 0.8 * math.sin(yaw)

@@ -12,18 +12,31 @@ from jaxplore.costs._distance import length, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.information.belief import Belief, StrategicBelief
+from jaxplore.maps.field import ScalarField
 
 
 class InformationCost(Cost):
     """Reward for what a scan taken here would tell, `-I(x, y, yaw) / num_beams` [nat per beam].
 
     The field of view is that of the sensor that the belief was made for.
+
+    Fading, it is worth `exp(-dwell(x, y) / patience)` of that, as places are to guidance: what
+    cannot be seen after all, such as the far side of a hill, is not looked at for ever.
+
+    Args:
+        is_fading: static.
     """
+
+    is_fading: bool = eqx.field(static=True, default=False)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return minus the information of a scan per beam."""
         field = belief.information
-        return -field(state.position, state.heading) / field.num_beams
+        reward = field(state.position, state.heading) / field.num_beams
+        if not self.is_fading:
+            return -reward
+        dwell = ScalarField(belief.dwell, field.frame, jnp.zeros(()))
+        return -reward * jnp.exp(-dwell(state.position) / belief.patience)
 
 
 class GuidanceCost(Cost):

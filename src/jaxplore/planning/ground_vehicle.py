@@ -75,7 +75,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
 
     | name | is | where |
     | --- | --- | --- |
-    | information | 2 `InformationCost` + `GuidanceCost` | always |
+    | information | 2 `InformationCost`, fading, + `GuidanceCost` | always |
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
     | safety | `ObstacleCost` without its hard part | always |
     | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
@@ -89,7 +89,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
         clearance: distance kept from obstacles [m].
     """
     chosen: dict[str, Cost] = {
-        "information": 2.0 * InformationCost() + GuidanceCost(),
+        "information": 2.0 * InformationCost(is_fading=True) + GuidanceCost(),
         "goal": GuidanceCost() if mission.goal is None else ToGoalCost(),
         "safety": ObstacleCost(clearance, collision=0.0),
     }
