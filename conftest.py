@@ -33,6 +33,23 @@ documents = Sybil(
 )
 
 
+MOST_MAPPINGS = 20_000
+"""Pieces of memory that a process may map before compiled programs are forgotten."""
+
+
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Forget compiled programs between files when there are many.
+
+    Each takes pieces of memory of its own, of which Linux gives a process 65530; when they are used
+    up, the next compilation crashes.
+    """
+    mappings = Path("/proc/self/maps")
+    if nextitem is None or nextitem.path == item.path or not mappings.exists():
+        return
+    if mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+        jax.clear_caches()
+
+
 class DocumentItem(pytest.Item):
     """All blocks of one document, in order."""
 

@@ -1,7 +1,5 @@
 """What decides, from settings."""
 
-from collections.abc import Callable, Mapping
-
 from jaxplore.control.base import Controller
 from jaxplore.control.knots import Knots
 from jaxplore.control.parameterisations import Direct, Parameterisation
@@ -58,7 +56,7 @@ def controller_of(
     if settings.architecture == "portfolio":
         return _portfolio(settings, place)
     given = settings.informative.model_dump()
-    given["parameterisation"] = PARAMETERISATIONS[given["parameterisation"]]()
+    given["parameterisation"] = _parameterisation(given["parameterisation"], given["horizon"])
     period = 1.0 / settings.rates.control
     flight = Flight(
         **{name: given.pop(name) for name in Flight._fields if name in given},
@@ -122,11 +120,10 @@ def _target_choice(
     return TrajectoryChoice(targets, scans, weight=1.0 if weight is None else weight)
 
 
-PARAMETERISATIONS: Mapping[str, Callable[[], Parameterisation]] = {
-    "direct": Direct,
-    "smooth": Smooth,
-    "knots": lambda: Knots(8),
-}
+def _parameterisation(name: str, horizon: int) -> Parameterisation:
+    if name == "knots":
+        return Knots(min(8, horizon))
+    return Smooth() if name == "smooth" else Direct()
 
 
 def _portfolio(settings: Settings, place: Place) -> Portfolio:
@@ -141,7 +138,7 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
         decomposition=given.decomposition,
         fusion=_fusion(settings, goal),
         common=given.common,
-        parameterisation=PARAMETERISATIONS[given.parameterisation](),
+        parameterisation=_parameterisation(given.parameterisation, given.horizon),
         **given.model_dump(include=set(_PORTFOLIO)),
     )
 
