@@ -35,7 +35,8 @@ from jaxplore import (
 )
 from jaxplore.costs.heading_for import RegionCost
 from jaxplore.maps.clearance import clearance_field
-from jaxplore.planning.fusion import Contextual, Fused
+from jaxplore.planning.contextual import Contextual
+from jaxplore.planning.fusion import Fused
 from jaxplore.planning.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
 from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
 

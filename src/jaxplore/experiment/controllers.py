@@ -18,18 +18,13 @@ from jaxplore.planning.architectures import (
     informative_mppi,
     random_walk,
 )
+from jaxplore.planning.contextual import ROLES, Contextual
 from jaxplore.planning.explorer import explorer
-from jaxplore.planning.fusion import (
-    ROLES,
-    Contextual,
-    Fusion,
-    SafeFusion,
-    WeightedVote,
-    fusion_by_name,
-)
+from jaxplore.planning.fusion import Fusion
 from jaxplore.planning.gradient_reference import GradientReference
 from jaxplore.planning.ground_vehicle import Mission, ground_portfolio
 from jaxplore.planning.portfolio import Portfolio
+from jaxplore.planning.safe_fusion import SafeFusion, fusion_by_name
 from jaxplore.planning.targets import (
     RemainingInformation,
     TargetChoice,
@@ -37,6 +32,7 @@ from jaxplore.planning.targets import (
     Targets,
     TrajectoryChoice,
 )
+from jaxplore.planning.voting import WeightedVote
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings import Settings

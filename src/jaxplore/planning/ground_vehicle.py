@@ -24,7 +24,8 @@ from jaxplore.costs.moving import TrackedObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.terrain import TerrainCost, TraversabilityCost
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.planning.fusion import Contextual, Fusion
+from jaxplore.planning.contextual import Contextual
+from jaxplore.planning.fusion import Fusion
 from jaxplore.planning.portfolio import Portfolio
 
 Weights = Mapping[str, Mapping[str, float]]

@@ -21,17 +21,10 @@ from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning._members import named_row, one_each, stacked, weight_rows
-from jaxplore.planning.fusion import (
-    Candidates,
-    Fused,
-    Fusion,
-    SafeFusion,
-    Sequences,
-    Situation,
-    fusion_by_name,
-)
+from jaxplore.planning.fusion import Candidates, Fused, Fusion, Sequences, Situation
 from jaxplore.planning.judge import Judge
 from jaxplore.planning.normalisation import FLOOR, Normalisation
+from jaxplore.planning.safe_fusion import SafeFusion, fusion_by_name
 
 MEMBERS = "members"
 """Name of the axis over which members are mapped."""
