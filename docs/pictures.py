@@ -394,7 +394,7 @@ def fusion_pillar() -> Figure:
         _, state, _ = step(average, state, x, belief, key=jax.random.key(number))
 
     plans, key = {}, jax.random.key(60)
-    for number, name in enumerate(average.names):
+    for number, name in enumerate(average.member_names):
         alone = average.single(name, spread=state.spread)
         own = jax.tree.map(lambda leaf, at=number: leaf[at], state.members)
         plans[name] = eqx.filter_jit(alone.step)(own, x, belief, key=key)[2].controls

@@ -29,7 +29,7 @@ from jaxplore import (
     rollout_objectives,
 )
 from jaxplore.costs.heading_for import RegionCost
-from jaxplore.planning.portfolio import FLOOR
+from jaxplore.planning.normalisation import FLOOR
 
 ROBOT, DT, HORIZON, SAMPLES = DifferentialDrive(max_speed=1.0), 0.1, 8, 32
 HALF_RANGE = np.asarray(ROBOT.control_max, np.float64)
@@ -137,8 +137,8 @@ def test_a_plan_holds_each_control_for_its_own_step(times: float) -> None:
     rows = np.floor(np.arange(HORIZON) / times).astype(int)
     planned = np.concatenate([state.members.nominal[0], np.zeros((4 * HORIZON, 2))])
     assert_alike((control, info.controls), (planned[0], planned[rows]), 0.0)
-    assert float(one.member(0).dt) * HORIZON == pytest.approx(length)
-    assert float(one.member(0).control_period) == pytest.approx(DT)
+    assert float(one.team.member(0).dt) * HORIZON == pytest.approx(length)
+    assert float(one.team.member(0).control_period) == pytest.approx(DT)
 
 
 def test_the_order_of_members_does_not_matter(empty_belief) -> None:
@@ -171,7 +171,7 @@ def test_spread_costs_uncertainty_and_diversity_in_numpy(empty_belief) -> None:
         for index, turn in enumerate(TURNS):
             costs = (HARD, *OBJECTIVES.values(), RegionCost(turn))
             member = of_member(state.members, index)
-            sampled, paid = priced(every.member(index), costs, member, empty_belief, key)
+            sampled, paid = priced(every.team.member(index), costs, member, empty_belief, key)
             sampled, paid = np.asarray(sampled, np.float64), np.asarray(paid, np.float64)
             free = paid[1:, paid[0] == 0.0]
             assert 0 < free.shape[1] < SAMPLES
@@ -278,7 +278,7 @@ def test_numbers_do_not_retrace_and_another_member_does() -> None:
 
     @eqx.filter_jit
     def count(every, state):
-        traces.append(len(every.names))
+        traces.append(len(every.member_names))
         return every.step(state, START, None, key=KEY)[0]
 
     rows, numbers = np.eye(3) + 0.1, np.array([0.1, 0.2, 0.3])
@@ -349,7 +349,7 @@ def test_where_every_rollout_collides_the_collision_counts(unit: float) -> None:
     mppi = eqx.tree_at(lambda c: c.cost, template(), hard)
     every = portfolio({"goal": unit * GoalCost([3.0, 0.0])}, [[1.0]], mppi)
     info = step(every, every.init())[2]
-    _, (paid,) = priced(every.member(0), (hard,), of_member(every.init().members, 0))
+    _, (paid,) = priced(every.team.member(0), (hard,), of_member(every.init().members, 0))
     # Nobody knows yet what the goal varies; the rollouts that count are those least deep.
     assert float(paid.min()) > 0.0
     assert float(info.weights @ paid) < float(np.quantile(paid, 0.25))

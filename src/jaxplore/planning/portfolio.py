@@ -15,19 +15,13 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.control.mppi import MPPI, MPPIState
-from jaxplore.control.proposals import GaussianProposal
-from jaxplore.control.rollout import rollout_objectives
-from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
-from jaxplore.planning._members import named_row, one_each, stacked, weight_rows
-from jaxplore.planning.fusion import Candidates, Fused, Fusion, Sequences, Situation
+from jaxplore.planning._members import named_row, weight_rows
+from jaxplore.planning.fusion import Candidates, Fused, Fusion, Situation
 from jaxplore.planning.judge import Judge
-from jaxplore.planning.normalisation import FLOOR, Normalisation
 from jaxplore.planning.safe_fusion import SafeFusion, fusion_by_name
-
-MEMBERS = "members"
-"""Name of the axis over which members are mapped."""
+from jaxplore.planning.team import Proposed, Team
 
 
 class PortfolioState(NamedTuple):
@@ -42,14 +36,6 @@ class PortfolioState(NamedTuple):
     members: MPPIState
     spread: Float[Array, " O"]
     fusion: Any
-
-
-class _Proposed(NamedTuple):
-    """What the members propose; arrays have a leading axis of N."""
-
-    states: MPPIState
-    infos: Info
-    uncertainties: Float[Array, " N"]
 
 
 class Portfolio(Controller):
@@ -98,18 +84,9 @@ class Portfolio(Controller):
             disturbance or a mesh.
     """
 
-    mppi: MPPI
-    shared: tuple[Cost | None, ...]
-    own: tuple[Cost | None, ...]
-    weights: Float[Array, "N O"]
+    team: Team
     common: Float[Array, " O"]
-    normalisation: Normalisation
     fusion: Fusion
-    temperatures: Float[Array, " N"] | None
-    noise_scales: Float[Array, " N"] | None
-    horizons: Float[Array, " N"] | None
-    names: tuple[str, ...] = eqx.field(static=True)
-    objective_names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -127,86 +104,45 @@ class Portfolio(Controller):
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
-        if not objectives:
-            raise ValueError("objectives is empty; accepted: at least one cost by its name")
-        for part in ("disturbance", "mesh"):
-            if getattr(mppi, part) is not None:
-                raise ValueError(
-                    f"{part} of mppi is {getattr(mppi, part)!r}; accepted: None, members roll out "
-                    "one outcome on one device"
-                )
-        self.mppi = mppi
-        self.objective_names = tuple(objectives)
-        self.weights, self.names = weight_rows(weights, names, self.objective_names)
-        number = len(self.names)
-        self.shared = tuple(
-            cost if isinstance(cost, Cost) else None for cost in objectives.values()
-        )
-        self.own = tuple(
-            None if isinstance(cost, Cost) else stacked(name, cost, number)
-            for name, cost in objectives.items()
+        self.team = Team(
+            mppi,
+            objectives,
+            weights,
+            names=names,
+            temperatures=temperatures,
+            noise_scales=noise_scales,
+            horizons=horizons,
+            floors=floors,
+            is_normalised=is_normalised,
+            smoothing_time=smoothing_time,
         )
         self.common = self._common(common)
-        least = named_row(floors, self.objective_names, FLOOR)
-        given = one_each("floors", least, len(self.objective_names))
-        self.normalisation = Normalisation(
-            jnp.full(len(self.objective_names), FLOOR) if given is None else given,
-            _checks.scalar("smoothing_time", smoothing_time, above=0.0),
-            is_normalised,
-        )
         if fusion is None or isinstance(fusion, str):
             fusion = SafeFusion() if fusion is None else fusion_by_name(fusion)
-        fusion.check(self.names)
+        fusion.check(self.member_names)
         self.fusion = fusion
-        if temperatures is not None and not isinstance(mppi.weighting, Softmax):
-            raise ValueError(
-                f"temperatures is {temperatures!r} beside {type(mppi.weighting).__name__}; "
-                "accepted: with a Softmax"
-            )
-        proposal = mppi.proposal
-        has_std = isinstance(proposal, GaussianProposal) and proposal.noise_std is not None
-        if noise_scales is not None and not has_std:
-            raise ValueError(
-                f"noise_scales is {noise_scales!r} beside {type(proposal).__name__}; accepted: "
-                "with a GaussianProposal that has a noise_std"
-            )
-        self.temperatures = one_each("temperatures", temperatures, number)
-        self.noise_scales = one_each("noise_scales", noise_scales, number)
-        self.horizons = one_each("horizons", horizons, number)
 
     @property
     def member_names(self) -> tuple[str, ...]:
         """Names of the members."""
-        return self.names
+        return self.team.names
+
+    @property
+    def objective_names(self) -> tuple[str, ...]:
+        """Names of the objectives, in the order of the weights' columns."""
+        return self.team.objective_names
 
     def init(self) -> PortfolioState:
         """Return the state before the first step."""
-        states = jax.vmap(lambda index: self.member(index).init())(self._indices)
-        return PortfolioState(states, jnp.zeros(len(self.objective_names)), self.fusion.init())
+        spread = jnp.zeros(len(self.objective_names))
+        return PortfolioState(self.team.init(), spread, self.fusion.init())
 
     def at_period(self, control_period: ArrayLike) -> "Portfolio":
         """Return this controller for commands that are `control_period` seconds apart."""
         same: Portfolio = eqx.tree_at(
-            lambda portfolio: portfolio.mppi, self, self.mppi.at_period(control_period)
+            lambda portfolio: portfolio.team.mppi, self, self.team.mppi.at_period(control_period)
         )
         return same
-
-    def member(self, index: int | Array) -> MPPI:
-        """Return a member as MPPI of its own; its cost is what all members pay alike.
-
-        Args:
-            index: which.
-        """
-        member = self.mppi
-        if self.temperatures is not None:
-            member = eqx.tree_at(_temperature, member, self.temperatures[index])
-        if self.noise_scales is not None:
-            std = _noise_std(member) * self.noise_scales[index]
-            member = eqx.tree_at(_noise_std, member, std)
-        if self.horizons is not None:
-            dt = self.horizons[index] / member.horizon
-            member = eqx.tree_at(lambda mppi: mppi.dt, member, dt)
-        return member
 
     def single(self, name: str, spread: Vector | None = None) -> MPPI:
         """Return a member alone: MPPI that minimises the sum of its weighted objectives.
@@ -218,16 +154,16 @@ class Portfolio(Controller):
         Raises:
             ValueError: an unknown name.
         """
-        if name not in self.names:
-            raise ValueError(f"name is {name!r}; accepted: {', '.join(self.names)}")
-        index, count = self.names.index(name), len(self.objective_names)
+        if name not in self.member_names:
+            raise ValueError(f"name is {name!r}; accepted: {', '.join(self.member_names)}")
+        index, count = self.member_names.index(name), len(self.objective_names)
         scale = jnp.ones(count) if spread is None else _checks.vector("spread", spread, count)
-        member = self.member(index)
-        factors = self.weights[index] / scale
+        member = self.team.member(index)
+        factors = self.team.weights[index] / scale
         terms = tuple(
             WeightedCost(factors[number], cost.named(label))
             for number, (label, cost) in enumerate(
-                zip(self.objective_names, self._objectives(index), strict=True)
+                zip(self.objective_names, self.team.objectives(index), strict=True)
             )
         )
         total = SumCost((*terms, member.cost))
@@ -250,7 +186,9 @@ class Portfolio(Controller):
             belief: what the robot knows.
             key: randomness; the same for all members.
         """
-        proposed, spread = self._propose(state, observation, belief, key)
+        proposed, spread = self.team.propose(
+            state.members, state.spread, observation, belief, key=key
+        )
         candidates, fused, memory = self._fuse(state, proposed, spread, observation, belief)
         control = fused.controls[0]
         # What was given out is the fused control: that is what changes are counted from.
@@ -271,14 +209,16 @@ class Portfolio(Controller):
 
         Costs by term are the weighted objectives of the common objective.
         """
-        proposed, spread = self._propose(state, observation, belief, key)
+        proposed, spread = self.team.propose(
+            state.members, state.spread, observation, belief, key=key
+        )
         candidates, fused, _ = self._fuse(state, proposed, spread, observation, belief)
-        each = min(max(1, num_trajectories // len(self.names)), self.mppi.num_samples)
-        chosen = np.linspace(0, self.mppi.num_samples - 1, each).round().astype(int)
+        each = min(max(1, num_trajectories // len(self.member_names)), self.team.mppi.num_samples)
+        chosen = np.linspace(0, self.team.mppi.num_samples - 1, each).round().astype(int)
         judge = self._judge(state, spread, observation, belief)
 
         def look(index: Array, member_state: MPPIState) -> Array:
-            member = self.member(index)
+            member = self.team.member(index)
             controls = member.draft(member_state, key=key).controls[:, :, chosen]
 
             def places(plan: Array) -> Array:
@@ -287,7 +227,7 @@ class Portfolio(Controller):
             states: Array = jax.vmap(places, in_axes=-1)(controls)
             return states
 
-        samples = jax.vmap(look)(self._indices, state.members)
+        samples = jax.vmap(look)(self.team.indices, state.members)
         weights = proposed.infos.weights[:, chosen] * fused.shares[:, None]
         best = jnp.argmin(jnp.where(jnp.isfinite(candidates.costs), candidates.costs, jnp.inf))
         return SampledPlan(
@@ -297,84 +237,23 @@ class Portfolio(Controller):
             weights=weights.reshape(-1),
         )
 
-    def _propose(
-        self, state: PortfolioState, observation: StateVector, belief: Any, key: Key
-    ) -> tuple["_Proposed", Float[Array, " O"]]:
-        """Return what the members propose, and the spread of the objectives brought up to date."""
-
-        def propose(
-            index: Array, own: tuple[Cost | None, ...], weights: Array, member_state: MPPIState
-        ) -> tuple[_Proposed, Array]:
-            member = self.member(index)
-            draft = member.draft(member_state, key=key)
-            paid = rollout_objectives(
-                member.dynamics,
-                (member.cost, *_merged(self.shared, own)),
-                observation,
-                draft.controls,
-                member.dt,
-                belief,
-                applied=member_state.applied,
-            )
-            hard, values = paid[0], paid[1:]
-            spread = self.normalisation.updated(
-                state.spread, values, hard, self.mppi.control_period, MEMBERS
-            )
-            values = values / self.normalisation.scale(spread)[:, None]
-            # What has no weight may be anything, also no number.
-            values = jnp.where(weights[:, None] > 0.0, values, 0.0)
-            costs = hard + jnp.einsum("o,ok->k", weights, values)
-            _, after, info = member.conclude(draft, costs)
-            uncertainty = self._uncertainty(draft.controls, info)
-            uncertainty = jnp.where(info.is_finite, uncertainty, jnp.inf)
-            return _Proposed(after, info, uncertainty), spread
-
-        proposed, spreads = jax.vmap(propose, axis_name=MEMBERS)(
-            self._indices, self.own, self.weights, state.members
-        )
-        return proposed, spreads[0]
-
-    def _uncertainty(self, controls: Float[Array, "T nu K"], info: Info) -> Scalar:
-        """Return the spread of the weighted samples over the plan, in half ranges."""
-        mean = jnp.einsum("k,tuk->tu", info.weights, controls)
-        away = controls - mean[:, :, None]
-        variance = jnp.einsum("k,tuk->tu", info.weights, away * away)
-        return jnp.sqrt(jnp.mean(variance / self._half_range**2))
-
     def _fuse(
         self,
         state: PortfolioState,
-        proposed: _Proposed,
+        proposed: Proposed,
         spread: Float[Array, " O"],
         observation: StateVector,
         belief: Any,
     ) -> tuple[Candidates, Fused, Any]:
         judge = self._judge(state, spread, observation, belief)
-        controls = self._on_one_grid(proposed.infos.controls)
-        costs, hazards = judge(controls)
-        candidates = Candidates(controls, costs, hazards, proposed.uncertainties)
-        situation = Situation(State(observation, self.mppi.dynamics), belief, judge)
+        costs, hazards = judge(proposed.plans)
+        candidates = Candidates(proposed.plans, costs, hazards, proposed.uncertainties)
+        situation = Situation(State(observation, self.team.mppi.dynamics), belief, judge)
         fused, memory = self.fusion(state.fusion, candidates, situation)
         return candidates, fused, memory
 
-    def _on_one_grid(self, controls: Sequences) -> Sequences:
-        """Return plans on the template's time grid: each control is held for its member's step."""
-        if self.horizons is None:
-            return controls
-        horizon, dt = self.mppi.horizon, self.mppi.dt
-        default = jnp.broadcast_to(self.mppi.dynamics.default_control, controls.shape[2:])
-        begin = dt * jnp.arange(horizon, dtype=jnp.float32)
-
-        def held(plan: Array, length: Array) -> Array:
-            # A step that begins with one of the member's comes rounded: it is that one.
-            row = jnp.floor(begin * (horizon / length) + 1e-3).astype(jnp.int32)
-            is_planned = (row < horizon)[:, None]
-            return jnp.where(is_planned, plan[jnp.minimum(row, horizon - 1)], default)
-
-        return jax.vmap(held)(controls, self.horizons)
-
-    def _info(self, proposed: _Proposed, candidates: Candidates, fused: Fused) -> Info:
-        infos, number = proposed.infos, len(self.names)
+    def _info(self, proposed: Proposed, candidates: Candidates, fused: Fused) -> Info:
+        infos, number = proposed.infos, len(self.member_names)
         share = jnp.full(number, 1.0 / number)[:, None]
         weights, costs = (share * infos.weights).reshape(-1), infos.costs.reshape(-1)
         first = candidates.controls[:, 0]
@@ -390,7 +269,7 @@ class Portfolio(Controller):
                 uncertainties=proposed.uncertainties,
                 effective_sample_sizes=infos.effective_sample_size,
                 shares=fused.shares,
-                diversity=diversity(first / self._half_range),
+                diversity=diversity(first / self.team.half_range),
                 is_replaced=fused.is_replaced,
             ),
         )
@@ -403,29 +282,24 @@ class Portfolio(Controller):
         belief: Any,
     ) -> Judge:
         """Return the common objective, of what all members share."""
-        pairs = zip(self.objective_names, self.shared, strict=True)
+        pairs = zip(self.objective_names, self.team.shared, strict=True)
         judged = {name: cost for name, cost in pairs if cost is not None}
-        shared = np.flatnonzero([cost is not None for cost in self.shared])
+        shared = np.flatnonzero([cost is not None for cost in self.team.shared])
         return Judge(
-            self.mppi.dynamics,
-            self.mppi.cost,
+            self.team.mppi.dynamics,
+            self.team.mppi.cost,
             judged,
-            (self.common / self.normalisation.scale(spread))[shared],
-            self.mppi.dt,
+            (self.common / self.team.normalisation.scale(spread))[shared],
+            self.team.mppi.dt,
             observation,
             belief,
             state.members.applied[0],
         )
 
-    def _objectives(self, index: int) -> tuple[Cost, ...]:
-        """Return the objectives of one member."""
-        own = jax.tree.map(lambda leaves: leaves[index], self.own)
-        return _merged(self.shared, own)
-
     def _common(self, common: Vector | Mapping[str, float] | None) -> Float[Array, " O"]:
-        is_shared = np.asarray([cost is not None for cost in self.shared], np.float32)
+        is_shared = np.asarray([cost is not None for cost in self.team.shared], np.float32)
         if common is None:
-            mean = self.weights.mean(axis=0) * is_shared
+            mean = self.team.weights.mean(axis=0) * is_shared
             return mean / jnp.maximum(jnp.sum(mean), 1e-6)
         given, _ = weight_rows(
             [named_row(common, self.objective_names)], None, self.objective_names, "common"
@@ -436,16 +310,6 @@ class Portfolio(Controller):
                 "weights of objectives that all share"
             )
         return given[0]
-
-    @property
-    def _half_range(self) -> ControlVector:
-        model = self.mppi.dynamics
-        half = 0.5 * (model.control_max - model.control_min)
-        return jnp.where(half > 0.0, half, 1.0)
-
-    @property
-    def _indices(self) -> Array:
-        return jnp.arange(len(self.names))
 
 
 def diversity(controls: Float[Array, "N nu"]) -> Scalar:
@@ -462,18 +326,3 @@ def diversity(controls: Float[Array, "N nu"]) -> Scalar:
     square = jnp.mean(away * away, axis=1)
     is_equal = square <= 0.0
     return jnp.mean(jnp.where(is_equal, 0.0, jnp.sqrt(jnp.where(is_equal, 1.0, square))))
-
-
-def _merged(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tuple[Cost, ...]:
-    pairs = zip(shared, own, strict=True)
-    return tuple(one if one is not None else other for one, other in pairs)  # type: ignore[misc]
-
-
-def _temperature(mppi: MPPI) -> Any:
-    weighting: Any = mppi.weighting
-    return weighting.temperature
-
-
-def _noise_std(mppi: MPPI) -> Any:
-    proposal: Any = mppi.proposal
-    return proposal.noise_std
