@@ -42,6 +42,7 @@ from jaxplore import (
     PointMass,
     SobolNoise,
     WhiteNoise,
+    step_with_gains,
 )
 
 
@@ -183,7 +184,7 @@ def _feedback() -> list[dict[str, Any]]:
         return jax.lax.scan(advance, (state, start), None, length=commands)
 
     gains = timed(
-        lambda c, s, x, k: c.step_with_gains(s, x, key=k), planner, planner.init(), start, KEY
+        lambda c, s, x, k: step_with_gains(c, s, x, key=k), planner, planner.init(), start, KEY
     )
     rows = {
         "plan": (timed_step(planner, start), 1),

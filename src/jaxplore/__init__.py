@@ -11,12 +11,15 @@ from jaxplore.control.disturbance import ControlNoise as ControlNoise
 from jaxplore.control.disturbance import Disturbance as Disturbance
 from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
 from jaxplore.control.disturbance import StateNoise as StateNoise
+from jaxplore.control.draft import Draft as Draft
+from jaxplore.control.draft import MPPIState as MPPIState
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
 from jaxplore.control.feedback import FeedbackState as FeedbackState
 from jaxplore.control.follower import Follower as Follower
 from jaxplore.control.followers import DifferentialDriveFollower as DifferentialDriveFollower
 from jaxplore.control.followers import UnicycleFollower as UnicycleFollower
 from jaxplore.control.followers import follower_for as follower_for
+from jaxplore.control.gains import step_with_gains as step_with_gains
 from jaxplore.control.interpolation import CubicSpline as CubicSpline
 from jaxplore.control.interpolation import Interpolation as Interpolation
 from jaxplore.control.interpolation import LinearInterpolation as LinearInterpolation
@@ -27,8 +30,6 @@ from jaxplore.control.knots import Knots as Knots
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
 from jaxplore.control.mppi import MPPI as MPPI
-from jaxplore.control.mppi import Draft as Draft
-from jaxplore.control.mppi import MPPIState as MPPIState
 from jaxplore.control.noise import AntitheticNoise as AntitheticNoise
 from jaxplore.control.noise import LogNormalNoise as LogNormalNoise
 from jaxplore.control.noise import Noise as Noise

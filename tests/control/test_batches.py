@@ -152,7 +152,7 @@ for name, (changes, devices) in cases.items():
 
         def run(mppi, key):
             state = mppi.init(jnp.full((8, 2), 0.2))
-            control, state, info, gains = mppi.step_with_gains(state, start, key=key)
+            control, state, info, gains = jx.step_with_gains(mppi, state, start, key=key)
             return control, info.controls, info.costs, info.weights, gains
 
         results.append(eqx.filter_jit(run)(mppi, jax.random.key(0)))

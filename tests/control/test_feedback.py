@@ -28,6 +28,7 @@ from jaxplore import (
     StateNoise,
     Unicycle,
     WaypointCost,
+    step_with_gains,
 )
 
 MASS = PointMass(2, max_acceleration=4.0)
@@ -66,7 +67,7 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
         def control(observation):
             return mppi.step(mppi.init(), observation, key=key, perturbations=noise)[0]
 
-        found = mppi.step_with_gains(mppi.init(), start, key=key, perturbations=noise)
+        found = step_with_gains(mppi, mppi.init(), start, key=key, perturbations=noise)
         offsets = jnp.diag(steps)
         ahead = jax.lax.map(control, start + offsets)
         behind = jax.lax.map(control, start - offsets)
@@ -166,7 +167,8 @@ def test_gains_are_the_formula_in_double_precision() -> None:
         dt=dt,
         temperature=temperature,
     )
-    control, _, info, gains = eqx.filter_jit(mppi.step_with_gains)(
+    control, _, info, gains = eqx.filter_jit(step_with_gains)(
+        mppi,
         mppi.init(),
         jnp.asarray(start, jnp.float32),
         key=jax.random.key(0),
@@ -200,8 +202,8 @@ def test_gains_push_back() -> None:
         dt=0.1,
         weighting=Softmax(0.5, 0.0),
     )
-    _, _, _, gains = eqx.filter_jit(mppi.step_with_gains)(
-        mppi.init(), jnp.asarray([0.5, 0.0, 0.0, 0.0]), key=jax.random.key(0)
+    _, _, _, gains = eqx.filter_jit(step_with_gains)(
+        mppi, mppi.init(), jnp.asarray([0.5, 0.0, 0.0, 0.0]), key=jax.random.key(0)
     )
     away, across = np.asarray(gains[:, :2]), np.asarray(gains[:, 2:])
     for block in (away, across):
@@ -214,8 +216,8 @@ def test_elites_have_no_derivative() -> None:
     mppi = MPPI(
         MASS, TO_POINT, horizon=6, num_samples=32, noise_std=[1.0, 1.0], weighting=Elite(0.2)
     )
-    control, _, _, gains = eqx.filter_jit(mppi.step_with_gains)(
-        mppi.init(), AT_MASS, key=jax.random.key(0)
+    control, _, _, gains = eqx.filter_jit(step_with_gains)(
+        mppi, mppi.init(), AT_MASS, key=jax.random.key(0)
     )
     np.testing.assert_array_equal(gains, 0.0)
     assert (control != 0.0).any()
@@ -240,7 +242,7 @@ def test_rollouts_that_are_not_finite_do_not_count_in_the_gains() -> None:
     )
     noise = np.random.default_rng(2).normal(size=(4, 2, 32)) * 0.6
     observation, key = jnp.asarray([1.0, -1.0, 0.0, 0.0]), jax.random.key(0)
-    step = eqx.filter_jit(mppi.step_with_gains)
+    step = eqx.filter_jit(eqx.Partial(step_with_gains, mppi))
     _, _, info, gains = step(
         mppi.init(), observation, key=key, perturbations=jnp.asarray(noise, jnp.float32)
     )
@@ -256,7 +258,8 @@ def test_rollouts_that_are_not_finite_do_not_count_in_the_gains() -> None:
         noise_std=[0.6, 0.6],
         temperature=1.0,
     )
-    _, _, _, expected = eqx.filter_jit(fewer.step_with_gains)(
+    _, _, _, expected = eqx.filter_jit(step_with_gains)(
+        fewer,
         fewer.init(),
         observation,
         key=key,
@@ -275,8 +278,8 @@ def test_slopes_that_are_not_finite_do_not_spoil_the_gains() -> None:
     mppi = MPPI(
         MASS, Edge("slope"), horizon=4, num_samples=32, noise_std=[0.6, 0.6], temperature=1.0
     )
-    _, _, info, gains = eqx.filter_jit(mppi.step_with_gains)(
-        mppi.init(), jnp.asarray([1.0, -1.0, 0.0, 0.0]), key=jax.random.key(0)
+    _, _, info, gains = eqx.filter_jit(step_with_gains)(
+        mppi, mppi.init(), jnp.asarray([1.0, -1.0, 0.0, 0.0]), key=jax.random.key(0)
     )
     assert np.isfinite(info.costs).all()
     assert np.isfinite(gains).all()
@@ -308,7 +311,7 @@ def test_between_plans_the_command_is_the_plan_and_the_gains() -> None:
             since = index % 4
             if since == 0:
                 # At a plan the command is that of the planner itself.
-                expected, _, _, gains = eqx.filter_jit(planner.step_with_gains)(before, x, key=key)
+                expected, _, _, gains = eqx.filter_jit(step_with_gains)(planner, before, x, key=key)
                 np.testing.assert_allclose(control, expected, atol=1e-5)
                 np.testing.assert_allclose(state.gains, gains, rtol=1e-3, atol=1e-4)
                 np.testing.assert_array_equal(state.states[0], x)

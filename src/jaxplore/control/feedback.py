@@ -11,7 +11,9 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.mppi import MPPI, MPPIState
+from jaxplore.control.draft import MPPIState
+from jaxplore.control.gains import step_with_gains
+from jaxplore.control.mppi import MPPI
 from jaxplore.control.rollout import rollout
 
 
@@ -39,7 +41,7 @@ class FeedbackMPPI(Controller):
         u(t) = clip(u_plan(t) + K (x(t) - x_plan(t)))
 
     with t the time since the plan, the planned controls held over each model step, the planned
-    states linear between them, and K the plan's own gains: see `MPPI.step_with_gains`. A command in
+    states linear between them, and K the plan's own gains: see `step_with_gains`. A command in
     between costs a matrix product, so the robot is controlled at 200 Hz and more while the plans
     come at 50 Hz. States are subtracted component by component: angles must not wrap.
 
@@ -121,7 +123,9 @@ class FeedbackMPPI(Controller):
         self, state: FeedbackState, observation: StateVector, belief: Any, key: Key
     ) -> FeedbackState:
         planner = self.planner
-        _, after, info, gains = planner.step_with_gains(state.planner, observation, belief, key=key)
+        _, after, info, gains = step_with_gains(
+            planner, state.planner, observation, belief, key=key
+        )
         planned = rollout(
             planner.dynamics, planner.cost, observation, info.controls, planner.dt, belief
         )

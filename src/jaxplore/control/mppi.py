@@ -1,22 +1,22 @@
 """Model predictive path integral control."""
 
-import contextlib
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding
-from jax.sharding import PartitionSpec as Spec
+from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
+from jaxplore.control.draft import Draft, MPPIState
 from jaxplore.control.parameterisations import (
     ControlSpace,
     Direct,
@@ -26,30 +26,11 @@ from jaxplore.control.parameterisations import (
 )
 from jaxplore.control.proposals import GaussianProposal, Proposal, Surroundings
 from jaxplore.control.risk import MeanVariance, Risk
-from jaxplore.control.rollout import Outcomes, check_costs, check_state, rollout, rollout_costs
+from jaxplore.control.rollout import Outcomes, check_parts, rollout, rollout_costs
 from jaxplore.control.smoothing import SavitzkyGolay
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
-
-
-class MPPIState(NamedTuple):
-    """What MPPI remembers between steps.
-
-    Args:
-        nominal: of the parameterisation; the control sequence (T, nu) itself with `Direct`.
-        proposal: memory of the proposal; nothing unless it adapts.
-        applied: (nu,) the control given out last.
-        past: (H, nu) what was applied before, one per model step, newest last; as many as the
-            smoothing looks back on.
-        phase: part of a model step by which the nominal lags behind, if shifts do not interpolate.
-    """
-
-    nominal: Any
-    proposal: Any
-    applied: ControlVector
-    past: Float[Array, "H nu"]
-    phase: Scalar
 
 
 class MPPI(Controller):
@@ -92,9 +73,8 @@ class MPPI(Controller):
         disturbance: what outcomes are uncertain by; none when absent.
         num_outcomes: outcomes of each control sequence, M, if there is a disturbance.
         risk: how the outcomes' costs become one; their mean when absent.
-        interpolate_shift: whether a control period that is not a whole number of model steps
-            interpolates the last solution; otherwise it is shifted by whole steps when they are
-            due.
+        interpolate_shift: whether a control period of part of a model step interpolates the last
+            solution; otherwise it is shifted by whole steps when they are due.
         mesh: devices over which the samples are spread, all of them; one device when absent.
 
     Raises:
@@ -141,13 +121,11 @@ class MPPI(Controller):
         mesh: Mesh | None = None,
     ) -> None:
         if (proposal is None) == (noise_std is None):
-            raise ValueError(
-                f"noise_std is {noise_std!r} and proposal is {proposal!r}; accepted: one of them"
-            )
+            given = f"noise_std is {noise_std!r} and proposal is {proposal!r}"
+            raise ValueError(f"{given}; accepted: one of them")
         if weighting is not None and temperature is not None:
-            raise ValueError(
-                f"temperature is {temperature!r} beside a weighting; accepted: one of them"
-            )
+            given = f"temperature is {temperature!r} beside a weighting"
+            raise ValueError(f"{given}; accepted: one of them")
         if disturbance is None and (risk is not None or num_outcomes != 1):
             raise ValueError(
                 f"risk is {risk!r} and num_outcomes is {num_outcomes} without a disturbance; "
@@ -159,11 +137,8 @@ class MPPI(Controller):
         self.num_samples = _checks.positive_int("num_samples", num_samples)
         self.num_outcomes = _checks.positive_int("num_outcomes", num_outcomes)
         self.dt = _checks.scalar("dt", dt, above=0.0)
-        self.control_period = (
-            self.dt
-            if control_period is None
-            else _checks.scalar("control_period", control_period, above=0.0)
-        )
+        period = self.dt if control_period is None else control_period
+        self.control_period = _checks.scalar("control_period", period, above=0.0)
         self.proposal = GaussianProposal(noise_std) if proposal is None else proposal
         self.parameterisation = Direct() if parameterisation is None else parameterisation
         if weighting is None:
@@ -173,9 +148,16 @@ class MPPI(Controller):
         self.disturbance = disturbance
         self.risk = MeanVariance() if risk is None else risk
         self.interpolate_shift = interpolate_shift
-        # Users' meshes may have axes of the explicit kind; here the compiler spreads what follows.
-        self.mesh = None if mesh is None else Mesh(mesh.devices, mesh.axis_names)
-        self._check_parts()
+        self.mesh = None if mesh is None else devices.whole(mesh)
+        num_controls = dynamics.control_size
+        check_parts(dynamics, cost, self.horizon)
+        self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)
+        if smoothing is not None:
+            smoothing.check(self.horizon)
+        if disturbance is not None:
+            disturbance.check(dynamics, self.num_outcomes)
+        if mesh is not None:
+            devices.check_share(self.num_samples, mesh)
 
     def init(self, controls: Float[Array, "T nu"] | None = None) -> MPPIState:
         """Return the state before the first step, which begins with a shift.
@@ -183,15 +165,15 @@ class MPPI(Controller):
         Args:
             controls: (T, nu) to start from; the model's default control when absent.
         """
-        space = self._space
+        space, size = self._space, self.dynamics.control_size
         if controls is None:
-            controls = jnp.broadcast_to(space.default, (self.horizon, self.dynamics.control_size))
+            controls = jnp.broadcast_to(space.default, (self.horizon, size))
         history = 0 if self.smoothing is None else self.smoothing.history
         return MPPIState(
             nominal=self.parameterisation.init(controls, space),
-            proposal=self.proposal.init(self._num_parameters, self.dynamics.control_size),
+            proposal=self.proposal.init(self._num_parameters, size),
             applied=space.default,
-            past=jnp.broadcast_to(space.default, (history, self.dynamics.control_size)),
+            past=jnp.broadcast_to(space.default, (history, size)),
             phase=jnp.zeros(()),
         )
 
@@ -204,8 +186,8 @@ class MPPI(Controller):
     def resume(self, state: MPPIState, controls: Float[Array, "T0 nu"]) -> MPPIState:
         """Return the state that goes on from another controller's plan, of any horizon.
 
-        Its controls are cut off, or continued with the default control. What a proposal has
-        adapted to, and what a smoothing has looked back on, starts anew.
+        Its controls are cut off, or continued with the default control. What a proposal adapted to
+        and a smoothing looks back on starts anew.
 
         Args:
             state: the other controller's.
@@ -242,7 +224,7 @@ class MPPI(Controller):
             The control (nu,), the new state, and `Info`.
         """
         draft = self.draft(state, key=key, perturbations=perturbations, shift=shift)
-        return self.conclude(draft, self._costs(draft, observation, belief))
+        return self.conclude(draft, self.price(draft, observation, belief))
 
     def draft(
         self,
@@ -251,10 +233,10 @@ class MPPI(Controller):
         key: Key,
         perturbations: Samples | None = None,
         shift: bool = True,
-    ) -> "Draft":
+    ) -> Draft:
         """Return the first half of a step: control sequences that are to be priced.
 
-        For who prices them otherwise than by this controller's cost: `conclude` is the other half.
+        `price` and `conclude` are the rest; who prices otherwise leaves out `price`.
 
         Args:
             state: as of `step`.
@@ -273,28 +255,49 @@ class MPPI(Controller):
             perturbations=perturbations,
         )
         if self.mesh is not None:
-            spread = _spec(None, None, self.mesh.axis_names)
-            samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
-                samples, NamedSharding(self.mesh, spread)
-            )
+            samples = devices.spread(samples, self.mesh)
         controls, samples = self.parameterisation.decode(state.nominal, samples, around.space)
         # Without a cut the noise is drawn once for the rollouts and again for the mean.
         controls, samples = cut((controls, samples))
 
         outcomes = None
         if self.disturbance is not None:
-            outcomes = Outcomes.draw(
-                self.disturbance,
-                self.risk,
-                self.dynamics,
-                self.horizon,
-                self.num_outcomes,
-                key=outcome_key,
-            )
+            kind, sizes = (self.disturbance, self.risk), (self.horizon, self.num_outcomes)
+            outcomes = Outcomes.draw(*kind, self.dynamics, *sizes, key=outcome_key)
         return Draft(state, around, samples, controls, outcomes)
 
+    def price(
+        self, draft: Draft, initial: StateVector | Float[Array, "nx K"], belief: Any = None
+    ) -> Float[Array, " K"]:
+        """Return what drafted sequences cost.
+
+        Args:
+            draft: from `draft`.
+            initial: (nx,) the robot's state, or (nx, K) one for each sequence.
+            belief: as of `step`.
+        """
+        everything = (
+            self.dynamics,
+            self.cost,
+            self.dt,
+            belief,
+            draft.state.applied,
+            draft.outcomes,
+        )
+        arrays, static = eqx.partition(everything, eqx.is_array)
+
+        def costs(start: Array, controls: Array, arrays: Any) -> Array:
+            dynamics, cost, dt, knowledge, applied, outcomes = eqx.combine(arrays, static)
+            return rollout_costs(
+                dynamics, cost, start, controls, dt, knowledge, applied=applied, outcomes=outcomes
+            )
+
+        if self.mesh is None:
+            return costs(initial, draft.controls, arrays)
+        return devices.on_each(costs, self.mesh, initial, draft.controls, arrays)
+
     def conclude(
-        self, draft: "Draft", costs: Float[Array, " K"]
+        self, draft: Draft, costs: Float[Array, " K"]
     ) -> tuple[ControlVector, MPPIState, Info]:
         """Return the second half of a step: what follows if the drafted sequences cost this.
 
@@ -307,8 +310,8 @@ class MPPI(Controller):
         log_ratio = self.proposal.log_ratio(state.proposal, around, samples)
         weights = self.weighting.weights(costs, log_ratio)
         # Without a finite rollout all weights are 0 and the shifted nominal stays.
-        mean = jnp.einsum("k,puk->pu", weights, samples)
-        mean = mean + (1.0 - jnp.sum(weights)) * around.centre
+        kept = (1.0 - jnp.sum(weights)) * around.centre
+        mean = jnp.einsum("k,puk->pu", weights, samples) + kept
         nominal = self.parameterisation.update(state.nominal, mean, around.space)
         controls = self.parameterisation.controls(nominal, around.space)
         if self.smoothing is not None:
@@ -324,51 +327,6 @@ class MPPI(Controller):
         after = MPPIState(nominal, memory, controls[0], state.past, state.phase)
         return controls[0], after, info
 
-    def step_with_gains(
-        self,
-        state: MPPIState,
-        observation: StateVector,
-        belief: Any = None,
-        *,
-        key: Key,
-        perturbations: Samples | None = None,
-    ) -> tuple[ControlVector, MPPIState, Info, Float[Array, "nu nx"]]:
-        """Plan once, and say how the control would change with the observed state.
-
-            K = du_0 / dx_0 = sum_k (du_0 / dJ_k) (dJ_k / dx_0)^T
-
-        is the derivative of the whole step for the noise that was drawn: through the weighting, the
-        parameterisation and the smoothing, exactly. For the softmax and controls sampled directly
-        it is `-(1 / lambda) sum_k w_k eps_k (dJ_k/dx_0 - sum_j w_j dJ_j/dx_0)^T`. With it a
-        controller follows its plan between plans, `u = u_0 + K (x - x_0)`: see `FeedbackMPPI`.
-
-        Model and cost must be differentiable; rollouts whose derivative is not finite are left
-        out.
-
-        Source: Belvedere, Ziegltrum, Turrisi, Modugno, "Feedback-MPPI: Fast Sampling-Based MPC via
-        Rollout Differentiation", 2025, eq. 17.
-
-        Args:
-            state: as of `step`.
-            observation: (nx,).
-            belief: as of `step`.
-            key: as of `step`.
-            perturbations: as of `step`.
-
-        Returns:
-            What `step` returns, and the gains (nu, nx).
-        """
-        plan = self.draft(state, key=key, perturbations=perturbations)
-        samples = plan.samples.shape[-1]
-        each = jnp.broadcast_to(observation[:, None], (observation.shape[0], samples))
-        costs, pull_back = jax.vjp(lambda initial: self._costs(plan, initial, belief), each)
-        (slopes,) = pull_back(jnp.ones_like(costs))
-        usable = jnp.isfinite(costs) & jnp.all(jnp.isfinite(slopes), axis=0)
-        slopes = jnp.where(usable, slopes, 0.0)
-        sensitivity = jax.jacrev(lambda values: self.conclude(plan, values)[0])(costs)
-        sensitivity = jnp.where(jnp.isfinite(sensitivity), sensitivity, 0.0)
-        return *self.conclude(plan, costs), sensitivity @ slopes.T
-
     def inspect(
         self,
         state: MPPIState,
@@ -378,9 +336,7 @@ class MPPI(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` would see, with trajectories and the cost of each term.
-
-        Trajectories are those of the undisturbed model.
+        """Return what `step` would see, with undisturbed trajectories and the cost of each term.
 
         Args:
             state: as given to `step`.
@@ -390,22 +346,15 @@ class MPPI(Controller):
             num_trajectories: how many of the K samples are returned, spread over all of them.
         """
         plan = self.draft(state, key=key)
-        costs = self._costs(plan, observation, belief)
+        costs = self.price(plan, observation, belief)
         _, _, info = self.conclude(plan, costs)
         count = min(num_trajectories, self.num_samples)
         # A mixture orders its samples by component: the first few would be one of them only.
         chosen = np.linspace(0, self.num_samples - 1, count).round().astype(int)
 
         def follow(controls: Array) -> Any:
-            return rollout(
-                self.dynamics,
-                self.cost,
-                observation,
-                controls,
-                self.dt,
-                belief,
-                applied=plan.state.applied,
-            )
+            parts, known = (self.dynamics, self.cost), (self.dt, belief)
+            return rollout(*parts, observation, controls, *known, applied=plan.state.applied)
 
         return SampledPlan(
             nominal=follow(info.controls),
@@ -437,37 +386,6 @@ class MPPI(Controller):
             phase=phase,
         )
 
-    def _costs(
-        self, plan: "Draft", initial: StateVector | Float[Array, "nx K"], belief: Any
-    ) -> Float[Array, " K"]:
-        everything = (self.dynamics, self.cost, self.dt, belief, plan.state.applied, plan.outcomes)
-        arrays, static = eqx.partition(everything, eqx.is_array)
-
-        def costs(start: Array, controls: Array, arrays: Any) -> Array:
-            dynamics, cost, dt, knowledge, applied, outcomes = eqx.combine(arrays, static)
-            return rollout_costs(
-                dynamics, cost, start, controls, dt, knowledge, applied=applied, outcomes=outcomes
-            )
-
-        if self.mesh is None:
-            return costs(initial, plan.controls, arrays)
-        # Each device rolls out its own samples; nothing is exchanged before the weights.
-        samples = self.mesh.axis_names
-        over_devices = jax.shard_map(
-            costs,
-            mesh=self.mesh,
-            in_specs=(
-                _spec() if initial.ndim == 1 else _spec(None, samples),
-                _spec(None, None, samples),
-                _spec(),
-            ),
-            out_specs=_spec(samples),
-            # The loop over time begins with the same state on all devices, which would not pass.
-            check_vma=False,
-        )
-        total: Array = over_devices(initial, plan.controls, arrays)
-        return total
-
     @property
     def _space(self) -> ControlSpace:
         model = self.dynamics
@@ -478,61 +396,3 @@ class MPPI(Controller):
     @property
     def _num_parameters(self) -> int:
         return self.parameterisation.num_parameters(self.horizon)
-
-    def _check_parts(self) -> None:
-        model, size = self.dynamics, self.dynamics.control_size
-        for name in ("control_min", "control_max"):
-            bound = getattr(model, name)
-            if jnp.shape(bound) != (size,):
-                raise ValueError(
-                    f"{name} of {type(model).__name__} has shape {jnp.shape(bound)}; "
-                    f"accepted: ({size},), one per name in control_names"
-                )
-        if not _checks.is_traced(model.control_min, model.control_max):
-            low, high = np.asarray(model.control_min), np.asarray(model.control_max)
-            if not (low <= high).all():
-                raise ValueError(
-                    f"control_min of {type(model).__name__} is {low.tolist()}; accepted: at most "
-                    f"control_max, {high.tolist()}"
-                )
-        self.proposal.check(self._num_parameters, self.horizon, size, self.num_samples)
-        if self.smoothing is not None:
-            self.smoothing.check(self.horizon)
-        if self.disturbance is not None:
-            self.disturbance.check(model, self.num_outcomes)
-        if self.mesh is not None and self.num_samples % self.mesh.size:
-            raise ValueError(
-                f"num_samples is {self.num_samples}; accepted: a multiple of the {self.mesh.size} "
-                "devices of the mesh"
-            )
-        state, control, number = jnp.zeros(model.state_size), jnp.zeros(size), jnp.zeros(())
-        reached = jax.eval_shape(
-            lambda x, u, t, dt: model.step_at(x, u, t, dt), state, control, number, number
-        )
-        check_state(model, reached.shape)
-        for _, term in self.cost.terms():
-            # A cost that reads the belief fails here, whatever the error: it is checked in `step`.
-            with contextlib.suppress(AttributeError, TypeError):
-                check_costs(model, term, self.horizon, None)
-
-
-def _spec(*axes: Any) -> Spec:
-    return Spec(*axes)  # type: ignore[no-untyped-call]
-
-
-class Draft(NamedTuple):
-    """A step half done: what was sampled, before it is priced.
-
-    Args:
-        state: of the controller, moved on.
-        around: what was sampled around.
-        samples: (P, nu, K) parameters as they take effect.
-        controls: (T, nu, K) the sequences that they are.
-        outcomes: uncertain ones, if there is a disturbance.
-    """
-
-    state: MPPIState
-    around: Surroundings
-    samples: Samples
-    controls: Float[Array, "T nu K"]
-    outcomes: Outcomes | None

@@ -1,14 +1,17 @@
 """Rollouts: what many control sequences lead to and cost."""
 
+import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxplore import _checks
 from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore.control.disturbance import Disturbance
@@ -218,6 +221,35 @@ def _sequence_costs(
 
     paid: Array = jax.vmap(one, in_axes=-1)(controls)
     return paid
+
+
+def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
+    """Raise a `ValueError` if a model's bounds, its step or a cost are not of the right shape."""
+    size = dynamics.control_size
+    for name in ("control_min", "control_max"):
+        bound = getattr(dynamics, name)
+        if jnp.shape(bound) != (size,):
+            raise ValueError(
+                f"{name} of {type(dynamics).__name__} has shape {jnp.shape(bound)}; "
+                f"accepted: ({size},), one per name in control_names"
+            )
+    if not _checks.is_traced(dynamics.control_min, dynamics.control_max):
+        low, high = np.asarray(dynamics.control_min), np.asarray(dynamics.control_max)
+        if not (low <= high).all():
+            raise ValueError(
+                f"control_min of {type(dynamics).__name__} is {low.tolist()}; accepted: at most "
+                f"control_max, {high.tolist()}"
+            )
+    state, control = jnp.zeros(dynamics.state_size), jnp.zeros(size)
+    number = jnp.zeros(())
+    reached = jax.eval_shape(
+        lambda x, u, t, dt: dynamics.step_at(x, u, t, dt), state, control, number, number
+    )
+    check_state(dynamics, reached.shape)
+    for _, term in cost.terms():
+        # A cost that reads the belief fails here, whatever the error: it is checked in `step`.
+        with contextlib.suppress(AttributeError, TypeError):
+            check_costs(dynamics, term, horizon, None)
 
 
 def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:

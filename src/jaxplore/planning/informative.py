@@ -12,9 +12,10 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.draft import MPPIState
 from jaxplore.control.follower import Follower
 from jaxplore.control.mixtures import BiasedProposal
-from jaxplore.control.mppi import MPPI, MPPIState
+from jaxplore.control.mppi import MPPI
 from jaxplore.information.belief import Belief, StrategicBelief
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import CellSensor

@@ -14,7 +14,8 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
-from jaxplore.control.mppi import MPPI, MPPIState
+from jaxplore.control.draft import MPPIState
+from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning._members import named_row, weight_rows

@@ -10,7 +10,8 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.mppi import MPPI, MPPIState
+from jaxplore.control.draft import MPPIState
+from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import SumCost
 from jaxplore.costs.tracking import GoalCost
 from jaxplore.information.belief import Belief
