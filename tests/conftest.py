@@ -3,6 +3,7 @@
 import os
 from pathlib import Path
 
+import equinox as eqx
 import hypothesis
 import jax.numpy as jnp
 import pytest
@@ -32,4 +33,4 @@ def empty_belief():
     lidar = jaxplore.Lidar(num_beams=8, max_range=1.0)
     perception = jaxplore.Perception(lidar, 0.5, 0.2, num_directions=4)
     grid = jaxplore.OccupancyGrid(jnp.zeros((8, 8)), 0.5)
-    return perception.init(grid, jnp.asarray([2.0, 2.0, 0.0]))
+    return eqx.filter_jit(perception.init)(grid, jnp.asarray([2.0, 2.0, 0.0]))

@@ -2,6 +2,7 @@
 accepted. They run where objects are built; traced values pass, since nothing raises in a trace."""
 
 import operator
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -71,6 +72,14 @@ def number(
     return result
 
 
+def _strong(value: Any) -> Array:
+    """Return a traced value as float32 that is not weakly typed: what is built from it is used by
+    the same program as what is built outside."""
+    is_strong = value.dtype == jnp.float32 and not value.aval.weak_type
+    strong: Array = value if is_strong else jnp.asarray(value, jnp.float32)
+    return strong
+
+
 def scalar(
     name: str,
     value: ArrayLike,
@@ -82,7 +91,7 @@ def scalar(
 ) -> Array:
     """Return `value` as a float32 scalar array (a leaf: changing it never recompiles)."""
     if isinstance(value, jax.core.Tracer):
-        return value
+        return _strong(value)
     if not isinstance(value, (bool, int, float)):
         flat = np.asarray(value)
         if flat.shape != ():
@@ -95,7 +104,7 @@ def scalar(
 def vector(name: str, value: object, size: int) -> Array:
     """Return `value` as a finite float32 array of shape (size,)."""
     if isinstance(value, jax.core.Tracer):
-        return value
+        return _strong(value)
     accepted = f"{size} finite numbers"
     try:
         with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below

@@ -28,6 +28,7 @@ from jaxplore.settings import (
     make_settings,
     read_settings,
 )
+from jaxplore.simulation.simulate import NUM_TRAJECTORIES
 
 # Options that stand for a setting: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
@@ -194,7 +195,12 @@ def run(
     folder = _free_name(Path("runs") / Path(settings.map).stem) if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiment = build(settings)
-    result = simulate(*experiment[:3], key=experiment.key, progress=True)
+    result = simulate(
+        *experiment[:3],
+        key=experiment.key,
+        progress=True,
+        num_trajectories=NUM_TRAJECTORIES if animation else 0,
+    )
     result.save(
         folder,
         overwrite=overwrite,

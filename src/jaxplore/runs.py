@@ -77,6 +77,7 @@ def simulate(
     *,
     key: Key,
     progress: bool = False,
+    num_trajectories: int = simulation.NUM_TRAJECTORIES,
 ) -> Run:
     """Simulate until the target coverage is reached or the steps are done.
 
@@ -89,9 +90,11 @@ def simulate(
         num_steps: at most, in control periods of the scenario.
         key: the same key gives the same run.
         progress: show coverage, speed and time left.
+        num_trajectories: rollouts in each look at the run, for the animation. 0 for no plans in it,
+            which saves compiling the controller a second time, to look into it.
 
     Raises:
-        ValueError: a number of steps < 1.
+        ValueError: a number of steps < 1, or of rollouts < 0.
     """
     with progress_bar("exploring", enabled=progress) as advance:
 
@@ -105,7 +108,12 @@ def simulate(
             )
 
         recording = simulation.record_run(
-            controller, scenario, num_steps, key=key, on_progress=show
+            controller,
+            scenario,
+            num_steps,
+            key=key,
+            on_progress=show,
+            num_trajectories=num_trajectories,
         )
     seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
     return Run(recording, compute_metrics(recording, seed=seed))

@@ -139,7 +139,7 @@ class FieldSettings(_Section):
     node_spacing: Positive = 0.2
     max_clearance: Positive = 1.0
     margin: NonNegative = 0.05
-    decay_length: Positive = 4.0
+    decay_length: Positive = 8.0
     min_information: Positive = 3.0
     patience: Positive = 3.0
     memory: Positive = 60.0

@@ -56,11 +56,15 @@ NUMBERS = {
 
 
 def two_steps(mppi, start, keys):
-    """Return what a controller does in two steps of a closed loop."""
-    control, state, first = mppi.step(mppi.init(), start, key=keys[0])
-    reached = mppi.dynamics.step(start, control, mppi.dt)
-    _, state, second = mppi.step(state, reached, key=keys[1])
-    return first, second, state
+    """Return what a controller does in two steps of a closed loop, and the state after them."""
+
+    def advance(carry, key):
+        reached, state = carry
+        control, state, info = mppi.step(state, reached, key=key)
+        return (mppi.dynamics.step(reached, control, mppi.dt), state), info
+
+    (_, state), infos = jax.lax.scan(advance, (start, mppi.init()), keys)
+    return infos, state
 
 
 def assert_same(batch, index, single, rtol=1e-4) -> None:
@@ -127,31 +131,30 @@ mesh = jax.make_mesh((8,), ("samples",))
 grid = jax.make_mesh((4, 2), ("a", "b"))
 start = jnp.asarray([0.1, -0.2, 0.3, 0.1])
 cases = {
-    "direct": ({}, mesh),
+    "direct, large": ({"num_samples": 512}, mesh),
     "smooth, two axes": ({"parameterisation": jx.Smooth()}, grid),
-    "knots": ({"parameterisation": jx.Knots(4, jx.CubicSpline())}, mesh),
-    "outcomes": (
-        {"disturbance": jx.StateNoise([0.1] * 4), "num_outcomes": 3, "risk": jx.WorstCase()},
+    "knots, outcomes": (
+        {"parameterisation": jx.Knots(3, jx.CubicSpline()), "num_outcomes": 3,
+         "disturbance": jx.StateNoise([0.1] * 4), "risk": jx.WorstCase()},
         mesh,
     ),
-    "large": ({"num_samples": 4096}, mesh),
 }
 found = {}
 for name, (changes, devices) in cases.items():
     # Numbers beyond which noise is drawn row by row: fewer here, so that the test is small.
-    noise.LARGE = 2**12 if name == "large" else 2**20
+    noise.LARGE = 2**10 if name == "direct, large" else 2**20
     results = []
     for spread in (None, devices):
         mppi = jx.MPPI(
             jx.PointMass(2),
             jx.StateCost({"x": 1.0, "y": 1.0}, {"x": 1.0}, terminal_weight=2.0)
             + jx.ControlRateCost(),
-            **{"horizon": 8, "num_samples": 64, "dt": 0.1, "mesh": spread, "weighting": None,
+            **{"horizon": 4, "num_samples": 64, "dt": 0.1, "mesh": spread, "weighting": None,
                "noise_std": [0.5, 0.5], **changes},
         )
 
         def run(mppi, key):
-            state = mppi.init(jnp.full((8, 2), 0.2))
+            state = mppi.init(jnp.full((4, 2), 0.2))
             control, state, info, gains = jx.step_with_gains(mppi, state, start, key=key)
             return control, info.controls, info.costs, info.weights, gains
 
@@ -177,7 +180,7 @@ def spread() -> dict[str, Any]:
     root = Path(__file__).resolve().parents[2]
     environment = {
         **os.environ,
-        "XLA_FLAGS": "--xla_force_host_platform_device_count=8",
+        "XLA_FLAGS": "--xla_force_host_platform_device_count=8 --xla_backend_optimization_level=0",
         "JAX_PLATFORMS": "cpu",
         "PYTHONPATH": str(root / "src"),
     }
@@ -193,7 +196,7 @@ def spread() -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("case", ["direct", "smooth, two axes", "knots", "outcomes", "large"])
+@pytest.mark.parametrize("case", ["direct, large", "smooth, two axes", "knots, outcomes"])
 def test_eight_devices_do_what_one_does(case: str, spread) -> None:
     control, controls, costs, weights, gains, size, variety = spread[case]
     assert max(control, controls, costs) < 1e-3, spread[case]

@@ -248,7 +248,7 @@ class ReadsBelief(Cost):
 
 def build_and_step(cost: Cost) -> None:
     mppi = make(Model(), cost)
-    mppi.step(mppi.init(), jnp.zeros(2), key=jax.random.key(0))
+    eqx.filter_eval_shape(mppi.step, mppi.init(), jnp.zeros(2), key=jax.random.key(0))
 
 
 WRONG = [
@@ -278,7 +278,9 @@ def test_a_wrong_cost_within_a_sum_is_named(wrong, weight: float, unchecked) -> 
 def test_a_cost_that_reads_the_belief_is_checked_when_first_stepped(unchecked) -> None:
     mppi = make(Model(), ReadsBelief())
     with pytest.raises(ValueError, match=re.escape("stage of ReadsBelief returns shape (2,)")):
-        mppi.step(mppi.init(), jnp.zeros(2), jnp.ones(2), key=jax.random.key(0))
+        eqx.filter_eval_shape(
+            mppi.step, mppi.init(), jnp.zeros(2), jnp.ones(2), key=jax.random.key(0)
+        )
 
 
 class Sometimes(Cost):
@@ -289,6 +291,19 @@ class Sometimes(Cost):
     def stage(self, state, control, t, belief):
         bad = (control[0] > 0.3) | (self.everywhere > 0.0)
         return jnp.where(bad, jnp.nan, jnp.sum((state.position - 1.0) ** 2))
+
+
+@eqx.filter_jit
+def step(mppi, state, observation, key):
+    return mppi.step(state, observation, key=key)
+
+
+@eqx.filter_jit
+def shifted_only(mppi, state):
+    """Return the controls of a plan that was shifted and no more, and the proposal's memory."""
+    way, space, shifted = mppi.parameterisation, mppi._space, mppi._shift(state)
+    kept = way.update(shifted.nominal, way.centre(shifted.nominal), space)
+    return way.controls(kept, space), shifted.proposal
 
 
 @pytest.mark.parametrize(
@@ -315,7 +330,6 @@ def test_rollouts_that_are_no_numbers_stay_out(parameterisation, weighting, adap
     )
     rows = np.linspace(-0.4, 0.2, 6)[:, None] * [1.0, -1.0]
     state = mppi.init(jnp.asarray(rows, jnp.float32))
-    step = eqx.filter_jit(lambda mppi, state, x, key: mppi.step(state, x, key=key))
     control, after, info = step(mppi, state, jnp.zeros(4), jax.random.key(0))
     bad = np.isinf(info.costs)
     assert bad.any()
@@ -329,19 +343,10 @@ def test_rollouts_that_are_no_numbers_stay_out(parameterisation, weighting, adap
         control, after, info = step(program, state, observation, jax.random.key(0))
         assert not bool(info.is_finite)
         assert float(info.effective_sample_size) == 0.0
-        shifted = mppi._shift(state)
-        space = mppi._space
-        expected = parameterisation.controls(
-            parameterisation.update(
-                shifted.nominal, parameterisation.centre(shifted.nominal), space
-            ),
-            space,
-        )
+        expected, memory = shifted_only(mppi, state)
         np.testing.assert_allclose(info.controls, expected, atol=1e-5)
         np.testing.assert_allclose(control, expected[0], atol=1e-5)
-        for kept, was in zip(
-            jax.tree.leaves(after.proposal), jax.tree.leaves(shifted.proposal), strict=True
-        ):
+        for kept, was in zip(jax.tree.leaves(after.proposal), jax.tree.leaves(memory), strict=True):
             np.testing.assert_allclose(kept, was, atol=1e-5)
         # The next observation finds everything as it should be.
         _, _, again = step(mppi, after, jnp.zeros(4), jax.random.key(1))

@@ -63,25 +63,24 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
     noise = jnp.asarray(noise, jnp.float32)
 
     @eqx.filter_jit
-    def both(mppi, start, steps):
+    def both(mppi, observations):
         def control(observation):
             return mppi.step(mppi.init(), observation, key=key, perturbations=noise)[0]
 
-        found = step_with_gains(mppi, mppi.init(), start, key=key, perturbations=noise)
-        offsets = jnp.diag(steps)
-        ahead = jax.lax.map(control, start + offsets)
-        behind = jax.lax.map(control, start - offsets)
-        return found, control(start), ((ahead - behind) / (2.0 * steps[:, None])).T
+        found = step_with_gains(mppi, mppi.init(), observations[0], key=key, perturbations=noise)
+        return found, jax.lax.map(control, observations)
 
-    found, control, differences = both(mppi, start, jnp.full(start.shape, steps))
-    np.testing.assert_allclose(found[0], control, atol=1e-6)
-    return np.asarray(found[3]), np.asarray(differences)
+    offsets = steps * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
+    offsets = np.concatenate([offsets, -offsets[1:]]).astype(np.float32)
+    found, controls = both(mppi, start + offsets)
+    np.testing.assert_allclose(found[0], controls[0], atol=1e-6)
+    ahead, behind = np.split(np.asarray(controls)[1:], 2)
+    return np.asarray(found[3]), ((ahead - behind) / (2.0 * steps)).T
 
 
 @pytest.mark.parametrize(
     ("model", "cost", "start", "std", "changes"),
     [
-        pytest.param(MASS, TO_POINT, AT_MASS, [1.0, 1.0], {}, id="mass, direct"),
         pytest.param(
             MASS, TO_POINT, AT_MASS, [4.0, 4.0], {"parameterisation": Smooth()}, id="mass, smooth"
         ),
@@ -224,63 +223,62 @@ def test_elites_have_no_derivative() -> None:
 
 
 class Edge(Cost):
-    """Not a number where the first control is large; elsewhere, quadratic."""
+    """Not a number where the first control is above a limit, no weight where it is far below 0;
+    elsewhere smooth, but for speeds at which a root ends."""
 
-    kind: str = eqx.field(static=True)
+    limit: jax.Array
+    end: jax.Array
 
     def stage(self, state, control, t, belief):
-        paid = jnp.sum(state.position**2)
-        if self.kind == "cost":
-            return jnp.where(control[0] > 0.7, jnp.nan, paid)
-        # The root has no derivative where the maximum is 0: so for every second rollout or so.
-        return paid + jnp.sqrt(jnp.maximum(state["vy"] + 0.05, 0.0))
+        # The root has no derivative where the maximum is 0.
+        paid = jnp.sum(state.position**2) + jnp.sqrt(jnp.maximum(state["vy"] - self.end, 0.0))
+        paid = jnp.where(control[0] > self.limit, jnp.nan, paid)
+        return jnp.where(control[0] < -3.0, 1e6, paid)
+
+
+def at_an_edge(limit: float, end: float):
+    """Return a controller that meets an edge, and its step from one place, for noise."""
+    cost = Edge(jnp.asarray(limit), jnp.asarray(end))
+    mppi = MPPI(MASS, cost, horizon=4, num_samples=32, noise_std=[0.6, 0.6], temperature=1.0)
+
+    def step(noise, observation=(1.0, -1.0, 0.0, 0.0)):
+        _, _, info, gains = eqx.filter_jit(step_with_gains)(
+            mppi,
+            mppi.init(),
+            jnp.asarray(observation),
+            key=jax.random.key(0),
+            perturbations=jnp.asarray(noise, jnp.float32),
+        )
+        return info, gains
+
+    return step
+
+
+EDGE_NOISE = np.random.default_rng(2).normal(size=(4, 2, 32)) * 0.6
 
 
 def test_rollouts_that_are_not_finite_do_not_count_in_the_gains() -> None:
-    mppi = MPPI(
-        MASS, Edge("cost"), horizon=4, num_samples=32, noise_std=[0.6, 0.6], temperature=1.0
-    )
-    noise = np.random.default_rng(2).normal(size=(4, 2, 32)) * 0.6
-    observation, key = jnp.asarray([1.0, -1.0, 0.0, 0.0]), jax.random.key(0)
-    step = eqx.filter_jit(eqx.Partial(step_with_gains, mppi))
-    _, _, info, gains = step(
-        mppi.init(), observation, key=key, perturbations=jnp.asarray(noise, jnp.float32)
-    )
-    bad = (noise[:, 0] > 0.7).any(axis=0)
+    step = at_an_edge(0.7, -9.0)
+    info, gains = step(EDGE_NOISE)
+    bad = (EDGE_NOISE[:, 0] > 0.7).any(axis=0)
     np.testing.assert_array_equal(np.isinf(info.costs), bad)
     assert 0 < bad.sum() < 32
     # The same without them: replaced by copies of one that is so bad that it has no weight.
-    fewer = MPPI(
-        MASS,
-        Edge("cost"),
-        horizon=4,
-        num_samples=int((~bad).sum()),
-        noise_std=[0.6, 0.6],
-        temperature=1.0,
-    )
-    _, _, _, expected = eqx.filter_jit(step_with_gains)(
-        fewer,
-        fewer.init(),
-        observation,
-        key=key,
-        perturbations=jnp.asarray(noise[:, :, ~bad], jnp.float32),
-    )
+    costly = np.where(bad, np.array([-3.5, 0.0])[:, None], EDGE_NOISE)
+    info, expected = step(costly)
+    assert np.isfinite(info.costs).all()
+    np.testing.assert_array_equal(np.asarray(info.weights)[bad], 0.0)
+    assert np.abs(expected).max() > 0.0
     np.testing.assert_allclose(gains, expected, rtol=1e-4, atol=1e-6)
     # All of them bad: no gain, and no number that is none.
-    _, _, info, none = step(
-        mppi.init(), jnp.full(4, jnp.nan), key=key, perturbations=jnp.zeros((4, 2, 32))
-    )
+    info, none = step(np.zeros((4, 2, 32)), [np.nan] * 4)
     assert not bool(info.is_finite)
     np.testing.assert_array_equal(none, 0.0)
 
 
 def test_slopes_that_are_not_finite_do_not_spoil_the_gains() -> None:
-    mppi = MPPI(
-        MASS, Edge("slope"), horizon=4, num_samples=32, noise_std=[0.6, 0.6], temperature=1.0
-    )
-    _, _, info, gains = eqx.filter_jit(step_with_gains)(
-        mppi, mppi.init(), jnp.asarray([1.0, -1.0, 0.0, 0.0]), key=jax.random.key(0)
-    )
+    # Every second rollout or so gets to where the root ends.
+    info, gains = at_an_edge(np.inf, -0.05)(EDGE_NOISE)
     assert np.isfinite(info.costs).all()
     assert np.isfinite(gains).all()
     assert np.abs(gains).max() > 0.0

@@ -143,11 +143,9 @@ def arrived(name: str, end: np.ndarray) -> bool:
     ("name", "problem", "parameterisation", "weighting"),
     [
         ("mass", MASS, Direct(), SOFT),
-        ("mass", MASS, HELD, ELITE),
         ("mass", MASS, Smooth(), ADAPTIVE),
         ("pendulum", PENDULUM, Direct(), ELITE),
         ("pendulum", PENDULUM, CUBIC, ADAPTIVE),
-        ("pendulum", PENDULUM, LINES, SOFT),
         ("unicycle", UNICYCLE, RBF, ELITE),
         ("unicycle", UNICYCLE, Smooth(), SOFT),
         ("drive", DRIVE, LINES, ADAPTIVE),
@@ -218,10 +216,10 @@ def follow(mppi, keys, windows):
 
 
 def test_smooth_controls_follow_an_eight_as_well_as_rough_ones() -> None:
-    horizon, length = 15, 120
+    horizon, length = 15, 90
     times = EIGHT_DT * (np.arange(length)[:, None] + np.arange(horizon + 1))
     windows = jnp.asarray(eight(times), jnp.float32)
-    keys = jax.random.split(jax.random.key(0), 3)
+    keys = jax.random.split(jax.random.key(0), 2)
 
     def run(parameterisation, std, weight):
         mppi = MPPI(

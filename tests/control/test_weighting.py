@@ -79,7 +79,7 @@ def test_samples_without_a_finite_ratio_have_no_weight() -> None:
 
 def test_derivatives_are_those_of_the_softmax_and_finite() -> None:
     costs = jnp.asarray([1.0, 1.5, 0.7, jnp.inf, jnp.nan])
-    jacobian = jax.jacrev(lambda c: Softmax(0.5).weights(c, jnp.zeros(5)))(costs)
+    jacobian = jax.jit(jax.jacrev(lambda c: Softmax(0.5).weights(c, jnp.zeros(5))))(costs)
     assert np.isfinite(jacobian).all()
     w = softmax(np.asarray(costs), np.zeros(5), 0.5, 0.0)
     np.testing.assert_allclose(jacobian, -(np.diag(w) - np.outer(w, w)) / 0.5, atol=1e-6)
@@ -217,7 +217,8 @@ def test_derivatives_follow_the_temperature() -> None:
         step = 1e-5 * np.eye(8)[index]
         expected[:, index] = (weights(costs + step) - weights(costs - step)) / 2e-5
     part, ratio32 = AdaptiveSoftmax(4.0, 1.0), jnp.asarray(ratio, jnp.float32)
-    actual = jax.jacrev(lambda c: part.weights(c, ratio32))(jnp.asarray(costs, jnp.float32))
+    derivatives = jax.jit(jax.jacrev(lambda c: part.weights(c, ratio32)))
+    actual = derivatives(jnp.asarray(costs, jnp.float32))
     np.testing.assert_allclose(actual, expected, rtol=1e-2, atol=2e-3)
     assert np.abs(expected).max() > 0.05
 

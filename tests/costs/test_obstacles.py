@@ -217,7 +217,7 @@ class Blind(Dynamics):
     control_names = ("push",)
     control_min: jax.Array = eqx.field(default_factory=lambda: -jnp.ones(1))
     control_max: jax.Array = eqx.field(default_factory=lambda: jnp.ones(1))
-    radius: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(0.3))
+    radius: jax.Array = eqx.field(default_factory=lambda: jnp.asarray(0.3, jnp.float32))
 
     def step(self, state, control, dt):
         return state

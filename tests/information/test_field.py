@@ -526,17 +526,17 @@ def test_nothing_is_learned_from_nowhere_and_a_window_is_not_updated() -> None:
     p = np.random.default_rng(3).choice([0.01, 0.3, 0.5], (40, 50)).astype(np.float32)
     grid, model = OccupancyGrid(p, 0.1), InverseSensorModel()
     sensor = FieldSensor(Lidar(12, 1.0), 0.1, 8)
-    nowhere = sensor.window(grid, model, jnp.asarray([math.nan, 2.0]), (5, 5))
+    nowhere = window(sensor, grid, jnp.asarray([math.nan, 2.0]), (5, 5))
     assert float(nowhere.total.max()) == 0.0
-    field = sensor.field(grid, model)
-    position = jnp.asarray([2.05, 2.05])
-    assert float(field(position, jnp.float32(math.nan), 1.0)) == 0.0
-    assert float(field.at_headings(4)(position, jnp.float32(math.nan))) == 0.0
-    assert float(field(position, jnp.float32(0.0), 1.0)) > 0.0
-    window = sensor.window(grid, model, position, (5, 5))
+    found, position = field(sensor, grid), jnp.asarray([2.05, 2.05])
+    headings = jnp.asarray([math.nan, 0.0])
+    values = look_ups(found, jnp.stack([position] * 2), headings, 1.0)
+    assert float(values[0]) == 0.0 < float(values[1])
+    assert float(eqx.filter_jit(found.at_headings(4))(position, headings[0])) == 0.0
+    seen = window(sensor, grid, position, (5, 5))
     with pytest.raises(ValueError, match=r"field has \(5, 5\) nodes; accepted: \(40, 50\)"):
-        sensor.update(window, grid, model)
+        sensor.update(seen, grid, model)
     moved = OccupancyGrid(p, 0.1, (1.0, 0.0, 0.0))
     np.testing.assert_allclose(
-        sensor.update(field, moved, model).frame.origin, sensor.field(moved, model).frame.origin
+        update(sensor, found, moved).frame.origin, field(sensor, moved).frame.origin
     )

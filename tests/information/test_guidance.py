@@ -91,12 +91,15 @@ def test_extension_makes_a_ridge_of_an_obstacle_and_leaves_the_rest() -> None:
     np.testing.assert_allclose(thin[0], [-4.0, -3.5, -12.0])
 
 
+downhill = jax.jit(descent, static_argnums=1)
+
+
 @given(st.floats(0, 6.28))
 def test_descent_is_the_gradient_s_direction(angle: float) -> None:
     rows, columns = np.mgrid[:9, :9].astype(np.float32)
     falls = np.array([math.sin(angle), math.cos(angle)])
     value = jnp.asarray(-falls[0] * rows - falls[1] * columns, jnp.float32)
-    found = np.asarray(descent(value, 2))[:, 1:-1, 1:-1]
+    found = np.asarray(downhill(value, 2))[:, 1:-1, 1:-1]
     np.testing.assert_allclose((found**2).sum(axis=0), 1.0, rtol=1e-4)
     # 8 neighbours: within a few degrees of the true direction.
     assert np.einsum("c,cij->ij", falls, found).min() > math.cos(math.radians(6))
@@ -104,10 +107,10 @@ def test_descent_is_the_gradient_s_direction(angle: float) -> None:
 
 def test_descent_is_zero_at_a_minimum_and_continued_into_what_is_closed() -> None:
     value = jnp.asarray([[2.0, 1.0, 0.0, 1.0, jnp.inf, jnp.inf, jnp.inf]])
-    found = np.asarray(descent(value, 2))
+    found = np.asarray(downhill(value, 2))
     np.testing.assert_array_equal(found[0], 0.0)
     np.testing.assert_allclose(found[1, 0], [1, 1, 0, -1, -1, -1, 0], atol=1e-6)
-    assert np.isfinite(np.asarray(descent(jnp.full((3, 3), jnp.inf), 2))).all()
+    assert np.isfinite(np.asarray(downhill(jnp.full((3, 3), jnp.inf), 2))).all()
 
 
 @given(st.floats(0, math.pi), st.floats(-1, 1), st.sampled_from([0.05, 0.1]), st.floats(0.15, 0.5))

@@ -19,7 +19,7 @@ from jaxplore.information.beam import beam_information, cell_information
 from jaxplore.information.noise import GaussianNoise, RangeNoise, ToeplitzNoise, UniformNoise
 
 MODEL = InverseSensorModel()
-SIZES = pytest.mark.parametrize("n", [1, 7, 50, 200])
+SIZES = pytest.mark.parametrize("n", [1, 7, 200])
 
 
 @functools.partial(jax.jit, static_argnames=("no_return",))
@@ -201,7 +201,7 @@ def test_a_batch_of_beams_is_each_beam() -> None:
     lines = [random_line(seed, 7) for seed in range(6)]
     p, edges = (jnp.stack([jnp.asarray(line[i]) for line in lines]) for i in (0, 1))
     for noise in (GaussianNoise(0.75, 1.5), UniformNoise(1)):
-        batch = jax.vmap(lambda *beam, noise=noise: total_and_parts(beam[0], noise, beam[1])[1])
+        batch = jax.jit(jax.vmap(lambda p, edges, noise=noise: total_and_parts(p, noise, edges)[1]))
         found = batch(p, edges)
         for row, beam in enumerate(zip(p, edges, strict=True)):
             expected = total_and_parts(beam[0], noise, beam[1])[1]
@@ -257,7 +257,7 @@ def test_other_numbers_do_not_retrace() -> None:
 def test_noise_can_be_built_inside_a_trace(build: Callable[[], RangeNoise]) -> None:
     p = jnp.full(7, 0.3)
     found = jax.jit(lambda p: beam_information(p, noise=build()))(p)
-    assert float(found) == pytest.approx(float(beam_information(p, noise=build())))
+    assert float(found) == pytest.approx(float(eqx.filter_jit(beam_information)(p, noise=build())))
 
 
 @pytest.fixture

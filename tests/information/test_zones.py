@@ -93,7 +93,8 @@ def test_a_cell_touched_at_its_corner_is_not_seen_and_hides_nothing() -> None:
     p[4, 5] = p[7, 6] = 1.0
     beam = Lidar(num_beams=1, max_range=1.5)
     middle = jnp.asarray([3.5 * RESOLUTION, 3.5 * RESOLUTION])
-    found = visible(OccupancyGrid(p, RESOLUTION), middle, jnp.float32(math.pi / 4), beam)
+    look = jax.jit(lambda grid: visible(grid, middle, jnp.float32(math.pi / 4), beam))
+    found = look(OccupancyGrid(p, RESOLUTION))
     assert np.argwhere(np.asarray(found)).tolist() == [[n, n] for n in range(3, 8)]
 
 

@@ -135,6 +135,23 @@ def test_regions_of_a_regional_decomposition() -> None:
     assert float(found.common[found.objective_names.index("region")]) == 0.0
 
 
+@pytest.mark.parametrize("goal", [None, GOAL])
+@pytest.mark.parametrize("decomposition", ["roles", "regional"])
+def test_plans_compare_by_what_the_exploiter_wants(goal, decomposition: str) -> None:
+    found = ground_portfolio(DRIVE, Mission(goal), decomposition=decomposition, **SMALL)
+    common = dict(zip(found.objective_names, found.common.tolist(), strict=True))
+    common.pop("region", None)
+    assert {name: pytest.approx(value) for name, value in common.items()} == normal(
+        **ROLE_WEIGHTS["exploiter"], effort=0.02
+    )
+    # Of members that want none of it, the mean of what they want.
+    own = {"a": {"safety": 1.0, "effort": 0.0}, "b": {"goal": 1.0, "effort": 1.0}}
+    found = ground_portfolio(DRIVE, Mission(goal), members=own, **SMALL)
+    common = dict(zip(found.objective_names, found.common.tolist(), strict=True))
+    assert common["information"] == 0.0
+    assert common["goal"] > common["safety"] > common["effort"] > 0.0
+
+
 def test_parts_of_the_template() -> None:
     found = ground_portfolio(DRIVE, noise_share=0.5, temperature=0.2, margin=0.1, **SMALL)
     np.testing.assert_allclose(found.team.mppi.proposal.noise_std, [0.5, 1.0])

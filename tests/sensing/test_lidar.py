@@ -104,8 +104,9 @@ def test_noise_has_the_deviation_given_and_no_return_has_none() -> None:
     np.testing.assert_array_equal(away.ranges[~away.is_return], 2.0)
 
 
-@given(st.integers(0, 2**32 - 1))
-def test_update_is_the_inverse_sensor_model_once_per_cell(seed: int) -> None:
+@pytest.mark.parametrize("sigma", [0.0, 0.06])
+@given(seed=st.integers(0, 2**32 - 1))
+def test_update_is_the_inverse_sensor_model_once_per_cell(sigma: float, seed: int) -> None:
     world, pose = random_world(seed)
     rng = np.random.default_rng(seed)
     prior = rng.uniform(0.05, 0.95, world.shape).astype(np.float32)
@@ -113,7 +114,7 @@ def test_update_is_the_inverse_sensor_model_once_per_cell(seed: int) -> None:
     is_return = rng.random(24) < 0.7
     ranges[~is_return] = 2.5
     belief = update_jit(
-        LIDAR,
+        Lidar(num_beams=24, max_range=2.5, range_noise=sigma),
         OccupancyGrid(prior, RESOLUTION, ORIGIN),
         Scan(jnp.asarray(ranges), jnp.asarray(is_return)),
         jnp.asarray(pose, jnp.float32),
@@ -123,12 +124,13 @@ def test_update_is_the_inverse_sensor_model_once_per_cell(seed: int) -> None:
         for row, column, entry, leave in walk(world, pose, float(angle), 3.0):
             if not (0 <= row < world.shape[0] and 0 <= column < world.shape[1]):
                 continue
-            edge = min(abs(entry - reading), abs(leave - reading)) < 2e-3
-            if leave - entry < 1e-3 or edge:
+            depth, chord = reading + min(2 * sigma, RESOLUTION / 2), leave - entry
+            edges = (entry - depth, leave - depth, leave - reading, chord, chord - sigma)
+            if min(abs(edge) for edge in edges) < 2e-3:
                 unsure[row, column] = 1
-            elif returned and entry <= reading < leave:
+            elif chord >= sigma and returned and entry <= depth < leave:
                 hits[row, column] += 1
-            elif leave <= reading:
+            elif chord >= sigma and leave <= reading:
                 passes[row, column] += 1
     occupied = (hits > 0) & (3 * hits >= hits + passes)
     change = np.where(occupied, 2.0, np.where(passes > 0, -2.0, 0.0))
@@ -173,6 +175,37 @@ def test_noise_does_not_thicken_a_wall_that_beams_graze() -> None:
     assert (seen[:, 25] > 0.65).mean() > 0.99  # the wall stays
     assert (seen[:, 23] < 0.25).all()
     assert (seen[:, 24] < 0.25).mean() > 0.99  # and so does the row of cells in front of it
+
+
+def test_noise_does_not_wear_away_the_corners_of_obstacles() -> None:
+    world = np.zeros((40, 60), np.float32)
+    boxes = np.s_[18:22, 14:20], np.s_[17:23, 30:31], np.s_[19:20, 44:45]
+    for box in boxes:
+        world[box] = 1.0
+    grid = OccupancyGrid(world, 0.1)
+    lidar = Lidar(num_beams=180, max_range=4.0, range_noise=0.05)
+
+    @jax.jit
+    def look(keys: jax.Array, poses: jax.Array) -> jax.Array:
+        def once(belief: OccupancyGrid, inputs: tuple[jax.Array, jax.Array]):
+            key, pose = inputs
+            return lidar.update(belief, lidar.scan(grid, pose, key=key), pose, MODEL), None
+
+        return jax.lax.scan(once, OccupancyGrid.unknown((40, 60), grid.frame), (keys, poses))[0]
+
+    # Around the boxes and between them, standing at each place for a while.
+    rng = np.random.default_rng(0)
+    places = np.stack([rng.uniform(0.3, 5.7, 60), rng.choice([0.6, 1.0, 3.0, 3.4], 60)], axis=1)
+    poses = np.repeat(np.concatenate([places, np.zeros((60, 1))], axis=1), 10, axis=0)
+    keys = jax.random.split(jax.random.key(0), len(poses))
+    belief = look(keys, jnp.asarray(poses, jnp.float32))
+    assert not np.asarray(belief.is_free)[world == 1.0].any()
+    # Nor do they grow but by some of the cells that touch them.
+    near = [world[1:-1, 2:], world[1:-1, :-2], world[2:, 1:-1], world[:-2, 1:-1]]
+    outside, touches = world[1:-1, 1:-1] == 0.0, np.max(near, axis=0) == 1.0
+    is_free = np.asarray(belief.is_free)[1:-1, 1:-1]
+    assert is_free[outside & ~touches].mean() > 0.995
+    assert is_free[outside & touches].mean() > 0.75
 
 
 def test_beams_cover_the_field_of_view_and_none_comes_twice() -> None:

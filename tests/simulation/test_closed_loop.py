@@ -19,6 +19,7 @@ from jaxplore import (
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.information.belief import Belief
+from jaxplore.report.animation import frame_image
 from jaxplore.simulation.closed_loop import (
     _is_finished,
     initial_loop_state,
@@ -28,6 +29,7 @@ from jaxplore.simulation.record import Progress
 from jaxplore.simulation.simulate import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
+ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
 
 
 def run(experiment, steps: int, key: jax.Array, pieces: int = 1):
@@ -38,7 +40,7 @@ def run(experiment, steps: int, key: jax.Array, pieces: int = 1):
         for _ in range(0, steps // pieces, CHUNK):
             count = min(CHUNK, steps // pieces)
             state, records, done = run_chunk(
-                controller, scenario, state, key, jnp.asarray(count), CHUNK
+                controller, scenario, state, key, jnp.asarray(count, jnp.int32), CHUNK
             )
             rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     return state, jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
@@ -134,7 +136,7 @@ def test_senses_and_plans_at_the_rates_given(make) -> None:
     state, key = initial_loop_state(controller, scenario), jax.random.key(0)
     maps, guidances = [], []
     for _ in range(21):
-        state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(1), CHUNK)
+        state, _, _ = run_chunk(controller, scenario, state, key, ONE, CHUNK)
         belief: Belief = state.belief
         maps.append(np.asarray(belief.grid.probability))
         guidances.append(np.asarray(belief.guidance.values))
@@ -256,6 +258,30 @@ def drive(scenario: Scenario, steps: int = 60):
     return record_run(AHEAD, scenario, steps, key=jax.random.key(0))
 
 
+class Closed(Forward):
+    """Nobody can look into it."""
+
+    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50):
+        raise AssertionError
+
+
+def test_a_run_without_rollouts_is_the_same_and_does_not_look_into_the_controller() -> None:
+    scenario, key = hall_scenario(), jax.random.key(0)
+    seen = record_run(AHEAD, scenario, 20, key=key)
+    unseen = record_run(Closed(AHEAD.command), scenario, 20, key=key, num_trajectories=0)
+    np.testing.assert_array_equal(seen.records.state, unseen.records.state)
+    for with_plan, without in zip(seen.frames, unseen.frames, strict=True):
+        np.testing.assert_array_equal(with_plan.information, without.information)
+        np.testing.assert_array_equal(with_plan.scan, without.scan)
+        assert len(with_plan.plan) == 2
+        assert len(without.plan) == len(without.samples) == len(without.weights) == 0
+    # It can still be drawn. This plan stays where the robot is, so that the pictures are the same.
+    drawn = [np.asarray(frame_image(each, each.frames[-1], width=320)) for each in (seen, unseen)]
+    np.testing.assert_array_equal(*drawn)
+    with pytest.raises(ValueError, match="num_trajectories is -1; accepted: a whole number >= 0"):
+        record_run(AHEAD, scenario, 20, key=key, num_trajectories=-1)
+
+
 @pytest.mark.parametrize("is_there", [False, True])
 @pytest.mark.parametrize("is_known", [False, True])
 @pytest.mark.parametrize("is_covered", [False, True])
@@ -301,7 +327,7 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     collisions = 0
     for _ in range(80):
         reach = float(state.robot[0]) + 1.0
-        state, records, _ = run_chunk(AHEAD, scenario, state, key, jnp.asarray(1), SHORT_CHUNK)
+        state, records, _ = run_chunk(AHEAD, scenario, state, key, ONE, SHORT_CHUNK)
         known = np.asarray(state.belief.grid.probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
         assert float(state.robot[0]) <= 2.8 - 0.2 + 1e-4

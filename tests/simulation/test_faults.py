@@ -95,7 +95,7 @@ def run(
 ) -> Run:
     controller = Script(jnp.asarray(commands)) if controller is None else controller
     state, key = initial_loop_state(controller, scenario), jax.random.key(seed)
-    states, rows, one = [jax.tree.map(np.asarray, state)], [], jnp.asarray(1)
+    states, rows, one = [jax.tree.map(np.asarray, state)], [], jnp.asarray(1, jnp.int32)
     for _ in range(60):
         state, records, _ = run_chunk(controller, scenario, state, key, one, CHUNK)
         states.append(jax.tree.map(np.asarray, state))

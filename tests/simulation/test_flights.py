@@ -110,6 +110,11 @@ def with_faults(architecture: str, **faults: Any) -> Flight:
     return fly(flight_of(architecture), Faults(**given))
 
 
+@functools.cache
+def free_flight(architecture: str) -> Flight:
+    return with_faults(architecture)
+
+
 @ARCHITECTURES
 @pytest.mark.parametrize(
     ("faults", "steps"),
@@ -121,7 +126,7 @@ def with_faults(architecture: str, **faults: Any) -> Flight:
     ],
 )
 def test_flies_on_through_faults(architecture: str, faults: dict, steps: int) -> None:
-    flight = with_faults(architecture, **faults)
+    flight = with_faults(architecture, **faults) if faults else free_flight(architecture)
     check(flight)
     assert abs(int(flight.records.is_faulty.sum()) - steps) <= 1
     assert flight.records.unknown[-1] < flight.initial_unknown
@@ -134,7 +139,7 @@ def test_flies_on_through_faults(architecture: str, faults: dict, steps: int) ->
 @ARCHITECTURES
 def test_stops_before_a_wall_that_appears(architecture: str) -> None:
     """Across the way of the flight without it, where it is in sight and there is time to stop."""
-    free = with_faults(architecture)
+    free = free_flight(architecture)
     path, begin = free.positions, SECOND
     travelled = np.cumsum(np.linalg.norm(np.diff(path[begin:], axis=0), axis=1))
     at = begin + int(np.argmax(travelled >= 2.0))

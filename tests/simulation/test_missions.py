@@ -370,7 +370,18 @@ def test_a_rectangle_collides_with_its_corners() -> None:
     # The face of the wall is at 7.8 m; the car is 0.5 m wide and reaches 0.8 m ahead.
     yaw = 0.2
     front = 0.8 * math.cos(yaw) + 0.25 * math.sin(yaw)
-    car = drive(scenario(start=(5.0, 2.5, yaw), robot=CAR), 120, (1.0, 0.0))
+    # For the car a smaller world: another robot is another program.
+    place = OccupancyGrid(hall(), RESOLUTION)
+    perception = Perception(AROUND, RESOLUTION, CAR.radius, num_directions=4, node_spacing=0.2)
+    rates = {
+        "control_rate": 1.0 / PERIOD,
+        "sensing_rate": 0.5 / PERIOD,
+        "field_rate": 0.25 / PERIOD,
+    }
+    start = (5.0, 2.5, yaw)
+    car = drive(
+        Scenario(place, CAR, AROUND, start, perception=perception, **rates), 120, (1.0, 0.0)
+    )
     disc = drive(scenario(start=(5.0, 2.5, yaw)), 120, (1.0, 0.0))
     for outcome, reach in ((car, front), (disc, 0.25)):
         assert outcome.records.is_collision.any()

@@ -150,7 +150,6 @@ class MPPI(Controller):
         self.interpolate_shift = interpolate_shift
         self.mesh = None if mesh is None else devices.whole(mesh)
         num_controls = dynamics.control_size
-        check_parts(dynamics, cost, self.horizon)
         self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)
         if smoothing is not None:
             smoothing.check(self.horizon)
@@ -158,6 +157,7 @@ class MPPI(Controller):
             disturbance.check(dynamics, self.num_outcomes)
         if mesh is not None:
             devices.check_share(self.num_samples, mesh)
+        check_parts(dynamics, cost, self.horizon)
 
     def init(self, controls: Float[Array, "T nu"] | None = None) -> MPPIState:
         """Return the state before the first step, which begins with a shift.

@@ -126,7 +126,7 @@ class Perception(eqx.Module):
         node_spacing: float = 0.2,
         max_clearance: float = 1.0,
         margin: ArrayLike = 0.05,
-        decay_length: ArrayLike = 4.0,
+        decay_length: ArrayLike = 8.0,
         min_information: ArrayLike = 3.0,
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,

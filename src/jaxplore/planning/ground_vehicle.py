@@ -139,9 +139,10 @@ def ground_portfolio(
         decomposition: how members divide the work.
         fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
             by name has the mission's goal.
-        common: weights of the common objective, by which plans compare; when absent those of what
-            the vehicle is out for: of the exploiter with a goal, of the explorer without. Of
-            members that have none of these objectives, the mean of theirs.
+        common: weights of the common objective, by which plans compare; those of the exploiter when
+            absent. What there is to exploit is a cost to go, to the goal or to what is worth a
+            look, and so knows what lies beyond the horizon, as the information of a plan does not.
+            Of members that have none of these objectives, the mean of theirs.
         effort: weight of "effort" in every member that does not give one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
@@ -165,9 +166,8 @@ def ground_portfolio(
         terms["region"] = [RegionCost(REGIONS[name]) for name in weights]
         weights = {name: {**row, "region": REGION_WEIGHT} for name, row in weights.items()}
     if common is None:
-        role = ROLE_WEIGHTS["explorer" if mission.goal is None else "exploiter"]
         weighed = {name for row in weights.values() for name, weight in row.items() if weight > 0.0}
-        wanted = {"effort": effort, **_fitted(role, mission)}
+        wanted = {"effort": effort, **_fitted(ROLE_WEIGHTS["exploiter"], mission)}
         wanted = {name: weight for name, weight in wanted.items() if name in weighed}
         common = wanted if wanted.keys() - {"effort"} else None
     if fusion == "contextual":

