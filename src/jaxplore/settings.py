@@ -257,8 +257,9 @@ class Settings(_Section):
             world; or a baseline: a random walk, MPPI that only goes to the goal.
         start: pose (x, y, yaw) [m, m, rad]; office and worlds have one of their own.
         goal: (x, y) or (x, y, z) to be at in the end [m]; worlds may have one of their own.
-        goal_radius: distance at which it is reached [m].
-        max_unknown: share of unknown cells below which a map with a goal counts as explored.
+        goal_radius: distance at which it is reached [m]; 1.5 when absent, a portfolio's 0.25.
+        max_unknown: share of unknown cells below which a map with a goal counts as explored; 0.05
+            when absent, a portfolio's 1: it is done when it is there.
         hover_time: simulated after the end [s].
         altitude: z to fly at [m]; down is positive.
         resolution: side of a map cell [m]; a finer map is resampled, a coarser one is kept.
@@ -275,8 +276,8 @@ class Settings(_Section):
     architecture: Architecture = "explorer"
     start: tuple[float, float, float] | None = None
     goal: tuple[float, float] | tuple[float, float, float] | None = None
-    goal_radius: Positive = 1.5
-    max_unknown: Annotated[float, Field(ge=0, le=1)] = 0.05
+    goal_radius: Positive | None = None
+    max_unknown: Annotated[float, Field(ge=0, le=1)] | None = None
     hover_time: NonNegative = 0.0
     altitude: float = -2.0
     resolution: Positive = 0.1

@@ -105,6 +105,18 @@ def test_it_is_the_way_to_go_and_not_facing_it(homing, at, turning: float) -> No
     assert found == pytest.approx(1.5 + 0.6, abs=1e-5)
 
 
+def test_where_there_is_no_way_to_go_no_heading_is_better(homing, at) -> None:
+    """So that to stop at the goal costs nothing, as all around it directions cancel there."""
+    shares = jnp.asarray([1.0, 0.4, 0.0])
+    for share in shares:
+        field = dataclasses.replace(homing.to_goal, descent=share * homing.to_goal.descent)
+        there = dataclasses.replace(homing, to_goal=field)
+        for yaw in (0.0, 2.0, -1.0):
+            facing = share * (0.6 * math.cos(yaw) + 0.8 * math.sin(yaw))
+            found = float(_price(ToGoalCost(), at(2.0, 2.0, yaw), there))
+            assert found == pytest.approx(1.5 + 0.3 * float(share - facing), abs=1e-5)
+
+
 def test_without_the_field_it_says_what_is_missing_when_traced(belief, at) -> None:
     assert belief.to_goal is None
     message = "belief.to_goal is None; accepted: the belief of a Perception with a goal apart"

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from jaxplore import (
-    MPPI,
     Average,
     Belief,
     Candidates,
@@ -20,6 +19,7 @@ from jaxplore import (
     GoalCost,
     Knots,
     Lidar,
+    Members,
     Mission,
     OccupancyGrid,
     Perception,
@@ -42,7 +42,7 @@ from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
 
 DRIVE = DifferentialDrive(max_speed=1.0)
 SMALL = {"horizon": 12, "num_samples": 64}
-GOAL = (6.8, 4.8)
+START, GOAL = (1.5, 3.0), (6.8, 4.8)
 
 
 # What they weigh
@@ -336,24 +336,15 @@ def scenario() -> Scenario:
     lidar = Lidar(num_beams=24, max_range=2.5, range_noise=0.01)
     perception = Perception(lidar, 0.2, 0.2, num_directions=4, goal=GOAL, is_goal_apart=True)
     grid = OccupancyGrid(cells, 0.2)
-    return Scenario(grid, DRIVE, lidar, (1.5, 3.0, 0.0), perception=perception, goal=GOAL)
+    return Scenario(grid, DRIVE, lidar, (*START, 0.0), perception=perception, goal=GOAL)
 
 
-@pytest.mark.parametrize("decomposition", ["roles", "temporal", "regional"])
-def test_two_seconds_without_a_collision(scenario, decomposition: str) -> None:
-    portfolio = ground_portfolio(DRIVE, Mission(GOAL), decomposition=decomposition, **SMALL)
-    portfolio = portfolio.at_period(scenario.control_period)
-    key, steps = jax.random.key(0), 100
-    # Of all portfolios the same program.
-    nothing = MPPI(DRIVE, ControlCost(), horizon=1, num_samples=1, noise_std=[1.0, 1.0])
-    state = initial_loop_state(nothing, scenario, key)._replace(controller=portfolio.init())
-    count = jnp.asarray(steps, jnp.int32)
-    _, record, done = run_chunk(portfolio, scenario, state, key, count, steps)
-    assert int(done) == steps
-    assert not record.is_collision.any()
-    assert record.is_finite.all()
-    assert math.dist(record.state[-1, :2], (1.5, 3.0)) > 0.3
-    members, number = record.members, len(portfolio.member_names)
+STEPS_OF_LOOP = 100
+
+
+def check_members(members: Members, number: int) -> None:
+    """What each member says of each step is there, finite and within its bounds."""
+    steps = STEPS_OF_LOOP
     assert members.controls.shape == (steps, number, 2)
     for rows in (members.costs, members.uncertainties, members.effective_sample_sizes):
         assert rows.shape == (steps, number)
@@ -363,3 +354,47 @@ def test_two_seconds_without_a_collision(scenario, decomposition: str) -> None:
     assert members.diversity.shape == members.is_replaced.shape == (steps,)
     assert (np.asarray(members.diversity) > 0.0).any()
     assert ((members.effective_sample_sizes >= 1.0) & (members.effective_sample_sizes <= 64)).all()
+
+
+def test_two_seconds_without_a_collision(scenario) -> None:
+    portfolio = ground_portfolio(DRIVE, Mission(GOAL), **SMALL)
+    portfolio = portfolio.at_period(scenario.control_period)
+    key, steps = jax.random.key(0), STEPS_OF_LOOP
+    state = initial_loop_state(portfolio, scenario, key)
+    count = jnp.asarray(steps, jnp.int32)
+    _, record, done = run_chunk(portfolio, scenario, state, key, count, steps)
+    assert int(done) == steps
+    assert not record.is_collision.any()
+    assert record.is_finite.all()
+    assert math.dist(record.state[-1, :2], START) > 0.3
+    check_members(record.members, 4)
+
+
+@pytest.mark.parametrize("decomposition", ["temporal", "regional"])
+def test_members_that_differ_otherwise_get_on_as_well(scenario, decomposition: str) -> None:
+    """Without sensors: where everything is known the loop is the step and the model."""
+    portfolio = ground_portfolio(DRIVE, Mission(GOAL), decomposition=decomposition, **SMALL)
+    period = scenario.control_period
+    portfolio = portfolio.at_period(period)
+
+    def drive(perception, grid, start):
+        belief = perception.init(grid, start[:3])
+
+        def advance(carry, key):
+            robot, memory = carry
+            control, memory, info = portfolio.step(memory, robot, belief, key=key)
+            robot = DRIVE.step(robot, control, period)
+            return (robot, memory), (robot, info.members)
+
+        keys = jax.random.split(jax.random.key(0), STEPS_OF_LOOP)
+        return jax.lax.scan(advance, (start, portfolio.init()), keys)[1]
+
+    states, members = eqx.filter_jit(drive)(
+        scenario.perception, scenario.world, DRIVE.at_pose(*START, 0.0)
+    )
+    low = 0.2 * np.argwhere(np.asarray(scenario.world.probability) > 0.5)[:, ::-1]
+    places = np.asarray(states)[:, None, :2]
+    away = np.maximum(np.maximum(low - places, places - (low + 0.2)), 0.0)
+    assert np.hypot(away[..., 0], away[..., 1]).min() > float(DRIVE.radius)
+    assert math.dist(states[-1, :2], GOAL) < math.dist(START, GOAL) - 0.3
+    check_members(members, 3)

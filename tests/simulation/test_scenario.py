@@ -363,3 +363,13 @@ def test_a_perception_for_another_ground_is_refused() -> None:
 def test_never_is_a_coverage_that_is_not_reached() -> None:
     assert float(scenario(target_coverage=None).target_coverage) > 1.0
     assert float(scenario(target_coverage=1.0).target_coverage) == 1.0
+
+
+def test_a_goal_apart_is_reached_when_the_robot_is_there() -> None:
+    goal = (2.5, 0.5)
+    apart = Perception(LIDAR, 0.1, 0.2, goal=goal, is_goal_apart=True)
+    numbers = [(made.goal_radius, made.max_unknown) for made in (
+        scenario(goal=goal), scenario(goal=goal, perception=apart),
+        scenario(goal=goal, perception=apart, goal_radius=0.7, max_unknown=0.3),
+    )]  # fmt: skip
+    np.testing.assert_allclose(numbers, [(1.5, 0.05), (0.25, 1.0), (0.7, 0.3)], rtol=1e-6)

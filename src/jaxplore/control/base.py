@@ -4,6 +4,7 @@ import abc
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
@@ -90,6 +91,12 @@ class SampledPlan(NamedTuple):
     samples: Float[Array, "N T+1 nx"]
     weights: Float[Array, " N"]
     reference: Float[Array, "R D"] | None = None
+
+    @classmethod
+    def of(cls, followed: Trajectory, weights: Float[Array, " N"]) -> "SampledPlan":
+        """Return what stacked trajectories show: the nominal one, the best one, N samples."""
+        nominal, best = (jax.tree.map(lambda leaf, i=i: leaf[i], followed) for i in (0, 1))
+        return cls(nominal, best, followed.states[2:], weights)
 
 
 class Controller(eqx.Module):

@@ -26,7 +26,7 @@ from jaxplore.control.parameterisations import (
 )
 from jaxplore.control.proposals import GaussianProposal, Proposal, Surroundings
 from jaxplore.control.risk import MeanVariance, Risk
-from jaxplore.control.rollout import Outcomes, check_parts, rollout, rollout_costs
+from jaxplore.control.rollout import Outcomes, Trajectory, check_parts, rollout, rollout_costs
 from jaxplore.control.smoothing import SavitzkyGolay
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
 from jaxplore.costs.base import Cost
@@ -352,18 +352,14 @@ class MPPI(Controller):
         # A mixture orders its samples by component: the first few would be one of them only.
         chosen = np.linspace(0, self.num_samples - 1, count).round().astype(int)
 
-        def follow(controls: Array) -> Any:
+        def follow(controls: Array) -> Trajectory:
             parts, known = (self.dynamics, self.cost), (self.dt, belief)
             return rollout(*parts, observation, controls, *known, applied=plan.state.applied)
 
-        return SampledPlan(
-            nominal=follow(info.controls),
-            best=follow(plan.controls[:, :, jnp.argmin(info.costs)]),
-            samples=jax.vmap(lambda controls: follow(controls).states, in_axes=-1)(
-                plan.controls[:, :, chosen]
-            ),
-            weights=info.weights[chosen],
-        )
+        sampled = jnp.moveaxis(plan.controls, -1, 0)
+        best = sampled[jnp.argmin(info.costs)]
+        shown = jnp.concatenate([info.controls[None], best[None], sampled[chosen]])
+        return SampledPlan.of(jax.vmap(follow)(shown), info.weights[chosen])
 
     def _shift(self, state: MPPIState) -> MPPIState:
         """Return the state as seen one control period later."""

@@ -124,8 +124,6 @@ def _totals(
 ) -> tuple[Float[Array, " K"], ...]:
     """Return the total (K,) of each cost."""
     horizon, _, num_samples = controls.shape
-    for cost in costs:
-        check_costs(dynamics, cost, horizon, belief)
     lanes = _lanes(num_samples)
     if outcomes is None:
         shape: tuple[int, ...] = (lanes,)
@@ -133,6 +131,17 @@ def _totals(
     else:
         drawn = outcomes.drawn
         shape = (jax.tree.leaves(drawn)[0].shape[1], lanes)
+
+    def number(cost: Cost, method: Callable[..., Array], *arguments: Any) -> Array:
+        # To look for the culprit traces everything once more, so only when there is one.
+        try:
+            paid = method(*arguments)
+        except (TypeError, ValueError):
+            check_costs(dynamics, cost, horizon, belief)
+            raise
+        if jnp.shape(paid) != ():
+            check_costs(dynamics, cost, horizon, belief)
+        return paid
 
     def sample_step(
         components: tuple[Array, ...], control: Array, t: Array, draw: Any
@@ -146,7 +155,7 @@ def _totals(
         # The costs read what the model has computed; fused, they would compute the step again.
         reached = jnp.stack(cut(tuple(reached)))
         here = State(reached, dynamics)
-        return reached, tuple(cost.stage(here, control, t, belief) for cost in costs)
+        return reached, tuple(number(cost, cost.stage, here, control, t, belief) for cost in costs)
 
     step_all = jax.vmap(sample_step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
     if outcomes is not None:
@@ -178,8 +187,13 @@ def _totals(
         advance, (start, *nothing), (controls, times, drawn)
     )
 
+    before = dynamics.default_control if applied is None else applied
+
     def final(cost: Cost, components: tuple[Array, ...]) -> Array:
-        return cost.terminal(State(jnp.stack(components), dynamics), belief)
+        return number(cost, cost.terminal, State(jnp.stack(components), dynamics), belief)
+
+    def changes(cost: Cost, sequence: Array) -> Array:
+        return number(cost, cost.sequence, sequence, before, dt, dynamics)
 
     def finish(cost: Cost, total: Array, variation: Array) -> Array:
         ending = functools.partial(final, cost)
@@ -189,7 +203,8 @@ def _totals(
         if outcomes is not None:
             contained = jnp.all(jnp.isfinite(total), axis=0)
             total = jnp.where(contained, outcomes.risk.costs(total, variation), jnp.inf)
-        return total[:num_samples] + _sequence_costs(dynamics, cost, controls, dt, applied)
+        over_all = jax.vmap(functools.partial(changes, cost), in_axes=-1)
+        return total[:num_samples] + over_all(controls)
 
     return tuple(
         finish(cost, total, variation)
@@ -205,22 +220,6 @@ def _lanes(num_samples: int) -> int:
     """
     line = 16
     return num_samples + line if -(-num_samples // line) % line == 0 else num_samples
-
-
-def _sequence_costs(
-    dynamics: Dynamics,
-    cost: Cost,
-    controls: Float[Array, "T nu K"],
-    dt: Scalar,
-    applied: ControlVector | None,
-) -> Float[Array, " K"]:
-    before = dynamics.default_control if applied is None else applied
-
-    def one(sequence: Array) -> Array:
-        return cost.sequence(sequence, before, dt, dynamics)
-
-    paid: Array = jax.vmap(one, in_axes=-1)(controls)
-    return paid
 
 
 def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:

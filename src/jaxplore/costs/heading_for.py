@@ -14,10 +14,12 @@ from jaxplore.information.belief import Belief
 class ToGoalCost(Cost):
     """Cost to go to the goal around what is known to be in the way, and of not facing it [m].
 
-        U(x) + turning * (1 - h . g(x))
+        U(x) + turning * (|g(x)| - h . g(x))
 
-    as `GuidanceCost` has it, with the field of the goal: `Belief.to_goal`, which a `Perception`
-    with `is_goal_apart` keeps.
+    with h the heading and g the direction in which U falls, of length 1, at the goal 0. Of U it is
+    the field of the goal: `Belief.to_goal`, which a `Perception` with `is_goal_apart` keeps.
+    `GuidanceCost` has 1 instead of |g|; here it would make the robot pay for being where it is to
+    stop, and it would stop before that.
 
     Args:
         turning: what facing sideways costs [m].
@@ -40,7 +42,7 @@ class ToGoalCost(Cost):
         position, heading = state.position, state.heading
         way = belief.to_goal.direction(position)
         facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
-        return belief.to_goal(position) + self.turning * (1.0 - facing)
+        return belief.to_goal(position) + self.turning * (length((way[0], way[1])) - facing)
 
 
 class RegionCost(Cost):

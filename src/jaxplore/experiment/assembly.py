@@ -10,7 +10,7 @@ from jaxplore.control.base import Controller
 from jaxplore.experiment.controllers import controller_of
 from jaxplore.experiment.parts import robot_of, sensor_model_of, sensors_of
 from jaxplore.experiment.place import place_of
-from jaxplore.information.perception import Perception
+from jaxplore.information.perception import MAX_UNKNOWN, Perception
 from jaxplore.information.watch import Watch
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.settings import Settings
@@ -48,7 +48,7 @@ def build(settings: Settings) -> Experiment:
         robot.radius,
         sensor_model=model,
         goal=goal,
-        max_unknown=settings.max_unknown,
+        max_unknown=MAX_UNKNOWN if settings.max_unknown is None else settings.max_unknown,
         ground=ground,
         watch=None if watch is None else Watch(watch.memory, watch.weight),
         is_goal_apart=is_portfolio and goal is not None,

@@ -39,7 +39,7 @@ class HeadingField(eqx.Module):
         # Headings are next to each other: a node's two come with one line of the cache.
         flat = self.values.reshape(-1, 1)
         before, after = (
-            gather(flat, around._replace(nodes=around.nodes * count + heading), 0.0)
+            gather(flat, around.of_each(count, heading), 0.0)
             for heading in (first, jnp.mod(first + 1, count))
         )
         return jnp.where(is_finite, before + share * (after - before), 0.0)

@@ -41,6 +41,8 @@ LAYERS = 4
 """How many nodes deep into what is closed the guidance is continued."""
 LEFTOVER_SHARE = 0.1
 """Share of the least worthwhile information below which a place is ignored."""
+MAX_UNKNOWN = 0.05
+"""Share of unknown cells below which a map counts as explored, unless another is given."""
 
 
 class Perception(eqx.Module):
@@ -131,7 +133,7 @@ class Perception(eqx.Module):
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,
-        max_unknown: ArrayLike = 0.05,
+        max_unknown: ArrayLike = MAX_UNKNOWN,
         ground: Ground | None = None,
         watch: Watch | None = None,
         is_goal_apart: bool = False,

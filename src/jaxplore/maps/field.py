@@ -5,19 +5,28 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from jaxplore._types import Count, Flag, Position, Scalar
 from jaxplore.maps.frame import GridFrame
 
 
 class Stencil(NamedTuple):
-    """The four nodes around a point: `nodes` (4,) into the flattened lattice, `weight` (4,) adding
-    up to 1, and whether the point is on the lattice at all."""
+    """The four nodes around a point: `nodes` of the flattened lattice, `weight` adding up to 1, and
+    whether the point is on the lattice at all.
 
-    nodes: Int[Array, "4"]
-    weight: Float[Array, "4"]
+    Numbers and not vectors of four: a look-up is mapped over thousands of points, where to take a
+    vector apart is a transposition.
+    """
+
+    nodes: tuple[Count, Count, Count, Count]
+    weight: tuple[Scalar, Scalar, Scalar, Scalar]
     is_inside: Flag
+
+    def of_each(self, count: int, index: Count) -> "Stencil":
+        """Return the stencil of the `index`-th of `count` values that a node has side by side."""
+        a, b, c, d = (node * count + index for node in self.nodes)
+        return self._replace(nodes=(a, b, c, d))
 
 
 def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5) -> Stencil:
@@ -33,7 +42,7 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
         margin: [cells]; at 1/2 the lattice covers its cells, at 0 it ends with its nodes.
     """
     height, width = shape
-    row, column = grid[0] - 0.5, grid[1] - 0.5
+    row, column = jnp.unstack(grid - 0.5)
     # Positions of nodes come rounded: an outermost node is on the lattice.
     slack = margin + 1e-4
     inside = (row >= -slack) & (row <= height - 1 + slack)
@@ -47,8 +56,8 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
     u = column - first_column.astype(row.dtype)
     corner = first_row * width + first_column
     return Stencil(
-        jnp.stack([corner, corner + right, corner + down, corner + down + right]),
-        jnp.stack([(1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u]),
+        (corner, corner + right, corner + down, corner + (down + right)),
+        ((1 - v) * (1 - u), (1 - v) * u, v * (1 - u), v * u),
         inside,
     )
 
@@ -66,11 +75,11 @@ def gather(
     """
     height, width = values.shape[-2:]
     # One flat index: multi-dimensional gathers cost a multiplication and a bounds check each.
-    flat = values.reshape(-1)
+    flat, first = values.reshape(-1), channel * (height * width)
     total = jnp.zeros(())
-    for node in range(4):
-        index = channel * (height * width) + around.nodes[node]
-        total = total + around.weight[node] * flat.at[index].get(mode="promise_in_bounds")
+    for node, weight in zip(around.nodes, around.weight, strict=True):
+        at_node = flat.at[first + node]
+        total = total + weight * at_node.get(mode="promise_in_bounds", wrap_negative_indices=False)
     return jnp.where(around.is_inside, total, outside)
 
 

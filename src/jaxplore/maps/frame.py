@@ -36,9 +36,8 @@ class GridFrame(eqx.Module):
 
     def to_grid(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N 2"]:
         """Turn world points (x, y) [m] into grid coordinates (row, column) [cells]."""
-        shifted = points - self.origin[:2]
+        x, y = jnp.unstack(points - self.origin[:2], axis=-1)
         cos, sin = jnp.cos(self.origin[2]), jnp.sin(self.origin[2])
-        x, y = shifted[..., 0], shifted[..., 1]
         return jnp.stack([cos * y - sin * x, cos * x + sin * y], axis=-1) / self.resolution
 
     def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:

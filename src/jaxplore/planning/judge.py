@@ -53,8 +53,8 @@ class Judge(eqx.Module):
         counted = jnp.where(self.factors[:, None] > 0.0, paid[1:], 0.0)
         return paid[0] + self.factors @ counted, paid[0]
 
-    def follow(self, controls: Float[Array, "T nu"], dt: Scalar | None = None) -> Trajectory:
-        """Return what a plan leads to, and its cost term by term."""
+    def follow(self, controls: Float[Array, "T nu"], dt: Scalar) -> Trajectory:
+        """Return what a plan with steps of `dt` leads to, and its cost term by term."""
         terms = tuple(
             WeightedCost(factor, cost.named(name))
             for factor, (name, cost) in zip(self.factors, self.objectives.items(), strict=True)
@@ -64,7 +64,7 @@ class Judge(eqx.Module):
             SumCost((*terms, self.hard)),
             self.observation,
             controls,
-            self.dt if dt is None else dt,
+            dt,
             self.belief,
             applied=self.applied,
         )

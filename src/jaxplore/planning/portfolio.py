@@ -218,25 +218,20 @@ class Portfolio(Controller):
         chosen = np.linspace(0, self.team.mppi.num_samples - 1, each).round().astype(int)
         judge = self._judge(state, spread, observation, belief)
 
-        def look(index: Array, member_state: MPPIState) -> Array:
+        def drawn(index: Array, member_state: MPPIState) -> tuple[Array, Array]:
             member = self.team.member(index)
             controls = member.draft(member_state, key=key).controls[:, :, chosen]
+            return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, each)
 
-            def places(plan: Array) -> Array:
-                return judge.follow(plan, member.dt).states
-
-            states: Array = jax.vmap(places, in_axes=-1)(controls)
-            return states
-
-        samples = jax.vmap(look)(self.team.indices, state.members)
-        weights = proposed.infos.weights[:, chosen] * fused.shares[:, None]
+        sampled, steps = jax.vmap(drawn)(self.team.indices, state.members)
         best = jnp.argmin(jnp.where(jnp.isfinite(candidates.costs), candidates.costs, jnp.inf))
-        return SampledPlan(
-            nominal=judge.follow(fused.controls),
-            best=judge.follow(candidates.controls[best]),
-            samples=samples.reshape(-1, *samples.shape[2:]),
-            weights=weights.reshape(-1),
+        shown = jnp.stack([fused.controls, candidates.controls[best]])
+        followed = jax.vmap(judge.follow)(
+            jnp.concatenate([shown, sampled.reshape(-1, *shown.shape[1:])]),
+            jnp.concatenate([jnp.broadcast_to(judge.dt, 2), steps.reshape(-1)]),
         )
+        weights = proposed.infos.weights[:, chosen] * fused.shares[:, None]
+        return SampledPlan.of(followed, weights.reshape(-1))
 
     def _fuse(
         self,

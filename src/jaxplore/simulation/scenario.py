@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import Count, GridMask, Position, Rows, Scalar, StateVector, Vector
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.information.perception import Perception, as_sensors
+from jaxplore.information.perception import MAX_UNKNOWN, Perception, as_sensors
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
@@ -26,9 +26,10 @@ class Scenario(eqx.Module):
     """What is simulated: a robot that starts somewhere in a world of which it knows little.
 
     It is finished at the target coverage, or, if there is a goal, within `goal_radius` of it with
-    less than `max_unknown` of its map unknown (or at the target coverage). With `targets` it is
-    finished when the first sensor has seen all of them. Without a target coverage, a goal and
-    targets, as on a patrol, it is not finished before its time is up.
+    less than `max_unknown` of its map unknown (or at the target coverage). A goal apart (see
+    `Perception`) is for a robot that goes there first and looks around on the way. With `targets`
+    it is finished when the first sensor has seen all of them. Without a target coverage, a goal
+    and targets, as on a patrol, it is not finished before its time is up.
 
     Whatever the world does not know to be free is solid. *Reachable* are the free cells to which
     the centre of the robot's disc can get from the start; coverage is the share of them that the
@@ -51,8 +52,10 @@ class Scenario(eqx.Module):
             never.
         prior: what the robot knows beforehand, a map of the world's cells; nothing when absent.
         goal: (x, y) to be at in the end [m]; none when absent.
-        goal_radius: distance at which the goal is reached [m].
-        max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored.
+        goal_radius: distance at which the goal is reached [m]; when absent 1.5, or 0.25 for a
+            goal apart.
+        max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
+            absent 0.05, or for a goal apart 1: it is reached when the robot is there.
         altitude: z of the start, for robots that have one [m].
         hover_time: simulated after the end [s].
         faults: what goes wrong on purpose.
@@ -106,8 +109,8 @@ class Scenario(eqx.Module):
         target_coverage: ArrayLike | None = 0.99,
         prior: OccupancyGrid | None = None,
         goal: Vector | None = None,
-        goal_radius: ArrayLike = 1.5,
-        max_unknown: ArrayLike = 0.05,
+        goal_radius: ArrayLike | None = None,
+        max_unknown: ArrayLike | None = None,
         altitude: float = 0.0,
         hover_time: float = 0.0,
         faults: Faults | None = None,
@@ -128,6 +131,11 @@ class Scenario(eqx.Module):
                 f"tracking_noise is {self.tracking_noise.tolist()}; accepted: 2 numbers >= 0"
             )
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
+        is_apart = perception is not None and perception.is_goal_apart
+        if goal_radius is None:
+            goal_radius = 0.25 if is_apart else 1.5
+        if max_unknown is None:
+            max_unknown = 1.0 if is_apart else MAX_UNKNOWN
         self.goal_radius = _checks.scalar("goal_radius", goal_radius, above=0.0)
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
         if perception is None:
