@@ -13,7 +13,15 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks import control, control_step, exploration, information, informative
+from benchmarks import (
+    control,
+    control_step,
+    exploration,
+    information,
+    informative,
+    portfolio_step,
+)
+from benchmarks.tables import table
 from jaxplore import __version__
 
 
@@ -68,13 +76,13 @@ def _control(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
         ("Two CPU devices", "devices"),
         ("Endurance", "endurance"),
     ):
-        console.print(_table(title, controller[name]))
+        console.print(table(title, controller[name]))
     return {"control": controller}
 
 
 def _information(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     engine = information.measure()
-    for title, table in (
+    for title, rows in (
         ("Local field: 20 x 20 nodes, 8 yaws, 12 beams, 10 m", engine["local_field"]),
         (
             "Fields of all headings, 5 m; an update after each scan of an exploration",
@@ -83,7 +91,7 @@ def _information(_: argparse.Namespace, console: Console) -> dict[str, Any]:
         ("Growth: 16 directions, 64 beams", engine["growth"]),
         ("Information of a trajectory: 50 poses, 16 beams, 5 m", engine["trajectories"]),
     ):
-        console.print(_table(title, table))
+        console.print(table(title, rows))
     return {"information": engine}
 
 
@@ -102,14 +110,24 @@ def _informative(_: argparse.Namespace, console: Console) -> dict[str, Any]:
         ("Informative MPPI, part by part", "parts"),
     ):
         if times[name]:
-            console.print(_table(title, times[name]))
+            console.print(table(title, times[name]))
     return {"informative": times}
+
+
+def _portfolio(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
+    times = portfolio_step.measure(arguments.steps)
+    for title, name in (
+        ("A portfolio's step in the warehouse by members: K = 1000, T = 30, 360 beams", "members"),
+        ("The same, part by part, four members", "parts"),
+    ):
+        console.print(table(title, times[name]))
+    return {"portfolio": times}
 
 
 def _exploration(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = exploration.measure(arguments.seeds)
     summary = exploration.summarise(rows)
-    console.print(_table("Exploration, medians over seeds", summary))
+    console.print(table("Exploration, medians over seeds", summary))
     return {"exploration": summary, "runs": rows}
 
 
@@ -118,6 +136,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "information": _information,
     "control_step": _control_step,
     "informative": _informative,
+    "portfolio": _portfolio,
     "exploration": _exploration,
 }
 
@@ -132,24 +151,7 @@ def _step_table(step: dict[str, Any]) -> Table:
         ),
     ]
     sizes = f"K = {step['samples']}, T = {step['horizon']}, {step['cells']} cells"
-    return _table(f"{step['map']}: {sizes}; compiled in {step['compile_seconds']:.1f} s", rows)
-
-
-def _table(title: str, rows: list[dict[str, Any]]) -> Table:
-    table = Table(title=title)
-    for name in rows[0]:
-        table.add_column(name.replace("_", " "))
-    for row in rows:
-        table.add_row(*(_text(row.get(name)) for name in rows[0]))
-    return table
-
-
-def _text(value: object) -> str:
-    if value is None:
-        return "-"
-    if not isinstance(value, float):
-        return str(value)
-    return f"{value:.2f}" if value == 0.0 or abs(value) >= 0.01 else f"{value:.1g}"
+    return table(f"{step['map']}: {sizes}; compiled in {step['compile_seconds']:.1f} s", rows)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Portfolios of ground vehicles: against their members, in their scenarios, and what they cost.
+"""Portfolios of ground vehicles: against their members, in their scenarios, methods by fusions.
 
 The comparisons are hours of runs. Each run is one line of a file, written when it is done; what is
 there already is not run again, so the work can be stopped and shared among processes:
@@ -12,24 +12,20 @@ A run's numbers but for its compute do not depend on the machine's load.
 import argparse
 import fcntl
 import json
-import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
+from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
 
 from benchmarks.setting import MAPS
-from benchmarks.timing import timed
+from benchmarks.tables import table
 from jaxplore.experiment.assembly import Experiment, build
-from jaxplore.planning.ground_vehicle import ROLE_WEIGHTS
 from jaxplore.report.metrics import compute_metrics
 from jaxplore.settings import make_settings, read_settings, scenario_path
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
 from jaxplore.simulation.simulate import record_run
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
@@ -38,7 +34,6 @@ METHODS = {"MPPI": "direct", "smooth": "smooth", "kernel": "knots"}
 STUDIES = ("members", "missions", "goals", "cross")
 CROSSED = "aws_small_warehouse_005"
 """Where methods are crossed with members and fusions: runs there are short."""
-CHUNK = 50
 
 PLACES: dict[str, dict[str, Any]] = {
     "warehouse": {},
@@ -135,85 +130,12 @@ def run(case: Case) -> dict[str, Any]:
     return {**case._asdict(), "start_goal_distance": distance, "metrics": kept}
 
 
-def step_times(counts: tuple[int, ...] = (1, 2, 4, 8), steps: int = 1000) -> list[dict[str, Any]]:
-    """Return times of the warehouse's control step, everything in it, by number of members.
-
-    K = 1000, T = 30, 360 beams: as in the scenario. The numbers take turns, so that all see the
-    same noise of the machine.
-    """
-    loops: dict[int, list[Any]] = {}
-    for count in counts:
-        weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
-        made = experiment("warehouse", {"weights": weights, "num_samples": 1000, "horizon": 30})
-        controller = made.controller.at_period(made.scenario.control_period)
-        state = initial_loop_state(controller, made.scenario, made.key)
-        loops[count] = [controller, made.scenario, state, made.key]
-    seconds: dict[int, list[float]] = {count: [] for count in counts}
-    for _ in range(-(-steps // CHUNK) + 1):
-        for count, loop in loops.items():
-            controller, scenario, state, key = loop
-            for _ in range(CHUNK):
-                began = time.perf_counter()
-                state, _, done = cast(Any, run_chunk)(
-                    controller, scenario, state, key, jnp.asarray(1, jnp.int32), CHUNK
-                )
-                int(done)
-                seconds[count].append(time.perf_counter() - began)
-            loop[2] = state
-    rows = []
-    for count, times in seconds.items():
-        p50, p99 = 1e3 * np.percentile(times[CHUNK:], [50, 99])
-        rows.append({"members": count, "p50 ms": float(p50), "p99 ms": float(p99)})
-    first = rows[0]["p50 ms"]
-    return [{**row, "times one": row["p50 ms"] / first, "Hz": 1e3 / row["p50 ms"]} for row in rows]
-
-
-def parts() -> list[dict[str, Any]]:
-    """Return times of the parts of the warehouse's step, one call at a time, after 5 s."""
-    controller, scenario, _, key = experiment("warehouse", {})
-    controller = controller.at_period(scenario.control_period)
-    state = initial_loop_state(controller, scenario, key)
-    state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(250, jnp.int32), 250)
-    belief, pose = state.belief, state.belief.pose
-    scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
-    elapsed = jnp.asarray(0.2)
-    calls: dict[str, tuple[Any, ...]] = {
-        "all members and their fusion": (
-            lambda c, s, x, b: c.step(s, x, b, key=key)[:2],
-            controller,
-            state.controller,
-            state.robot,
-            belief,
-        ),
-        "scan": (lambda s, w, p: s.scan(w, p, key=key), scenario.sensors[0], scenario.world, pose),
-        "map and clearance": (
-            lambda p, b, x, at: p.observe(b, x, at),
-            scenario.perception,
-            belief,
-            scan,
-            pose,
-        ),
-        "fields": (
-            lambda p, b, at, t: p.update_fields(b, at, t),
-            scenario.perception,
-            belief,
-            pose,
-            elapsed,
-        ),
-    }
-    rows = []
-    for name, (function, *arguments) in calls.items():
-        measured = timed(function, *arguments)
-        rows.append({"": name, "p50 ms": measured.p50_ms, "p99 ms": measured.p99_ms})
-    return rows
-
-
 def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return one row for each variant: medians over seeds, sums of collisions."""
     groups: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     for row in rows:
         groups.setdefault((row["study"], row["place"], row["variant"]), []).append(row)
-    table = []
+    summary = []
     for (study, place, variant), members in sorted(groups.items()):
         found = [row["metrics"] for row in members]
 
@@ -226,7 +148,7 @@ def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             values = [each[name] for each in found if each[name] is not None]
             return float(np.median(values)) if values else None
 
-        table.append(
+        summary.append(
             {
                 "study": study,
                 "place": place,
@@ -248,7 +170,46 @@ def summarise(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
                 "replaced": median("replaced"),
             }
         )
-    return table
+    return summary
+
+
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw every run of the members' study, and the medians of the cross by method."""
+    places = list(PLACES)[:2]
+    figure = Figure(figsize=(13.0, 4.4), layout="constrained")
+    axes = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.2))
+    for axis, place in zip(axes[:2], places, strict=True):
+        found = [row for row in rows if (row["study"], row["place"]) == ("members", place)]
+        variants = [name for _, name, _ in _variants("members")][: 1 + len(ROLES)][::-1]
+        for level, variant in enumerate(variants):
+            chosen = [row["metrics"] for row in found if row["variant"] == variant]
+            for share, colour, shift in (("90", "#1f6fb4", 0.13), ("95", "#e07b1a", -0.13)):
+                times = [run["time_to"][share] for run in chosen if run["time_to"][share]]
+                axis.plot(times, [level + shift] * len(times), "o", color=colour, ms=4, alpha=0.45)
+                axis.plot(np.median(times), level + shift, "|", color=colour, ms=18, mew=2.5)
+        axis.set_yticks(range(len(variants)), variants)
+        axis.set(xlabel="time to 90 % (upper) and 95 % (lower) coverage [s]", title=place)
+    medians = [row for row in summarise(rows) if row["study"] == "cross"]
+    for (label, _), marker in zip(METHODS.items(), "osD", strict=True):
+        of_method = [row for row in medians if row["variant"].startswith(label)]
+        for kind, colour in (("one member", "#8a8f98"), ("fused", "#1f6fb4"), ("safe", "#c8323c")):
+            chosen = [row for row in of_method if _kind(row["variant"]) == kind]
+            axes[2].plot(
+                [row["to 95 % [s]"] for row in chosen],
+                [row["jerk"] for row in chosen],
+                marker,
+                color=colour,
+                label=f"{label}, {kind}",
+            )
+    axes[2].set(xlabel="time to 95 % coverage [s]", ylabel="jerk [1/s²]", title=f"on {CROSSED}")
+    axes[2].set_ylim(bottom=0.0)
+    axes[2].legend(fontsize="small")
+    figure.savefig(path, dpi=110)
+
+
+def _kind(variant: str) -> str:
+    name = variant.partition(": ")[2]
+    return "one member" if name in ROLES else "safe" if name.startswith("safe") else "fused"
 
 
 def read_rows(path: Path) -> list[dict[str, Any]]:
@@ -265,7 +226,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=20, help="of each [default: 20; cross: 5]")
     parser.add_argument("--part", default="0/1", help="this process's share [default: 0/1]")
     parser.add_argument("--out", type=Path, default=Path("benchmarks/portfolio.jsonl"))
-    parser.add_argument("--times", action="store_true", help="time the step and its parts as well")
+    parser.add_argument("--picture", type=Path, help="draw what is in the file")
     arguments = parser.parse_args()
     part, of = (int(number) for number in arguments.part.split("/"))
     console = Console(width=220)
@@ -285,29 +246,11 @@ def main() -> None:
         with arguments.out.open("a", encoding="utf-8") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             file.write(json.dumps(row, allow_nan=False) + "\n")
-    _print(console, summarise(read_rows(arguments.out)))
-    if arguments.times:
-        _print(console, step_times())
-        _print(console, parts())
-
-
-def _print(console: Console, rows: list[dict[str, Any]]) -> None:
-    if not rows:
-        return
-    table = Table(*rows[0])
-    for row in rows:
-        cells = (row[name] for name in rows[0])
-        table.add_row(
-            *(
-                f"{cell:.2f}" if isinstance(cell, float) else "-" if cell is None else str(cell)
-                for cell in cells
-            )
-        )
-    console.print(table)
-
-
-def _weights(role: str) -> dict[str, float]:
-    return {name: weight for name, weight in ROLE_WEIGHTS[role].items() if name != "terrain"}
+    rows = read_rows(arguments.out)
+    if rows:
+        console.print(table("Portfolios, medians over seeds", summarise(rows)))
+    if arguments.picture is not None:
+        draw(rows, arguments.picture)
 
 
 if __name__ == "__main__":
