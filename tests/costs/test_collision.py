@@ -55,7 +55,7 @@ def tracks(positions, velocities, radii, std, is_known, growth=0.2, age=0.0) -> 
     arrays = (np.asarray(a, np.float32) for a in (positions, velocities, radii, std))
     ages = jnp.full(len(positions), age, jnp.float32)
     known = jnp.asarray(np.asarray(is_known, bool))
-    return Tracks(*map(jnp.asarray, arrays), ages, jnp.asarray(growth, jnp.float32), known)
+    return Tracks(*map(jnp.asarray, arrays), ages, jnp.asarray(growth, jnp.float32), known, jnp.asarray(3.0, jnp.float32))
 
 
 NOBODY = tracks(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), np.ones(3), np.zeros(3))

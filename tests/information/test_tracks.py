@@ -64,6 +64,20 @@ def test_what_was_seen_once_stays_known() -> None:
     np.testing.assert_array_equal(tracks.radii, RADII)
 
 
+def test_what_is_out_of_sight_for_long_is_forgotten_until_it_is_seen_again() -> None:
+    nothing = np.zeros((3, 2))
+    tracks = look(Tracks.unseen(RADII, memory=0.5), nothing, nothing, [True] * 3, 0.1, 0.1)
+    for is_seen, known in (
+        ([True, False, False], [True] * 3),
+        ([True, False, False], [True] * 3),
+        ([False, False, False], [True, False, False]),
+        ([False, True, False], [True, True, False]),
+        ([False, False, False], [False, True, False]),
+    ):
+        tracks = look(tracks, nothing, nothing, is_seen, 0.1, 0.2)
+        np.testing.assert_array_equal(tracks.is_known, known)
+
+
 def test_the_error_that_it_states_is_that_of_a_velocity_that_is_off() -> None:
     """Monte Carlo: measured once, then out of sight for a second."""
     rng = np.random.default_rng(0)
@@ -107,6 +121,7 @@ def test_none() -> None:
         ({"radii": [0.2, np.nan]}, "radii has a value nan; accepted"),
         ({"radii": np.ones((2, 2))}, r"radii has shape \(2, 2\); accepted: \(M,\)"),
         ({"growth": -0.1}, "growth is -0.1; accepted"),
+        ({"memory": 0.0}, "memory is 0.0; accepted"),
     ],
 )
 def test_bad_input_is_named(changes, culprit: str) -> None:

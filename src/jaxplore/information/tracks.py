@@ -13,7 +13,9 @@ from jaxplore._types import Scalar, Vector
 class Tracks(eqx.Module):
     """Moving discs as the robot's tracker knows them; it tells them apart without fail.
 
-    Each goes on straight while it is out of sight. Their number M is static.
+    Each goes on straight while it is out of sight, and is forgotten when that has lasted: it may be
+    anywhere then, and who keeps clear of all the places where it may be runs into walls. Their
+    number M is static.
 
     Args:
         positions: (M, 2) of their centres now [m].
@@ -22,7 +24,8 @@ class Tracks(eqx.Module):
         std: (M,) standard deviation of the position along either axis when it was measured [m].
         age: (M,) time since then [s].
         growth: standard deviation of the velocity along either axis [m/s].
-        is_known: (M,) false: never seen; costs and predictions leave it out.
+        is_known: (M,) false: never seen, or forgotten; costs and predictions leave it out.
+        memory: how long one that is out of sight is believed in [s].
     """
 
     positions: Float[Array, "M 2"]
@@ -32,6 +35,7 @@ class Tracks(eqx.Module):
     age: Float[Array, " M"]
     growth: Scalar
     is_known: Bool[Array, " M"]
+    memory: Scalar
 
     @classmethod
     def none(cls) -> "Tracks":
@@ -39,15 +43,17 @@ class Tracks(eqx.Module):
         return cls.unseen(())
 
     @classmethod
-    def unseen(cls, radii: Vector, growth: ArrayLike = 0.2) -> "Tracks":
+    def unseen(cls, radii: Vector, growth: ArrayLike = 0.2, memory: ArrayLike = 3.0) -> "Tracks":
         """Return those of discs of which none has been seen yet.
 
         Args:
             radii: (M,) [m].
             growth: standard deviation of the velocity along either axis [m/s].
+            memory: how long one that is out of sight is believed in [s].
 
         Raises:
-            ValueError: radii that are not M finite numbers >= 0, a negative growth.
+            ValueError: radii that are not M finite numbers >= 0, a negative growth, a memory that
+                is not positive.
         """
         if not _checks.is_traced(radii):
             given = np.asarray(radii, np.float32)
@@ -68,6 +74,7 @@ class Tracks(eqx.Module):
             age=jnp.zeros(number),
             growth=_checks.scalar("growth", growth, at_least=0.0),
             is_known=jnp.zeros(number, bool),
+            memory=_checks.scalar("memory", memory, above=0.0),
         )
 
     def predicted(self, t: Scalar) -> Float[Array, "M 2"]:
@@ -94,7 +101,8 @@ class Tracks(eqx.Module):
     ) -> "Tracks":
         """Return what is known after a look.
 
-        Those that are seen are where they were measured. The others have gone on straight.
+        Those that are seen are where they were measured. The others have gone on straight, or are
+        forgotten.
 
         A measurement that is not finite is none.
 
@@ -108,12 +116,14 @@ class Tracks(eqx.Module):
         measured = jnp.concatenate([measured_positions, measured_velocities], axis=-1)
         is_measured = is_seen & jnp.isfinite(measured).all(axis=-1)
         takes = is_measured[:, None]
+        age = jnp.where(is_measured, 0.0, self.age + elapsed)
         return Tracks(
             positions=jnp.where(takes, measured_positions, self.predicted(elapsed)),
             velocities=jnp.where(takes, measured_velocities, self.velocities),
             radii=self.radii,
             std=jnp.where(is_measured, position_std, self.std),
-            age=jnp.where(is_measured, 0.0, self.age + elapsed),
+            age=age,
             growth=self.growth,
-            is_known=self.is_known | is_measured,
+            is_known=(self.is_known | is_measured) & (age <= self.memory),
+            memory=self.memory,
         )
