@@ -55,7 +55,8 @@ def tracks(positions, velocities, radii, std, is_known, growth=0.2, age=0.0) -> 
     arrays = (np.asarray(a, np.float32) for a in (positions, velocities, radii, std))
     ages = jnp.full(len(positions), age, jnp.float32)
     known = jnp.asarray(np.asarray(is_known, bool))
-    return Tracks(*map(jnp.asarray, arrays), ages, jnp.asarray(growth, jnp.float32), known, jnp.asarray(3.0, jnp.float32))
+    growth_, memory = (jnp.asarray(number, jnp.float32) for number in (growth, 3.0))
+    return Tracks(*map(jnp.asarray, arrays), ages, growth_, known, memory)
 
 
 NOBODY = tracks(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), np.ones(3), np.zeros(3))

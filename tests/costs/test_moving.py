@@ -263,7 +263,8 @@ def tracked(positions, velocities, radii, std, is_known=None, growth: float = 0.
     known = np.ones(number, bool) if is_known is None else np.asarray(is_known)
     arrays = (np.asarray(a, np.float32) for a in (positions, velocities, radii, std))
     age = jnp.zeros(number)
-    return Seen(Tracks(*map(jnp.asarray, arrays), age, jnp.asarray(growth), jnp.asarray(known), jnp.asarray(3.0)))
+    others = (jnp.asarray(growth), jnp.asarray(known), jnp.asarray(3.0))
+    return Seen(Tracks(*map(jnp.asarray, arrays), age, *others))
 
 
 @eqx.filter_jit
