@@ -103,8 +103,8 @@ def _variants(study: str) -> Iterator[tuple[str, str, dict[str, Any]]]:
                 changes = {"members": [role], "parameterisation": method}
                 yield CROSSED, f"{label}: {role}", changes
             for fusion in FUSIONS:
-                changes = {"fusion": fusion, "is_safe": False, "parameterisation": method}
-                yield CROSSED, f"{label}: {fusion}", changes
+                mixed = {"fusion": fusion, "is_safe": False, "parameterisation": method}
+                yield CROSSED, f"{label}: {fusion}", mixed
             yield CROSSED, f"{label}: safe {FUSIONS[0]}", {"parameterisation": method}
 
 
