@@ -184,7 +184,9 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         for level, variant in enumerate(variants):
             chosen = [row["metrics"] for row in found if row["variant"] == variant]
             for share, colour, shift in (("90", "#1f6fb4", 0.13), ("95", "#e07b1a", -0.13)):
-                times = [run["time_to"][share] for run in chosen if run["time_to"][share]]
+                # One that never gets there has no dot, and still counts for the median.
+                reached = [run["time_to"][share] for run in chosen]
+                times = [np.inf if time is None else time for time in reached]
                 axis.plot(times, [level + shift] * len(times), "o", color=colour, ms=4, alpha=0.45)
                 axis.plot(np.median(times), level + shift, "|", color=colour, ms=18, mew=2.5)
         axis.set_yticks(range(len(variants)), variants)

@@ -16,10 +16,10 @@ class ToGoalCost(Cost):
 
         U(x) + turning * (|g(x)| - h . g(x))
 
-    with h the heading and g the direction in which U falls, of length 1, at the goal 0. Of U it is
-    the field of the goal: `Belief.to_goal`, which a `Perception` with `is_goal_apart` keeps.
-    `GuidanceCost` has 1 instead of |g|; here it would make the robot pay for being where it is to
-    stop, and it would stop before that.
+    with h the heading, and the cost to go U and the way to go g of the goal's field,
+    `Belief.to_goal`, which a `Perception` with `is_goal_apart` keeps. g is of length 1, and 0 at
+    the goal. `GuidanceCost` has 1 instead of |g|: a robot would pay for being where it is to
+    stop, and stop before.
 
     Args:
         turning: what facing sideways costs [m].

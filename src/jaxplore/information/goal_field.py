@@ -51,8 +51,7 @@ def goal_field(
     is_unknown = ~grid.is_free & ~grid.is_occupied
     padded = jnp.pad(is_unknown, ((0, rows * stride - height), (0, columns * stride - width)))
     share = jnp.mean(padded.reshape(rows, stride, columns, stride), axis=(1, 3), dtype=jnp.float32)
-    tightness = roads.slowness / roads.frame.resolution - 1.0
-    slowness = roads.frame.resolution * (1.0 + TIGHT * tightness**4)
+    slowness = roads.frame.resolution * (1.0 + TIGHT * roads.tightness**4)
     slowness = slowness * (1.0 + unknown_factor * share)
     source = near_point(goal, roads.frame, roads.is_open)
     distance = geodesic(source, slowness, roads.is_open)

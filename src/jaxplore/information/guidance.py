@@ -50,19 +50,24 @@ class GuidanceField(eqx.Module):
 
 
 class Roadmap(NamedTuple):
-    """Where a disc fits, on a lattice: the `frame`, the `slowness` (H, W) [m per node spacing] and
-    which nodes are open (H, W)."""
+    """Where a disc fits, on a lattice: the `frame`, the `tightness` (H, W) from 0 where there is
+    room to 1 where it just fits, and which nodes are open (H, W)."""
 
     frame: GridFrame
-    slowness: Float[Array, "H W"]
+    tightness: Float[Array, "H W"]
     is_open: Bool[Array, "H W"]
+
+    @property
+    def slowness(self) -> Float[Array, "H W"]:
+        """What ways cost that count double where the disc just fits [m per node spacing]."""
+        return self.frame.resolution * (1.0 + self.tightness)
 
 
 def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     """Return where a robot fits, on a lattice with one node for each block of cells.
 
-    A node is open if the robot fits at any cell of its block. Ways count double where it just fits,
-    so that paths keep to the middle.
+    A node is open if the robot fits at any cell of its block. Ways that cost more the tighter they
+    are keep to the middle.
 
     Args:
         clearance: distance to what may not be entered [m].
@@ -75,9 +80,8 @@ def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     padded = jnp.pad(clearance.values, ((0, rows * stride - height), (0, columns * stride - width)))
     room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
     spare = (room - required) / required
-    tightness = 1.0 - spare / (ROOMY - 1.0)
-    slowness = frame.resolution * (1.0 + jnp.clip(tightness, 0.0, 1.0))
-    return Roadmap(frame, slowness, room >= required - 1e-4)
+    tightness = jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
+    return Roadmap(frame, tightness, room >= required - 1e-4)
 
 
 def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -> GuidanceField:
