@@ -348,7 +348,7 @@ def test_what_cannot_be_compared_is_one_line(
 def test_the_table_of_a_comparison_keeps_its_units(
     room: Path, chosen: list[Asked], capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("COLUMNS", "80")
     main(["compare", str(room), "--architectures", "random-walk", "--out", "it"])
     shown = capsys.readouterr().out
     header = Path("it/table.md").read_text().splitlines()[0]

@@ -322,9 +322,11 @@ def _show(metrics: Metrics, folder: Path) -> None:
 
 
 def _show_comparison(comparison: Comparison, folder: Path) -> None:
-    header, *rows = comparison.rows()
+    # A column for each controller: a row would not fit on a terminal.
+    header, *rows = zip(*comparison.rows(), strict=True)
+    click.echo(f"{folder}: medians [quartiles]")
     # As text: square brackets are units and quartiles here, not markup.
-    table = Table(title=Text(f"{folder}: medians [quartiles]"))
+    table = Table()
     for cell in header:
         table.add_column(Text(cell))
     for row in rows:
