@@ -5,6 +5,7 @@ import contextlib
 import dataclasses
 import io
 import json
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -274,7 +275,7 @@ def written(world_file: Path, compared: Comparison) -> Written:
     arguments = ["compare", str(world_file), "--architectures", "two-layer, parallel"]
     arguments += [*SMALL, "--seeds", "2", "--seed", "5", "--out", str(folder)]
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as shown:
-        patch.setenv("COLUMNS", "200")
+        patch.setenv("COLUMNS", "80")
         patch.setattr(building, "informative_mppi", pushed)
         main(arguments)
     return Written(folder, shown.getvalue())
@@ -289,10 +290,13 @@ def test_the_command_writes_a_folder_and_shows_the_table(written: Written) -> No
     table = (written.folder / "table.md").read_text()
     rows = [line[1:-1].split("|") for line in table.splitlines()]
     assert [row[0].strip() for row in rows[2:]] == ["two-layer", "parallel"]
-    for row in rows[2:]:
-        (line,) = (line for line in written.shown.splitlines() if f" {row[0].strip()} " in line)
-        for cell in row:
-            assert cell.strip() in line
+    # On the terminal a row of the file is a column.
+    for column in zip(rows[0], *rows[2:], strict=True):
+        cells = [cell.strip() for cell in column]
+        assert any(
+            [cell.strip() for cell in re.split("[│┃]", line)[1:-1]] == cells
+            for line in written.shown.splitlines()
+        )
 
 
 def test_the_settings_of_the_folder_repeat_its_runs(
