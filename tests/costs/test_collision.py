@@ -111,7 +111,7 @@ def test_it_is_how_deep_the_discs_are_in_map_and_movers(
         expected += squared_depth(gap, too_close + 1.5 * spread)
     seen = tracks(positions, velocities, radii, std, is_known, age=0.5)
     belief = dataclasses.replace(between, tracks=seen)
-    cost = CollisionCost(margin=0.07, reaction_time=0.3, caution=1.5)
+    cost = CollisionCost(margin=0.07, reaction_time=0.3, caution=1.5, reach=0.0)
     found = price(cost, state_of(name, here, yaw, v), belief, t)
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-2)
 
@@ -119,7 +119,7 @@ def test_it_is_how_deep_the_discs_are_in_map_and_movers(
 @every_robot
 def test_it_is_the_hard_parts_of_the_costs_that_have_them(name, between) -> None:
     rng = np.random.default_rng(0)
-    ours = CollisionCost(margin=0.05, reaction_time=0.1, caution=0.0)
+    ours = CollisionCost(margin=0.05, reaction_time=0.1, caution=0.0, reach=0.0)
     numbers = {"margin": 0.05, "reaction_time": 0.1}
     static = ObstacleCost(clearance=1e-6, collision=1.0, **numbers)
     tracked = [TrackedObstacleCost(collision=c, **numbers) for c in (1.0, 0.0)]
@@ -160,7 +160,7 @@ def test_without_tracks_or_known_ones_only_the_map_counts(name, between) -> None
     for here in ((4.5, 2.0), (3.0, 3.0), (7.4, 7.4)):
         state = state_of(name, here, 0.5, 0.3)
         prices = [
-            price(CollisionCost(braking=1.0), state, dataclasses.replace(between, tracks=each))
+            price(CollisionCost(), state, dataclasses.replace(between, tracks=each))
             for each in (None, NOBODY, unseen)
         ]
         assert prices[0] == prices[1] == prices[2]
@@ -173,7 +173,7 @@ def test_defaults(between) -> None:
     state = state_of("disc", (4.5, 5.0), 0.0, 2.0)
     assert price(CollisionCost(), state, between) == pytest.approx((0.22 / 0.05) ** 2, rel=1e-4)
     numbers = [float(leaf) for leaf in jax.tree.leaves(CollisionCost())]
-    assert numbers == pytest.approx([0.02, 0.05, 1.0, 0.03])
+    assert numbers == pytest.approx([0.02, 0.05, 1.0, 0.1])
 
 
 @every_robot
@@ -187,7 +187,7 @@ def test_slopes_are_finite_at_the_centre_of_an_obstacle_and_off_the_map(name, be
     def slope(values):
         def along(values):
             state = State(values, robot)
-            return CollisionCost(braking=1.0).stage(state, jnp.zeros(2), jnp.zeros(()), belief)
+            return CollisionCost().stage(state, jnp.zeros(2), jnp.zeros(()), belief)
 
         return jax.grad(along)(values)
 
@@ -201,60 +201,42 @@ def test_slopes_are_finite_at_the_centre_of_an_obstacle_and_off_the_map(name, be
     here=WHERE,
     yaw=ANGLE,
     v=SPEED,
+    t=TIME,
     positions=rows(3, 0, 8),
     velocities=rows(3, -1, 1),
     radii=numbers(3, 0, 1),
     is_known=hnp.arrays(bool, 3),
-    braking=st.floats(0.5, 4, width=32),
 )
-def test_who_comes_near_pays_for_the_room_it_lacks_to_stop(
-    name, here, yaw, v, positions, velocities, radii, is_known, braking, between
+def test_to_be_where_an_obstacle_could_be_costs_a_little(
+    name, here, yaw, v, t, positions, velocities, radii, is_known, between
 ) -> None:
     too_close = ROBOTS[name][2] + 0.07 + 0.3 * abs(v)
     expected = 0.0
     for n in np.flatnonzero(is_known):
-        towards = positions[n].astype(np.float64) - here
-        rate = v * (towards @ [math.cos(yaw), math.sin(yaw)]) / max(np.hypot(*towards), 1e-3)
-        if rate > 0.0:
-            gap = np.hypot(*(centres(name, here, yaw) - positions[n]).T).min() - float(radii[n])
-            way = rate**2 / (2.0 * braking) + rate / braking * np.hypot(*velocities[n])
-            expected += 0.5 * max(too_close + way - gap, 0.0) ** 2
+        from_now = np.hypot(*(centres(name, here, yaw) - positions[n]).T).min() - float(radii[n])
+        reached = t * np.hypot(*velocities[n].astype(np.float64))
+        expected += 0.5 * max(too_close + reached - from_now, 0.0) ** 2
     seen = tracks(positions, velocities, radii, np.zeros(3), is_known)
     belief, state = dataclasses.replace(between, tracks=seen), state_of(name, here, yaw, v)
-    bare = CollisionCost(0.07, 0.3, caution=0.0)
-    found = price(CollisionCost(0.07, 0.3, 0.0, braking, 0.5), state, belief)
+    with_it, without = (
+        price(CollisionCost(0.07, 0.3, 0.0, reach), state, belief, t) for reach in (0.5, 0.0)
+    )
     # A difference of what may be thousands.
-    assert found - price(bare, state, belief) == pytest.approx(expected, rel=1e-3, abs=1e-2)
+    assert with_it - without == pytest.approx(expected, rel=1e-3, abs=1e-2)
 
 
-def test_to_stand_or_to_go_away_costs_nothing(between) -> None:
+def test_one_that_goes_away_could_come_back(between) -> None:
     open_map = ScalarField(jnp.full((9, 9), 9.0), between.grid.frame, jnp.zeros(()))
-    seen = tracks([[4.0, 4.0]] * 3, [[-1.0, 0.0]] * 3, [0.3] * 3, [0.0] * 3, [1, 0, 0])
+    seen = tracks([[4.0, 4.0]] * 3, [[1.0, 0.0]] * 3, [0.3] * 3, [0.0] * 3, [1, 0, 0])
     belief = dataclasses.replace(between, clearance=open_map, tracks=seen)
-    cost = CollisionCost(braking=1.0)
-    paid = {
-        v: price(cost, state_of("disc", (3.0, 4.0), 0.0, v), belief) for v in (-1.0, 0.0, 0.1, 1.0)
-    }
-    assert paid[-1.0] == paid[0.0] == paid[0.1] == 0.0
-    # A second to stop: half a metre for the robot, a metre for the other; 0.43 m are free.
-    assert paid[1.0] == pytest.approx(0.03 * (1.5 - 0.43) ** 2, rel=1e-3)
+    state = state_of("disc", (3.0, 4.0), 0.0, 0.0)
+    paid = {t: price(CollisionCost(), state, belief, t) for t in (0.0, 0.4, 1.0)}
+    # 1 m apart, less 0.3 m of it and 0.22 m of the robot: 0.48 m are free.
+    assert paid[0.0] == paid[0.4] == 0.0
+    assert paid[1.0] == pytest.approx(0.1 * 0.52**2, rel=1e-3)
 
 
-def test_braking_is_no_reason_to_recompile(between) -> None:
-    traces = 0
-
-    @eqx.filter_jit
-    def look(cost, state):
-        nonlocal traces
-        traces += 1
-        return cost.stage(state, jnp.zeros(2), jnp.zeros(()), between)
-
-    for braking in (1.0, 2.0):
-        look(CollisionCost(braking=braking), state_of("disc", (3.0, 4.0), 0.0, 1.0))
-    assert traces == 1
-
-
-@pytest.mark.parametrize("name", ["margin", "reaction_time", "caution", "braking", "headway"])
+@pytest.mark.parametrize("name", ["margin", "reaction_time", "caution", "reach"])
 @pytest.mark.parametrize("value", [-0.1, math.nan, np.ones(2)], ids=repr)
 def test_bad_numbers_are_named(name: str, value) -> None:
     with pytest.raises(ValueError, match=rf"^{name} (is|has shape) .*; accepted: "):

@@ -78,7 +78,7 @@ PAIRS = {
     ],
     "rate": [ControlRateCost(1.0), ControlRateCost(2.0)],
     "jerk": [ControlJerkCost(1.0), ControlJerkCost(2.0)],
-    "collision": [CollisionCost(1.0, 1.0, 1.0, 1.0), CollisionCost(2.0, 3.0, 4.0, 5.0, 6.0)],
+    "collision": [CollisionCost(1.0, 1.0, 1.0, 1.0), CollisionCost(2.0, 3.0, 4.0, 5.0)],
     "tracked": [TrackedObstacleCost(), TrackedObstacleCost(1.0, 2.0, 3.0)],
     "terrain": [TerrainCost(), TerrainCost(1.0, 2.0)],
     "traversability": [TraversabilityCost(), TraversabilityCost(1.0, 0.9)],

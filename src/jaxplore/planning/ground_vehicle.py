@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Scalar, Vector
+from jaxplore._types import Vector
 from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.parameterisations import Parameterisation
@@ -175,7 +175,7 @@ def ground_portfolio(
     return Portfolio(
         _template(
             robot,
-            (COLLISION / horizon) * CollisionCost(margin, braking=_braking(robot)),
+            (COLLISION / horizon) * CollisionCost(margin),
             horizon=horizon,
             num_samples=num_samples,
             temperature=temperature,
@@ -221,13 +221,6 @@ def _template(
         # Likelihood ratios of tens of steps would leave one sample in a thousand.
         weighting=Softmax(temperature, importance=0.0),
     )
-
-
-def _braking(robot: Dynamics) -> Scalar | None:
-    """Return the deceleration of a robot whose controls have one [m/s^2]."""
-    if "a" not in robot.control_names:
-        return None
-    return -robot.control_min[robot.control_names.index("a")]
 
 
 def _weights(
