@@ -20,7 +20,7 @@ GridMask = Bool[Array, "H W"]
 StateVector = Float[Array, "nx"]
 ControlVector = Float[Array, "nu"]
 Key = PRNGKeyArray
-Vector = ArrayLike | Sequence[float]
+Vector = ArrayLike | Sequence[float | int]
 """What is accepted where a few numbers are given by hand."""
 Rows = ArrayLike | Sequence[Vector]
 """What is accepted where rows of numbers are given by hand."""

@@ -18,8 +18,13 @@ _YAML_ERRORS = (*MALFORMED, yaml.YAMLError)
 _SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
 
 
-def read_yaml(path: Path) -> dict[object, object]:
+def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
     """Return the mapping in a YAML file.
+
+    Args:
+        path: of the file.
+        of: what it is to hold, for messages.
+        limit: largest file that is read [bytes].
 
     Raises:
         ValueError: a file that is missing, too large, too intricate or no YAML mapping.
@@ -27,20 +32,20 @@ def read_yaml(path: Path) -> dict[object, object]:
     where = name_of(path)
     try:
         if not path.is_file():
-            raise ValueError(f"{where} is not there or not a file; accepted: a map's YAML file")
+            raise ValueError(f"{where} is not there or not a file; accepted: a {of}'s YAML file")
         with path.open("rb") as file:
-            data = file.read(YAML_LIMIT + 1)
+            data = file.read(limit + 1)
     except OSError as error:
         raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
-    if len(data) > YAML_LIMIT:
-        raise ValueError(f"{where} is too large; accepted: at most {YAML_LIMIT} bytes of YAML")
+    if len(data) > limit:
+        raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of YAML")
     try:
         _refuse_intricate(data)
         entries = yaml.safe_load(data)
     except _YAML_ERRORS as error:
-        raise ValueError(f"{where} is not a map's YAML: {reason_of(error)}") from None
+        raise ValueError(f"{where} is not a {of}'s YAML: {reason_of(error)}") from None
     if not isinstance(entries, dict):
-        raise ValueError(f"{where} holds {show(entries)}; accepted: a YAML mapping of a map")
+        raise ValueError(f"{where} holds {show(entries)}; accepted: a YAML mapping of a {of}")
     return entries
 
 

@@ -1,0 +1,317 @@
+"""Curves as paths: lines, arcs, clothoids, and splines through points."""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolator
+
+from jaxplore import _checks
+from jaxplore._types import Rows, Vector
+from jaxplore.geometry.path import Path, nodes_for
+
+METHODS = ("cubic", "monotone", "akima")
+BOUNDARIES = ("not-a-knot", "natural", "clamped")
+
+Function = Callable[[np.ndarray], np.ndarray]
+Piece = tuple[float, float, float]
+"""Length [m], curvature at its start and at its end [1/m]."""
+
+
+def line_path(start: Vector, end: Vector, *, half_widths: Rows | None = None) -> Path:
+    """Return the straight path between two points.
+
+    Args:
+        start: (x, y) [m].
+        end: (x, y) [m].
+        half_widths: see `Path`.
+
+    Raises:
+        ValueError: points that are the same, or no two finite numbers.
+    """
+    first, last = (
+        np.asarray(_checks.vector(name, value, 2), np.float64)
+        for name, value in (("start", start), ("end", end))
+    )
+    length = float(np.hypot(*(last - first)))
+    if length == 0.0:
+        raise ValueError(f"end is {end!r}, which is start; accepted: another point")
+    along = (last - first) / length
+    return Path(
+        lambda phi: first + phi[:, None] * along,
+        lambda phi: np.broadcast_to(along, (phi.size, 2)),
+        length,
+        num_nodes=nodes_for(length, np.zeros(1)),
+        half_widths=half_widths,
+    )
+
+
+def arc_path(
+    start: Vector, radius: float, angle: float, *, half_widths: Rows | None = None
+) -> Path:
+    """Return an arc of a circle; a whole turn is a closed path.
+
+    Args:
+        start: (x, y, heading) where it begins [m, m, rad].
+        radius: [m].
+        angle: by which the heading changes, positive to the left [rad].
+        half_widths: see `Path`.
+
+    Raises:
+        ValueError: a radius that is not positive, an angle of 0 or beyond a whole turn.
+    """
+    size = _checks.number("radius", radius, above=0.0)
+    turn = _checks.number("angle", angle, at_least=-math.tau, at_most=math.tau)
+    if turn == 0.0:
+        raise ValueError("angle is 0.0; accepted: another number [rad], or `line_path`")
+    bend = math.copysign(1.0 / size, turn)
+    return clothoid_path(
+        start,
+        [(abs(turn) * size, bend, bend)],
+        is_closed=abs(turn) == math.tau,
+        half_widths=half_widths,
+    )
+
+
+def clothoid_path(
+    start: Vector,
+    pieces: Sequence[Piece],
+    *,
+    is_closed: bool = False,
+    half_widths: Rows | None = None,
+) -> Path:
+    """Return a path of pieces whose curvature changes linearly: lines, arcs and clothoids.
+
+    With s the arc length from the start of a piece of length l from curvature k_0 to k_1,
+
+        theta(s) = theta_0 + k_0 s + (k_1 - k_0) s^2 / (2 l)
+        p(s) = p_0 + integral from 0 to s of (cos theta, sin theta)
+
+    by Gauss-Legendre quadrature: the Fresnel integrals have no closed form. Without jumps of the
+    curvature between pieces, a car can follow it at speed.
+
+    Args:
+        start: (x, y, heading) where it begins [m, m, rad].
+        pieces: length [m] and curvatures at start and end [1/m] of each; positive to the left.
+        is_closed: whether it ends where and as it began.
+        half_widths: see `Path`.
+
+    Raises:
+        ValueError: no pieces, one that is not a positive length and two finite curvatures, one that
+            is too long for its curvature, a closed path that ends elsewhere.
+    """
+    x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
+    rows = [
+        (
+            _checks.number(f"pieces[{index}] length", piece[0], above=0.0),
+            _checks.number(f"pieces[{index}] curvature", piece[1]),
+            _checks.number(f"pieces[{index}] curvature", piece[2]),
+        )
+        for index, piece in enumerate(pieces)
+    ]
+    if not rows:
+        raise ValueError("pieces is empty; accepted: at least one")
+    lengths, bends, ends = np.array(rows).T
+    starts = np.concatenate([[0.0], np.cumsum(lengths)])
+    turns = 0.5 * lengths * (bends + ends)
+    headings = heading + np.concatenate([[0.0], np.cumsum(turns)])
+    total = float(starts[-1])
+    count = nodes_for(total, np.concatenate([bends, ends]))
+
+    def theta(phi: np.ndarray) -> np.ndarray:
+        piece = np.clip(np.searchsorted(starts, phi, side="right") - 1, 0, len(rows) - 1)
+        s = phi - starts[piece]
+        rate = (ends - bends)[piece] / lengths[piece]
+        turned: np.ndarray = s * (bends[piece] + 0.5 * rate * s)
+        return np.asarray(headings[piece] + turned)
+
+    def direction(phi: np.ndarray) -> np.ndarray:
+        return np.stack([np.cos(theta(phi)), np.sin(theta(phi))], -1)
+
+    def position(phi: np.ndarray) -> np.ndarray:
+        # Curvature may jump between pieces, so none is integrated across.
+        knots = np.union1d(starts, phi)
+        places = np.array([x, y]) + _integrals(direction, knots)
+        return np.asarray(places[np.searchsorted(knots, phi)])
+
+    if is_closed:
+        turned = headings[-1] - heading
+        if not math.isclose(turned, math.tau * round(turned / math.tau), abs_tol=1e-6):
+            raise ValueError(f"pieces turn by {turned:.6g} rad; accepted: whole turns, when closed")
+    return Path(
+        position, direction, total, is_closed=is_closed, num_nodes=count, half_widths=half_widths
+    )
+
+
+def path_through(
+    points: Rows,
+    *,
+    method: str = "cubic",
+    boundary: str = "not-a-knot",
+    is_closed: bool = False,
+    half_widths: Rows | None = None,
+) -> Path:
+    """Return a smooth path through waypoints, by its true arc length.
+
+    x and y are splines over the length of the chords, in SciPy; the arc length is integrated and
+    inverted numerically.
+
+    | method | between waypoints |
+    | --- | --- |
+    | "cubic" | twice differentiable: the curvature has no jumps; may swing out |
+    | "monotone" | once (PCHIP): x and y stay between those of the waypoints |
+    | "akima" | once: swings out less than "cubic", turns more smoothly than "monotone" |
+
+    Args:
+        points: (M, 2) to pass in this order, M >= 2; of a closed path M >= 3, the first not
+            repeated at the end [m].
+        method: the spline.
+        boundary: of an open cubic one: "not-a-knot", "natural" (no curvature at the ends) or
+            "clamped" (no derivative there). A closed one is periodic.
+        is_closed: whether the path returns to the first point.
+        half_widths: room to the left and right of the path [m]: two numbers, or (M, 2), one row for
+            each waypoint.
+
+    Raises:
+        ValueError: too few points, points that are not finite, the same point twice in a row, an
+            unknown method or boundary, half widths that are not positive.
+    """
+    knots = _waypoints(points, is_closed)
+    if method not in METHODS:
+        raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
+    if boundary not in BOUNDARIES:
+        raise ValueError(f"boundary is {boundary!r}; accepted: {', '.join(BOUNDARIES)}")
+    chords = np.hypot(*np.diff(knots, axis=0).T)
+    at = np.concatenate([[0.0], np.cumsum(chords)])
+    spline, slope, second = _spline(at, knots, method, boundary, is_closed)
+
+    def speed(values: np.ndarray) -> np.ndarray:
+        return np.asarray(np.hypot(*slope(values).T))
+
+    # Arc length at many parameters of every piece, then inverted: Newton from a linear guess.
+    fine = np.unique(np.concatenate([np.linspace(a, b, 33) for a, b in itertools.pairwise(at)]))
+    arc = _integrals(lambda values: speed(values)[:, None], fine)[:, 0]
+    total = float(arc[-1])
+
+    def parameter(phi: np.ndarray) -> np.ndarray:
+        values = np.interp(phi, arc, fine)
+        for _ in range(4):
+            index = np.clip(np.searchsorted(fine, values, side="right") - 1, 0, fine.size - 2)
+            passed = arc[index] + _between(speed, fine[index], values)
+            rate = speed(values)
+            step = np.where(rate > 0.0, (phi - passed) / np.where(rate > 0.0, rate, 1.0), 0.0)
+            values = np.clip(values + step, at[0], at[-1])
+        return np.asarray(values)
+
+    def direction(phi: np.ndarray) -> np.ndarray:
+        values = parameter(phi)
+        tangent = slope(values)
+        size = np.hypot(*tangent.T)
+        # A clamped end stands still: its direction is that of the acceleration there.
+        still = size < 1e-9
+        tangent = np.where(still[:, None], second(values) * _sign_at(values, at), tangent)
+        return np.asarray(tangent / np.hypot(*tangent.T)[:, None])
+
+    first, bend = slope(fine), second(fine)
+    size = np.maximum(np.hypot(*first.T), 1e-3)
+    curvature = (first[:, 0] * bend[:, 1] - first[:, 1] * bend[:, 0]) / size**3
+    count = nodes_for(total, curvature)
+    return Path(
+        lambda phi: spline(parameter(phi)),
+        direction,
+        total,
+        is_closed=is_closed,
+        num_nodes=count,
+        half_widths=_widths_along(half_widths, knots, is_closed, at, parameter, total, count),
+    )
+
+
+def _sign_at(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return np.where(values > 0.5 * (at[0] + at[-1]), -1.0, 1.0)[:, None]
+
+
+def _spline(
+    at: np.ndarray, knots: np.ndarray, method: str, boundary: str, is_closed: bool
+) -> tuple[Function, Function, Function]:
+    """Return a spline (N,) -> (N, 2) through knots, and its first two derivatives."""
+    if method == "cubic":
+        kind: Any = "periodic" if is_closed else boundary
+        spline: Any = CubicSpline(at, knots, bc_type=kind)
+    else:
+        build = PchipInterpolator if method == "monotone" else Akima1DInterpolator
+        if is_closed:
+            # Neither has a periodic form: round three times, of which the middle one is looked at.
+            at = np.concatenate([at[:-1] - at[-1], at[:-1], at + at[-1]])
+            knots = np.concatenate([knots[:-1], knots[:-1], knots])
+        spline = build(at, knots)
+    return spline, spline.derivative(), spline.derivative(2)
+
+
+def _waypoints(points: Rows, is_closed: bool) -> np.ndarray:
+    given = np.asarray(points, np.float64)
+    least = 3 if is_closed else 2
+    if given.ndim != 2 or given.shape[1] != 2 or len(given) < least:
+        raise ValueError(f"points has shape {given.shape}; accepted: (M, 2) with M >= {least}")
+    if not np.isfinite(given).all():
+        value = float(given[~np.isfinite(given)][0])
+        raise ValueError(f"points has a value {value}; accepted: finite numbers [m]")
+    knots = np.concatenate([given, given[:1]]) if is_closed else given
+    same = np.flatnonzero((np.diff(knots, axis=0) == 0.0).all(axis=1))
+    if same.size:
+        index = int(same[0])
+        raise ValueError(
+            f"points[{(index + 1) % len(given)}] is {given[index].tolist()}, which is the point "
+            "before it; accepted: no point twice in a row"
+        )
+    return knots
+
+
+def _widths_along(
+    half_widths: Rows | None,
+    knots: np.ndarray,
+    is_closed: bool,
+    at: np.ndarray,
+    parameter: Function,
+    total: float,
+    count: int,
+) -> Rows | None:
+    """Return half widths at equal arc lengths, of those at waypoints."""
+    if half_widths is None:
+        return None
+    given = np.asarray(half_widths, np.float64)
+    if given.shape == (2,):
+        return given
+    number = len(knots) - is_closed
+    if given.shape != (number, 2):
+        raise ValueError(
+            f"half_widths has shape {given.shape}; accepted: (2,) or ({number}, 2), a row for each "
+            "waypoint"
+        )
+    if not (given > 0.0).all():
+        value = float(given[~(given > 0.0)][0])
+        raise ValueError(f"half_widths has a value {value}; accepted: positive numbers [m]")
+    rows = np.concatenate([given, given[:1]]) if is_closed else given
+    values = parameter(np.linspace(0.0, total, count))
+    return np.stack([np.interp(values, at, side) for side in rows.T], -1)
+
+
+NODES, WEIGHTS = leggauss(8)
+
+
+def _between(rate: Function, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Return the integral of a rate (N,) between pairs of bounds, by Gauss-Legendre quadrature."""
+    half, middle = 0.5 * (high - low), 0.5 * (high + low)
+    values = rate((middle[:, None] + half[:, None] * NODES).ravel()).reshape(-1, NODES.size)
+    return np.asarray(half * (values @ WEIGHTS))
+
+
+def _integrals(rate: Function, at: np.ndarray) -> np.ndarray:
+    """Return the integral (N, D) of a rate from the first of increasing values to each of them."""
+    half, middle = 0.5 * np.diff(at), 0.5 * (at[1:] + at[:-1])
+    values = rate((middle[:, None] + half[:, None] * NODES).ravel())
+    values = values.reshape(len(half), NODES.size, -1)
+    pieces = half[:, None] * np.einsum("ngd,g->nd", values, WEIGHTS)
+    return np.concatenate([np.zeros((1, pieces.shape[1])), np.cumsum(pieces, axis=0)])

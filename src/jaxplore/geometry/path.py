@@ -1,0 +1,312 @@
+"""Paths by arc length: where a robot is to go, and how far it is from there."""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import Position, Rows, Scalar
+
+NODES_PER_RADIUS = 10.0
+"""Nodes on the length of the least radius of curvature: the look-up is off by 1e-6 radii then."""
+LEAST_NODES, MOST_NODES = 65, 16385
+NEWTON_STEPS = 4
+"""From a node within half a spacing; each squares the error."""
+LOOK_UP: Any = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
+"""Rows are within the table: without this every look-up checks them again."""
+
+
+class PathPoint(NamedTuple):
+    """One point of a path.
+
+    Args:
+        x: [m].
+        y: [m].
+        cos: of the heading.
+        sin: of the heading.
+        curvature: positive to the left [1/m].
+    """
+
+    x: Scalar
+    y: Scalar
+    cos: Scalar
+    sin: Scalar
+    curvature: Scalar
+
+    @property
+    def position(self) -> Position:
+        """(x, y) [m]."""
+        return jnp.stack([self.x, self.y])
+
+    @property
+    def heading(self) -> Scalar:
+        """Of the path [rad], counter-clockwise from the x axis."""
+        return jnp.arctan2(self.sin, self.cos)
+
+    @property
+    def normal(self) -> Position:
+        """Unit vector (2,) to the left of the path."""
+        return jnp.stack([-self.sin, self.cos])
+
+
+class PathErrors(NamedTuple):
+    """How far a position is from a point of a path.
+
+    Args:
+        contouring: across the path, positive to its right [m].
+        lag: along the path, positive behind the point [m].
+    """
+
+    contouring: Scalar
+    lag: Scalar
+
+
+class Path(eqx.Module):
+    """A planar curve by its true arc length phi, in metres from its start.
+
+    Held as a table of points and directions at equal arc lengths. Between two of them, h apart,
+    positions are cubic (Hermite) in phi, with the directions as derivatives, so that a look-up
+    costs the same for any curve and length; it deviates by less than h^4 / 384 times the fourth
+    derivative, about (h / R)^4 R / 384 on an arc of radius R.
+
+    An open path goes on straight before its start and after its end. A closed one repeats: after
+    two laps phi is twice the length, so that progress never jumps.
+
+    Built by `path_through`, `line_path`, `arc_path`, `clothoid_path` or `read_path`; this
+    constructor takes any function of the arc length.
+
+    Args:
+        position: maps arc lengths (N,) to points (N, 2) [m], in NumPy.
+        direction: maps arc lengths (N,) to unit tangents (N, 2).
+        length: [m].
+        is_closed: whether the end is the start; static.
+        num_nodes: of the table, static.
+        half_widths: room to the left and to the right of the path [m]: two numbers, or (M, 2) at
+            equal distances from start to end; unbounded when absent.
+
+    Raises:
+        ValueError: a length that is not positive, points that are not finite, a closed path whose
+            ends differ, half widths that are not positive.
+    """
+
+    points: Float[Array, "N 2"]
+    """At the nodes [m]."""
+    tangents: Float[Array, "N 2"]
+    """Unit vectors along the path at the nodes."""
+    half_widths: Float[Array, "N 2"]
+    """Room to the left and to the right at the nodes [m]; infinite where there is no bound."""
+    length: Scalar
+    is_closed: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        position: Callable[[np.ndarray], np.ndarray],
+        direction: Callable[[np.ndarray], np.ndarray],
+        length: float,
+        *,
+        is_closed: bool = False,
+        num_nodes: int = 257,
+        half_widths: Rows | None = None,
+    ) -> None:
+        total = _checks.number("length", length, above=0.0)
+        count = _checks.whole_number("num_nodes", num_nodes, at_least=2)
+        along = np.linspace(0.0, total, count)
+        points = np.asarray(position(along), np.float64)
+        tangents = np.asarray(direction(along), np.float64)
+        for name, rows in (("position", points), ("direction", tangents)):
+            if rows.shape != (count, 2) or not np.isfinite(rows).all():
+                raise ValueError(
+                    f"{name} of {count} arc lengths is {rows!r}; accepted: finite numbers (N, 2)"
+                )
+        size = np.hypot(*tangents.T)
+        if not np.allclose(size, 1.0, atol=1e-3):
+            worst = float(size[np.argmax(np.abs(size - 1.0))])
+            raise ValueError(f"direction has length {worst:.3g}; accepted: unit vectors")
+        gap = float(np.hypot(*(points[-1] - points[0])))
+        if is_closed and gap > 1e-3 * total:
+            raise ValueError(
+                f"position(length) is {gap:.3g} m from position(0); accepted: the same point, of "
+                "a closed path"
+            )
+        self.points = jnp.asarray(points, jnp.float32)
+        self.tangents = jnp.asarray(tangents / size[:, None], jnp.float32)
+        self.half_widths = _widths(half_widths, count)
+        self.length = jnp.asarray(total, jnp.float32)
+        self.is_closed = is_closed
+
+    @property
+    def has_room(self) -> bool:
+        """Whether the path is bounded on either side anywhere; true where that is traced."""
+        if _checks.is_traced(self.half_widths):
+            return True
+        return bool(np.isfinite(np.asarray(self.half_widths)).any())
+
+    @property
+    def spacing(self) -> Scalar:
+        """Arc length between nodes [m]."""
+        return self.length / (self.points.shape[0] - 1)
+
+    def at(self, phi: Scalar) -> PathPoint:
+        """Return the point at an arc length [m]."""
+        row, share, beyond = self._locate(phi)
+        h = self.spacing
+        (x0, y0), (x1, y1) = self._rows(self.points, row)
+        (c0, s0), (c1, s1) = self._rows(self.tangents, row)
+        x, dx, ddx = _hermite(x0, h * c0, x1, h * c1, share)
+        y, dy, ddy = _hermite(y0, h * s0, y1, h * s1, share)
+        # The derivative of the cubic is a unit vector up to the table's error.
+        square = dx * dx + dy * dy
+        inverse = 1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
+        cos, sin = dx * inverse, dy * inverse
+        curvature = (dx * ddy - dy * ddx) * (inverse * inverse * inverse)
+        if not self.is_closed:
+            x, y = x + beyond * cos, y + beyond * sin
+            curvature = jnp.where(beyond == 0.0, curvature, 0.0)
+        return PathPoint(x, y, cos, sin, curvature)
+
+    def room(self, phi: Scalar) -> tuple[Scalar, Scalar]:
+        """Return the room to the left and to the right of the path [m], linear between nodes."""
+        row, share, _ = self._locate(phi)
+        before, after = self._rows(self.half_widths, row)
+        # Of an infinite width no difference is taken.
+        left, right = (
+            jnp.where(a == b, a, a + share * (jnp.where(a == b, 0.0, b - a)))
+            for a, b in zip(before, after, strict=True)
+        )
+        return left, right
+
+    def errors(self, position: Position, phi: Scalar) -> PathErrors:
+        """Return how far a position is from the point at an arc length.
+
+            contouring = sin(theta) (x - x_phi) - cos(theta) (y - y_phi)
+            lag = -cos(theta) (x - x_phi) - sin(theta) (y - y_phi)
+
+        with theta the heading of the path there: the errors of model predictive contouring control
+        (Lam, Manzie and Good, CDC 2010, eq. 8; Liniger et al., "Optimization-based autonomous
+        racing of 1:43 scale RC cars", 2015, eq. 9).
+
+        Args:
+            position: (x, y) [m].
+            phi: arc length [m].
+        """
+        return errors_at(self.at(phi), position)
+
+    def offset(self, phi: Scalar, lateral: Scalar) -> Position:
+        """Return the position (2,) that is so far to the left of the point at an arc length [m]."""
+        point = self.at(phi)
+        return point.position + lateral * point.normal
+
+    def nearest(self, position: Position, near: Scalar | None = None) -> Scalar:
+        """Return the arc length of the point of the path that is nearest to a position [m].
+
+        Of a closed path it is in [0, length), or with `near` in the lap that is nearest to it; then
+        only what is within a quarter of the length from there is considered. Of an open path it is
+        in [0, length].
+
+        The nearest node, then Newton steps on the cubic between its neighbours. Of points that are
+        equally near, that with the least arc length.
+
+        Args:
+            position: (x, y) [m].
+            near: arc length around which to look [m]; everywhere when absent.
+        """
+        count = self.points.shape[0]
+        h = self.spacing
+        away = self.points - position
+        square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]
+        if near is not None:
+            nodes = h * jnp.arange(count, dtype=jnp.float32)
+            off = nodes - near
+            if self.is_closed:
+                off = off - self.length * jnp.round(off / self.length)
+            square = jnp.where(jnp.abs(off) <= 0.25 * self.length, square, jnp.inf)
+        start = h * jnp.argmin(square).astype(jnp.float32)
+        phi = start
+        for _ in range(NEWTON_STEPS):
+            point = self.at(phi)
+            dx, dy = position[0] - point.x, position[1] - point.y
+            along = dx * point.cos + dy * point.sin
+            across = dy * point.cos - dx * point.sin
+            # d/dphi of half the squared distance is -along, its derivative 1 - curvature * across.
+            slope = jnp.maximum(1.0 - point.curvature * across, 0.25)
+            phi = jnp.clip(phi + along / slope, start - h, start + h)
+        if not self.is_closed:
+            return jnp.clip(phi, 0.0, self.length)
+        if near is None:
+            return jnp.mod(phi, self.length)
+        return phi + self.length * jnp.round((near - phi) / self.length)
+
+    def _locate(self, phi: Scalar) -> tuple[Array, Scalar, Scalar]:
+        """Return the node before an arc length, the share of the way to the next, and by how much
+        the arc length is beyond an open path's ends [m]."""
+        last = self.points.shape[0] - 2
+        if self.is_closed:
+            inside, beyond = phi - self.length * jnp.floor(phi / self.length), jnp.zeros(())
+        else:
+            inside = jnp.clip(phi, 0.0, self.length)
+            beyond = phi - inside
+        steps = inside / self.spacing
+        row = jnp.clip(jnp.floor(steps), 0.0, last)
+        # Of what is not a number the row is any, and the share is none: so is what is looked up.
+        return jnp.nan_to_num(row).astype(jnp.int32), steps - row, beyond
+
+    @staticmethod
+    def _rows(
+        table: Float[Array, "N 2"], row: Array
+    ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+        # Components, not vectors: of K samples each is one vector of K.
+        def value(index: Array, column: int) -> Scalar:
+            return table.at[index, column].get(
+                mode="promise_in_bounds", wrap_negative_indices=False
+            )
+
+        after = row + 1
+        return (value(row, 0), value(row, 1)), (value(after, 0), value(after, 1))
+
+
+def errors_at(point: PathPoint, position: Position) -> PathErrors:
+    """Return how far a position (x, y) is from a point of a path: see `Path.errors`."""
+    dx, dy = position[0] - point.x, position[1] - point.y
+    return PathErrors(
+        contouring=point.sin * dx - point.cos * dy, lag=-point.cos * dx - point.sin * dy
+    )
+
+
+def nodes_for(length: float, curvature: np.ndarray) -> int:
+    """Return how many nodes a path of that length and those curvatures [1/m] needs."""
+    sharpest = float(np.max(np.abs(curvature), initial=0.0))
+    wanted = 1 + math.ceil(min(NODES_PER_RADIUS * sharpest * length, MOST_NODES))
+    return min(max(wanted, LEAST_NODES), MOST_NODES)
+
+
+def _hermite(
+    start: Scalar, start_slope: Scalar, end: Scalar, end_slope: Scalar, share: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Return a cubic on [0, 1] and its first two derivatives, by its ends and their slopes."""
+    rise = end - start
+    second = 3.0 * rise - 2.0 * start_slope - end_slope
+    third = start_slope + end_slope - 2.0 * rise
+    value = start + share * (start_slope + share * (second + share * third))
+    first = start_slope + share * (2.0 * second + 3.0 * share * third)
+    return value, first, 2.0 * second + 6.0 * share * third
+
+
+def _widths(half_widths: Rows | None, count: int) -> Float[Array, "N 2"]:
+    if half_widths is None:
+        return jnp.full((count, 2), jnp.inf)
+    given = np.asarray(half_widths, np.float64)
+    if given.shape == (2,):
+        given = given[None]
+    if given.ndim != 2 or given.shape[1] != 2 or not len(given):
+        raise ValueError(f"half_widths has shape {given.shape}; accepted: (2,) or (M, 2)")
+    if not (given > 0.0).all():
+        value = float(given[~(given > 0.0)][0])
+        raise ValueError(f"half_widths has a value {value}; accepted: positive numbers [m]")
+    rows = np.linspace(0.0, 1.0, len(given))
+    at = np.linspace(0.0, 1.0, count)
+    return jnp.asarray(np.stack([np.interp(at, rows, side) for side in given.T], -1), jnp.float32)
