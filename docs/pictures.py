@@ -43,6 +43,7 @@ def main() -> None:
             ("control_parts", control_parts),
             ("control_rollouts", control_rollouts),
             ("fusion_pillar", fusion_pillar),
+            ("path_following", path_following),
         ):
             figure = draw()
             path = IMAGES / f"{name}.png"
@@ -455,6 +456,67 @@ def _seen_pillar(
         belief = perception.observe(belief, scan, pose)
     belief = perception.update_fields(belief, poses[-1], jnp.asarray(0.2))
     return belief, pillar, (width, height), goal
+
+
+def path_following() -> Figure:
+    """Draw twenty runs of contouring control along an S-curve, and print how they did."""
+    waypoints = np.array([(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)], np.float32)
+    path = jx.path_through(waypoints)
+    car = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
+    following = jx.mpcc(car, path, noise_std=[0.5, 0.05], max_speed=15.0)
+    model, end = following.model, float(path.length) - 0.5
+
+    @eqx.filter_jit
+    def drive(mppi: jx.MPPI, key: jax.Array) -> jax.Array:
+        def advance(carry: tuple, key: jax.Array) -> tuple[tuple, jax.Array]:
+            control, memory, _ = mppi.step(carry[1], carry[0], key=key)
+            state = model.step(carry[0], control, mppi.dt)
+            return (state, memory), state
+
+        start = (model.at_pose(0.0, 0.0, 0.0), mppi.init())
+        return jax.lax.scan(advance, start, jax.random.split(key, 200))[1]
+
+    figure, (left, upper, lower) = plt.subplots(
+        3, 1, figsize=(8.0, 6.2), height_ratios=(1.3, 1.0, 1.0), layout="constrained"
+    )
+    nodes = path.points
+    left.plot(nodes[:, 0], nodes[:, 1], "--", color=GREY, lw=1.2, label="path")
+    left.plot(waypoints[:, 0], waypoints[:, 1], "o", color=INK, ms=4, label="waypoints")
+    results, drawn = [], None
+    for seed in range(20):
+        states = drive(following.planner.mppi, jax.random.key(seed))
+        reached = np.flatnonzero(np.asarray(states[:, -1]) >= end)
+        count = int(reached[0]) + 1 if reached.size else len(states)
+        errors = [
+            np.asarray(each.errors(states[:count], model))
+            for each in (following.contouring, following.lag)
+        ]
+        results.append(
+            [
+                *(f(np.abs(e)) for e in errors for f in (np.mean, np.max)),
+                0.1 * count,
+                reached.size > 0,
+            ]
+        )
+        drawn = left.scatter(
+            states[:count, 0], states[:count, 1], c=states[:count, 3], s=3, cmap="viridis", vmin=0.0
+        )
+        for axis, error in zip((upper, lower), errors, strict=True):
+            axis.plot(states[:count, -1], error, color=BLUE, alpha=0.35, lw=0.9)
+    assert drawn is not None
+    figure.colorbar(drawn, ax=left, label="speed [m/s]", pad=0.01)
+    left.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    left.legend(loc="upper right")
+    upper.set(ylabel="contouring [m]", xticklabels=[])
+    lower.set(ylabel="lag [m]", xlabel="progress along the path [m]")
+    for axis in (upper, lower):
+        axis.axhline(0.0, color=GREY, lw=0.8)
+    mean, most = np.mean(results, axis=0), np.max(results, axis=0)
+    print(
+        f"contouring {mean[0]:.2f} mean, {most[1]:.2f} max; lag {mean[2]:.2f}, {most[3]:.2f}; "
+        f"{np.median([row[4] for row in results]):.1f} s; {int(np.sum(results, axis=0)[5])} of 20"
+    )
+    return figure
 
 
 if __name__ == "__main__":

@@ -2,10 +2,13 @@
 
 from jaxplore._version import __version__ as __version__
 from jaxplore.control.adaptation import CovarianceAdaptation as CovarianceAdaptation
+from jaxplore.control.augmented import AugmentedProposal as AugmentedProposal
 from jaxplore.control.base import Controller as Controller
 from jaxplore.control.base import Info as Info
 from jaxplore.control.base import Members as Members
 from jaxplore.control.base import SampledPlan as SampledPlan
+from jaxplore.control.batch import Batch as Batch
+from jaxplore.control.batch import rollout_batch as rollout_batch
 from jaxplore.control.coloured_noise import ColouredNoise as ColouredNoise
 from jaxplore.control.disturbance import ControlNoise as ControlNoise
 from jaxplore.control.disturbance import Disturbance as Disturbance
@@ -38,6 +41,8 @@ from jaxplore.control.noise import WhiteNoise as WhiteNoise
 from jaxplore.control.parameterisations import ControlSpace as ControlSpace
 from jaxplore.control.parameterisations import Direct as Direct
 from jaxplore.control.parameterisations import Parameterisation as Parameterisation
+from jaxplore.control.planner import PlannedControl as PlannedControl
+from jaxplore.control.planner import Planner as Planner
 from jaxplore.control.proposals import GaussianProposal as GaussianProposal
 from jaxplore.control.proposals import Proposal as Proposal
 from jaxplore.control.proposals import Surroundings as Surroundings
@@ -62,6 +67,7 @@ from jaxplore.control.weighting import AdaptiveSoftmax as AdaptiveSoftmax
 from jaxplore.control.weighting import Elite as Elite
 from jaxplore.control.weighting import Softmax as Softmax
 from jaxplore.control.weighting import Weighting as Weighting
+from jaxplore.costs import extract as extract
 from jaxplore.costs.base import Cost as Cost
 from jaxplore.costs.base import NamedCost as NamedCost
 from jaxplore.costs.bounds import SpeedLimitCost as SpeedLimitCost
@@ -83,6 +89,10 @@ from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
 from jaxplore.costs.moving import TrackedObstacleCost as TrackedObstacleCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
+from jaxplore.costs.path_following import ContouringCost as ContouringCost
+from jaxplore.costs.path_following import CorridorCost as CorridorCost
+from jaxplore.costs.path_following import LagCost as LagCost
+from jaxplore.costs.path_following import ProgressCost as ProgressCost
 from jaxplore.costs.terrain import TerrainCost as TerrainCost
 from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost
 from jaxplore.costs.tracking import GoalCost as GoalCost
@@ -91,6 +101,7 @@ from jaxplore.costs.tracking import ReferenceCost as ReferenceCost
 from jaxplore.costs.tracking import StateCost as StateCost
 from jaxplore.costs.tracking import WaypointCost as WaypointCost
 from jaxplore.dynamics.ackermann import Ackermann as Ackermann
+from jaxplore.dynamics.augmented import Augmented as Augmented
 from jaxplore.dynamics.base import ContinuousDynamics as ContinuousDynamics
 from jaxplore.dynamics.base import Dynamics as Dynamics
 from jaxplore.dynamics.base import State as State
@@ -99,13 +110,21 @@ from jaxplore.dynamics.integrators import RK4 as RK4
 from jaxplore.dynamics.integrators import Euler as Euler
 from jaxplore.dynamics.integrators import Integrator as Integrator
 from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle as KinematicBicycle
+from jaxplore.dynamics.path_parameter import PathParameter as PathParameter
 from jaxplore.dynamics.pendulum import Pendulum as Pendulum
 from jaxplore.dynamics.point_mass import PointMass as PointMass
 from jaxplore.dynamics.quadrotor import Quadrotor as Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle as Unicycle
+from jaxplore.geometry.curves import arc_path as arc_path
+from jaxplore.geometry.curves import clothoid_path as clothoid_path
+from jaxplore.geometry.curves import line_path as line_path
+from jaxplore.geometry.curves import path_through as path_through
 from jaxplore.geometry.footprint import Disc as Disc
 from jaxplore.geometry.footprint import Footprint as Footprint
 from jaxplore.geometry.footprint import Rectangle as Rectangle
+from jaxplore.geometry.path import Path as Path
+from jaxplore.geometry.path import PathErrors as PathErrors
+from jaxplore.geometry.path import PathPoint as PathPoint
 from jaxplore.information.beam import beam_information as beam_information
 from jaxplore.information.beam import cauchy_schwarz_information as cauchy_schwarz_information
 from jaxplore.information.beam import cell_information as cell_information
@@ -144,6 +163,7 @@ from jaxplore.maps.ground import GroundSample as GroundSample
 from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
 from jaxplore.maps.office import office as office
 from jaxplore.maps.office import start_pose as start_pose
+from jaxplore.maps.path_file import read_path as read_path
 from jaxplore.maps.terrain import TerrainMap as TerrainMap
 from jaxplore.maps.terrain import TerrainSample as TerrainSample
 from jaxplore.maps.world import Mover as Mover
@@ -168,6 +188,9 @@ from jaxplore.planning.ground_vehicle import Mission as Mission
 from jaxplore.planning.ground_vehicle import ground_portfolio as ground_portfolio
 from jaxplore.planning.informative import InformativeMPPI as InformativeMPPI
 from jaxplore.planning.informative import Lookout as Lookout
+from jaxplore.planning.path_following import PathFollowing as PathFollowing
+from jaxplore.planning.path_following import augmented_mppi as augmented_mppi
+from jaxplore.planning.path_following import mpcc as mpcc
 from jaxplore.planning.portfolio import Portfolio as Portfolio
 from jaxplore.planning.portfolio import PortfolioState as PortfolioState
 from jaxplore.planning.portfolio import diversity as diversity

@@ -1,0 +1,142 @@
+"""A planner without memory: a function of the state, the last solution and the temperature."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Key, Rows, Scalar, Vector
+from jaxplore.control.base import Info
+from jaxplore.control.batch import Batch, rollout_batch
+from jaxplore.control.mppi import MPPI
+from jaxplore.control.parameterisations import shifted
+from jaxplore.control.weighting import Softmax
+
+
+class PlannedControl(NamedTuple):
+    """What a planner returns.
+
+    Args:
+        optimal: (T, nu) the weighted mean of the samples; its first row is to be applied.
+        nominal: (T, nu) `optimal` one step later, the default control in its last row: around it
+            the next step samples.
+        info: about the step.
+        batch: the rollouts, on request; without the disturbance, if there is one.
+    """
+
+    optimal: Float[Array, "T nu"]
+    nominal: Float[Array, "T nu"]
+    info: Info
+    batch: Batch | None
+
+
+class Planner(eqx.Module):
+    """MPPI as a pure function of what it is given, compiled once:
+
+        planned = planner.step(
+            temperature=50.0, nominal_input=nominal, initial_state=state, key=key
+        )
+
+    For loops of one's own that keep the nominal themselves. What remembers more than a nominal,
+    such as a covariance that adapts, begins anew with each step: use the `MPPI` for that.
+
+    Args:
+        mppi: whose parts plan. Its weighting is a `Softmax`, whose temperature is an argument of
+            each step.
+
+    Raises:
+        ValueError: a weighting without a temperature that could be given.
+    """
+
+    mppi: MPPI
+
+    def __init__(self, mppi: MPPI) -> None:
+        if not isinstance(mppi.weighting, Softmax):
+            raise ValueError(
+                f"weighting is {type(mppi.weighting).__name__}; accepted: Softmax, whose "
+                "temperature a step is given"
+            )
+        self.mppi = mppi
+
+    @property
+    def initial_nominal(self) -> Float[Array, "T nu"]:
+        """The default control at all times (T, nu)."""
+        model = self.mppi.dynamics
+        return jnp.broadcast_to(model.default_control, (self.mppi.horizon, model.control_size))
+
+    def step(
+        self,
+        *,
+        temperature: ArrayLike,
+        nominal_input: Rows,
+        initial_state: Vector,
+        key: Key,
+        belief: Any = None,
+        applied: Vector | None = None,
+        return_batch: bool = False,
+    ) -> PlannedControl:
+        """Plan once.
+
+        Args:
+            temperature: of the softmax [units of cost]; another one does not recompile.
+            nominal_input: (T, nu) to sample around.
+            initial_state: (nx,).
+            key: randomness.
+            belief: whatever the cost reads.
+            applied: (nu,) the control given out last, for costs of changes; the default control
+                when absent.
+            return_batch: whether to return all rollouts, (T, nx, M); static.
+
+        Raises:
+            ValueError: a temperature that is not positive, a nominal or state of another shape.
+        """
+        mppi = self.mppi
+        sizes = (mppi.horizon, mppi.dynamics.control_size)
+        nominal, state = jnp.asarray(nominal_input), jnp.asarray(initial_state)
+        for name, value, wanted in (
+            ("nominal_input", nominal, sizes),
+            ("initial_state", state, (mppi.dynamics.state_size,)),
+        ):
+            if value.shape != wanted:
+                raise ValueError(f"{name} has shape {value.shape}; accepted: {wanted}")
+        before = mppi.dynamics.default_control
+        if applied is not None:
+            before = _checks.vector("applied", applied, mppi.dynamics.control_size)
+        heat = _checks.scalar("temperature", temperature, above=0.0)
+        return _plan(
+            mppi,
+            heat,
+            nominal.astype(jnp.float32),
+            state.astype(jnp.float32),
+            key,
+            before,
+            belief,
+            return_batch,
+        )
+
+
+@eqx.filter_jit
+def _plan(
+    mppi: MPPI,
+    temperature: Scalar,
+    nominal: Float[Array, "T nu"],
+    initial: Float[Array, " nx"],
+    key: Key,
+    applied: ControlVector,
+    belief: Any,
+    return_batch: bool,
+) -> PlannedControl:
+    mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
+    memory = mppi.init(nominal)._replace(applied=applied)
+    draft = mppi.draft(memory, key=key, shift=False)
+    costs = mppi.price(draft, initial, belief)
+    _, _, info = mppi.conclude(draft, costs)
+    batch = None
+    if return_batch:
+        everything = (mppi.dynamics, mppi.cost, initial, draft.controls, mppi.dt, belief)
+        batch = rollout_batch(*everything, applied=applied)
+    later = shifted(info.controls, jnp.ones(()), mppi.dynamics.default_control)
+    return PlannedControl(info.controls, later, info, batch)

@@ -1,0 +1,127 @@
+"""A robot with a virtual state beside its own."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import ControlVector, Position, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.footprint import Footprint
+
+
+class Augmented(Dynamics):
+    """A physical model and a virtual one side by side, each with its own state and controls:
+
+        x = (x_p, x_v),  u = (u_p, u_v),  x' = (step_p(x_p, u_p, dt), step_v(x_v, u_v, dt))
+
+    Names, bounds and defaults are those of the physical part, then those of the virtual one.
+    Position, heading, speed and footprint are the physical part's, so that costs which read those
+    serve both, and costs that read a component by name find either's.
+
+    Args:
+        physical: the robot.
+        virtual: what is planned beside it, such as a `PathParameter`.
+
+    Raises:
+        ValueError: a name of a state component or a control that both have.
+    """
+
+    physical: Dynamics
+    virtual: Dynamics
+
+    def __init__(self, physical: Dynamics, virtual: Dynamics) -> None:
+        for kind in ("state_names", "control_names"):
+            both = [name for name in getattr(physical, kind) if name in getattr(virtual, kind)]
+            if both:
+                raise ValueError(
+                    f"{kind} of {type(virtual).__name__} has {both[0]!r}, which "
+                    f"{type(physical).__name__} has; accepted: names that differ"
+                )
+        self.physical = physical
+        self.virtual = virtual
+
+    # The base's names are of the class; here they are those of the parts.
+    @property
+    def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the state's components."""
+        return (*self.physical.state_names, *self.virtual.state_names)
+
+    @property
+    def control_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the controls."""
+        return (*self.physical.control_names, *self.virtual.control_names)
+
+    @property  # type: ignore[misc]
+    def control_min(self) -> ControlVector:  # type: ignore[override]
+        """Lower bounds (nu,)."""
+        return jnp.concatenate([self.physical.control_min, self.virtual.control_min])
+
+    @property  # type: ignore[misc]
+    def control_max(self) -> ControlVector:  # type: ignore[override]
+        """Upper bounds (nu,)."""
+        return jnp.concatenate([self.physical.control_max, self.virtual.control_max])
+
+    @property
+    def default_control(self) -> ControlVector:
+        """The control (nu,) of a robot that is left alone."""
+        return jnp.concatenate([self.physical.default_control, self.virtual.default_control])
+
+    @property  # type: ignore[misc]
+    def radius(self) -> Scalar:  # type: ignore[override]
+        """Radius of the disc that holds the robot [m]."""
+        return self.physical.radius
+
+    @property
+    def footprint(self) -> Footprint:
+        """What the robot covers of the ground."""
+        return self.physical.footprint
+
+    def split_state(self, state: StateVector) -> tuple[Float[Array, " np"], Float[Array, " nv"]]:
+        """Return the physical and the virtual part of a state."""
+        size = self.physical.state_size
+        return state[:size], state[size:]
+
+    def split_control(
+        self, control: ControlVector
+    ) -> tuple[Float[Array, " np"], Float[Array, " nv"]]:
+        """Return the physical and the virtual part of a control."""
+        size = self.physical.control_size
+        return control[:size], control[size:]
+
+    def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
+        """Return the state (nx,) after `dt` seconds under a control (nu,)."""
+        return self.step_at(state, control, jnp.zeros(()), dt)
+
+    def step_at(
+        self, state: StateVector, control: ControlVector, t: Scalar, dt: Scalar
+    ) -> StateVector:
+        """Return the state (nx,) after the step that begins `t` seconds from now."""
+        parts = (self.physical, self.virtual)
+        states, controls = self.split_state(state), self.split_control(control)
+        reached = [
+            part.step_at(values, given, t, dt)
+            for part, values, given in zip(parts, states, controls, strict=True)
+        ]
+        return jnp.concatenate(reached)
+
+    def position(self, state: StateVector) -> Position:
+        """Return the physical part's position (x, y) [m]."""
+        return self.physical.position(self.split_state(state)[0])
+
+    def heading(self, state: StateVector) -> Scalar:
+        """Return the physical part's heading [rad]."""
+        return self.physical.heading(self.split_state(state)[0])
+
+    def speed(self, state: StateVector) -> Scalar:
+        """Return the physical part's forward speed [m/s]."""
+        return self.physical.speed(self.split_state(state)[0])
+
+    def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
+        """Return the state of a robot that stands still at a pose, its virtual part at zero."""
+        return jnp.concatenate(
+            [self.physical.at_pose(x, y, yaw), jnp.zeros(self.virtual.state_size)]
+        )
+
+    def blocked(self, before: StateVector, after: StateVector) -> StateVector:
+        """Return the state of a robot that something kept from moving; the virtual part goes on."""
+        stopped = self.physical.blocked(self.split_state(before)[0], self.split_state(after)[0])
+        return jnp.concatenate([stopped, self.split_state(after)[1]])

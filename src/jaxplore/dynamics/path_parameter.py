@@ -1,0 +1,60 @@
+"""The virtual state of path following: how far along a path a robot is to be."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.path import Path
+
+
+class PathParameter(Dynamics):
+    """Progress phi [m] along a path, driven by its rate [m/s], for `Augmented`:
+
+        phi' = clip(phi + dt * clip(rate, min_rate, max_rate), 0, end)
+
+    Like any control the rate is clipped before it is used, and so before it is rewarded: there is
+    nothing to gain from a rate that does not move phi. (Lam, Manzie and Good, "Model predictive
+    contouring control", CDC 2010, eq. 6.)
+
+    Args:
+        max_rate: [m/s].
+        end: of the path [m]; phi grows without end when absent, as on laps.
+        min_rate: [m/s].
+
+    Raises:
+        ValueError: a greatest rate or an end that is not positive, a least rate beyond it.
+    """
+
+    state_names: ClassVar[tuple[str, ...]] = ("phi",)
+    control_names: ClassVar[tuple[str, ...]] = ("phi_rate",)
+
+    control_min: ControlVector
+    control_max: ControlVector
+    end: Scalar | None
+    radius: Scalar
+
+    def __init__(
+        self, max_rate: ArrayLike, end: ArrayLike | None = None, min_rate: ArrayLike = 0.0
+    ) -> None:
+        high = _checks.scalar("max_rate", max_rate, above=0.0)
+        low = _checks.scalar("min_rate", min_rate)
+        if not _checks.is_traced(high, low) and float(low) > float(high):
+            raise ValueError(f"min_rate is {min_rate!r}; accepted: at most max_rate, {max_rate!r}")
+        self.control_min, self.control_max = low[None], high[None]
+        self.end = None if end is None else _checks.scalar("end", end, above=0.0)
+        self.radius = jnp.zeros(())
+
+    @classmethod
+    def along(cls, path: Path, max_rate: ArrayLike) -> "PathParameter":
+        """Return the progress along a path: to its end, or for ever along a closed one."""
+        return cls(max_rate, None if path.is_closed else path.length)
+
+    def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
+        """Return phi (1,) after `dt` seconds."""
+        rate = jnp.clip(control[0], self.control_min[0], self.control_max[0])
+        phi = jnp.maximum(state[0] + dt * rate, 0.0)
+        return jnp.stack([phi if self.end is None else jnp.minimum(phi, self.end)])

@@ -1,0 +1,93 @@
+"""Contouring control follows paths it has never seen, and says how well."""
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.costs.path_following import CorridorCost
+from jaxplore.geometry.curves import clothoid_path, line_path, path_through
+from jaxplore.planning.path_following import PathFollowing, mpcc
+
+CAR = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
+NOISE = {"noise_std": [0.5, 0.05], "max_speed": 15.0}
+S_CURVE = path_through([(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)])
+SIDE = [(6.0, 0.0, 0.0), (2.0, 0.0, 0.15), (0.5 * np.pi / 0.15 - 2.0, 0.15, 0.15), (2.0, 0.15, 0.0)]
+TRACK = clothoid_path([0, 0, 0], SIDE * 4, is_closed=True, half_widths=[1.5, 1.5])
+
+
+@eqx.filter_jit
+def drive(following: PathFollowing, key, num_steps: int = 130):
+    """Return states (N, nx) and the effective sample sizes (N,)."""
+    mppi, model = following.planner.mppi, following.model
+
+    def advance(carry, key):
+        state, memory = carry
+        control, memory, info = mppi.step(memory, state, key=key)
+        state = model.step(state, control, mppi.dt)
+        return (state, memory), (state, info.effective_sample_size)
+
+    start = (model.at_pose(0.0, 0.0, 0.0), mppi.init())
+    return jax.lax.scan(advance, start, jax.random.split(key, num_steps))[1]
+
+
+def test_it_follows_an_s_curve_to_its_end() -> None:
+    following = mpcc(CAR, S_CURVE, **NOISE)
+    for seed in range(3):
+        states, sizes = drive(following, jax.random.key(seed))
+        last = int(np.argmax(states[:, -1] > S_CURVE.length - 0.5))
+        assert last > 0
+        contouring, lag = (
+            np.abs(each.errors(states[: last + 1], following.model))
+            for each in (following.contouring, following.lag)
+        )
+        assert contouring.mean() < 0.35
+        assert lag.mean() < 0.35
+        assert np.isfinite(sizes).all()
+
+
+def test_it_keeps_within_a_track_on_its_laps() -> None:
+    following = mpcc(CAR, TRACK, **NOISE)
+    assert "CorridorCost" in dict(following.planner.mppi.cost.terms())
+    states, _ = drive(following, jax.random.key(0))
+    assert states[-1, -1] > TRACK.length
+    assert CorridorCost(TRACK).clearances(states, following.model).min() > 0.0
+
+
+def test_another_path_noise_or_weight_does_not_recompile() -> None:
+    traces = 0
+
+    @eqx.filter_jit
+    def step(mppi, key):
+        nonlocal traces
+        traces += 1
+        return mppi.step(mppi.init(), mppi.dynamics.at_pose(0.0, 0.0, 0.0), key=key)
+
+    for end, weight in ((10.0, 100.0), (20.0, 30.0)):
+        following = mpcc(CAR, line_path([0, 0], [end, 1.0]), contouring_weight=weight, **NOISE)
+        step(following.planner.mppi, jax.random.key(0))
+    assert traces == 1
+
+
+def test_costs_of_one_s_own_are_added() -> None:
+    disc = jx.DiscObstacleCost([[5.0, 0.0]], [1.0])
+    following = mpcc(CAR, S_CURVE, other=disc, **NOISE)
+    assert "DiscObstacleCost" in dict(following.planner.mppi.cost.terms())
+    assert "CorridorCost" not in dict(following.planner.mppi.cost.terms())
+
+
+@pytest.mark.parametrize(
+    ("path", "changes", "message"),
+    [
+        (S_CURVE, {"corridor": True}, "path has no half_widths; accepted"),
+        (line_path([0, 0], [9, 0], half_widths=[0.1, 0.3]), {}, "path is 0.4 m wide where"),
+        (S_CURVE, {"lag_weight": -1.0}, "lag_weight is -1.0; accepted"),
+        (S_CURVE, {"progress_noise": 0.0}, "progress_noise is 0.0; accepted"),
+        (S_CURVE, {"noise_std": [0.5]}, r"physical proposal: noise_std has shape \(1,\)"),
+        (S_CURVE, {"horizon": 0}, "horizon is 0; accepted"),
+    ],
+)
+def test_bad_input(path, changes, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        mpcc(CAR, path, **{**NOISE, **changes})
