@@ -115,8 +115,10 @@ def test_the_temperature_the_state_and_the_nominal_do_not_recompile() -> None:
     [
         ({"temperature": 0.0}, "temperature is 0.0; accepted: a finite number > 0.0"),
         ({"nominal_input": NOMINAL[:-1]}, r"nominal_input has shape \(7, 2\); accepted: \(8, 2\)"),
+        ({"temperature": np.ones(2)}, "temperature is .*; accepted: a finite number > 0.0"),
+        ({"nominal_input": np.array([["left"]])}, "nominal_input is .*; accepted: numbers"),
         ({"initial_state": STATE[:-1]}, r"initial_state has shape \(3,\); accepted: \(4,\)"),
-        ({"applied": [0.0]}, "applied is .*; accepted: 2 finite numbers"),
+        ({"applied": [0.0]}, r"applied has shape \(1,\); accepted: \(2,\)"),
     ],
 )
 def test_bad_input(changes, message: str) -> None:

@@ -3,12 +3,14 @@
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Key, Rows, Scalar, Vector
+from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Info
 from jaxplore.control.batch import Batch, rollout_batch
 from jaxplore.control.mppi import MPPI
@@ -95,27 +97,32 @@ class Planner(eqx.Module):
         """
         mppi = self.mppi
         sizes = (mppi.horizon, mppi.dynamics.control_size)
-        nominal, state = jnp.asarray(nominal_input), jnp.asarray(initial_state)
-        for name, value, wanted in (
-            ("nominal_input", nominal, sizes),
-            ("initial_state", state, (mppi.dynamics.state_size,)),
-        ):
-            if value.shape != wanted:
-                raise ValueError(f"{name} has shape {value.shape}; accepted: {wanted}")
-        before = mppi.dynamics.default_control
-        if applied is not None:
-            before = _checks.vector("applied", applied, mppi.dynamics.control_size)
-        heat = _checks.scalar("temperature", temperature, above=0.0)
-        return _plan(
-            mppi,
-            heat,
-            nominal.astype(jnp.float32),
-            state.astype(jnp.float32),
-            key,
-            before,
-            belief,
-            return_batch,
-        )
+        nominal = _array("nominal_input", nominal_input, sizes)
+        state = _array("initial_state", initial_state, (mppi.dynamics.state_size,))
+        before = None if applied is None else _array("applied", applied, sizes[1:])
+        heat: Any = temperature
+        if not _checks.is_traced(temperature):
+            plain = (
+                temperature if isinstance(temperature, (int, float)) else np.asarray(temperature)
+            )
+            # A NumPy number goes into a compiled call as it is; to make an array takes longer.
+            heat = np.float32(_checks.number("temperature", plain, above=0.0))
+        return _plan(mppi, heat, nominal, state, key, before, belief, return_batch)
+
+
+def _array(name: str, value: Vector | Rows, shape: tuple[int, ...]) -> Any:
+    """Return float32 of that shape; what is on a device stays there, what is not stays in NumPy."""
+    array: Any = value
+    if not isinstance(value, jax.Array):
+        try:
+            array = np.asarray(value, np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} is {value!r}; accepted: numbers, {shape}") from None
+    elif value.dtype != jnp.float32:
+        array = value.astype(jnp.float32)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}; accepted: {shape}")
+    return array
 
 
 @eqx.filter_jit
@@ -123,20 +130,21 @@ def _plan(
     mppi: MPPI,
     temperature: Scalar,
     nominal: Float[Array, "T nu"],
-    initial: Float[Array, " nx"],
+    initial: StateVector,
     key: Key,
-    applied: ControlVector,
+    applied: ControlVector | None,
     belief: Any,
     return_batch: bool,
 ) -> PlannedControl:
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
-    memory = mppi.init(nominal)._replace(applied=applied)
+    before = mppi.dynamics.default_control if applied is None else applied
+    memory = mppi.init(nominal)._replace(applied=before)
     draft = mppi.draft(memory, key=key, shift=False)
     costs = mppi.price(draft, initial, belief)
     _, _, info = mppi.conclude(draft, costs)
     batch = None
     if return_batch:
         everything = (mppi.dynamics, mppi.cost, initial, draft.controls, mppi.dt, belief)
-        batch = rollout_batch(*everything, applied=applied)
+        batch = rollout_batch(*everything, applied=before)
     later = shifted(info.controls, jnp.ones(()), mppi.dynamics.default_control)
     return PlannedControl(info.controls, later, info, batch)
