@@ -20,7 +20,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
-KNOTS = 8
+KNOTS = 5
 """Of the controls' splines: noise that lasts turns a car, noise that is new each step shakes it."""
 
 
@@ -122,7 +122,7 @@ def mpcc(
         num_samples: rollouts, M.
         temperature: of the softmax where a step gives none [units of cost].
         dt: model step [s].
-        parameterisation: of the controls; splines through 8 knots when absent.
+        parameterisation: of the controls; splines through 5 knots when absent.
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
