@@ -12,6 +12,7 @@ from jaxplore import (
     ControlJerkCost,
     ControlRateCost,
     Cost,
+    DifferentialDrive,
     DiscObstacleCost,
     GoalCost,
     Ground,
@@ -212,3 +213,30 @@ def test_the_same_cost_serves_another_model(name, drone, shuffled) -> None:
             for make in (drone, shuffled)
         ]
         assert values[0] == pytest.approx(values[1], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [
+        DiscObstacleCost([], 0.3),
+        DiscObstacleCost(np.zeros((0, 3)), []),
+        MovingObstacleCost([], []),
+        MovingObstacleCost(np.zeros((0, 2)), np.zeros((0, 2)), [], covariance=np.eye(2)),
+    ],
+)
+def test_no_obstacles_cost_nothing(cost) -> None:
+    model = DifferentialDrive()
+
+    def paid(values):
+        here = State(values, model)
+        return cost.stage(here, jnp.zeros(2), jnp.asarray(0.5), None) + cost.terminal(here, None)
+
+    values = jnp.asarray([1.0, 2.0, 0.3, 0.5, 0.1])
+    price, slope = jax.jit(jax.value_and_grad(paid))(values)
+    assert price == 0.0
+    np.testing.assert_array_equal(slope, 0.0)
+
+
+def test_some_moving_obstacles_need_as_many_velocities() -> None:
+    with pytest.raises(ValueError, match=r"velocities has shape \(0,\); accepted: \(1, 2\)"):
+        MovingObstacleCost([[1.0, 2.0]], [])

@@ -293,7 +293,7 @@ DISCS = {"centres": np.zeros((2, 2)), "radii": 1.0}
         (ObstacleCost, {"margin": -0.1}, "margin is -0.1; accepted"),
         (ObstacleCost, {"reaction_time": math.nan}, "reaction_time is nan; accepted"),
         (DiscObstacleCost, {"centres": np.zeros(2)}, r"centres has shape \(2,\); accepted: \(N, 2"),
-        (DiscObstacleCost, {"centres": np.zeros((0, 2))}, r"centres has shape \(0, 2\); accepted"),
+        (DiscObstacleCost, {"centres": np.zeros((1, 4))}, r"centres has shape \(1, 4\); accepted"),
         (DiscObstacleCost, {"centres": np.full((2, 2), np.nan)}, "centres has a value nan; acc"),
         (DiscObstacleCost, {"radii": -1.0}, "radii has a value -1.0; accepted: .* >= 0.0"),
         (

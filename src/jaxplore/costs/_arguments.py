@@ -17,11 +17,13 @@ def array(
     *shapes: tuple[int | str, ...],
     above: float | None = None,
     at_least: float | None = None,
+    may_be_empty: bool = False,
 ) -> Array:
     """Return `value` as a finite float32 array (a leaf) of one of the shapes given.
 
     A letter in a shape stands for any size from 1, the same letter for the same size. Of a traced
-    value only the shape is checked.
+    value only the shape is checked. What may be empty is of the first shape without rows then: an
+    empty list does not say how many columns it has.
     """
     if not _checks.is_traced(value):
         try:
@@ -40,6 +42,9 @@ def array(
         if is_bad.any():
             raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
     result = jnp.asarray(value, jnp.float32)
+    if may_be_empty and result.shape[:1] == (0,):
+        columns = [size for size in shapes[0][1:] if isinstance(size, int)]
+        return jnp.zeros((0, *columns))
     if not any(_fits(result.shape, shape) for shape in shapes):
         raise ValueError(f"{name} has shape {result.shape}; accepted: {_describe(shapes)}")
     return result

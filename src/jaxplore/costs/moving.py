@@ -36,7 +36,7 @@ class MovingObstacleCost(Cost):
     term the greatest over their centres p counts.
 
     Args:
-        positions: p_n, (N, 2) where they are now [m].
+        positions: p_n, (N, 2) where they are now [m]; none of them, N = 0, cost nothing.
         velocities: v_n, (N, 2) [m/s].
         radii: r_n, (N,) or one number [m].
         std: of the position now along either axis, (N,) or one number [m]: `C_n = std_n^2 I`; 0.2
@@ -64,9 +64,9 @@ class MovingObstacleCost(Cost):
         covariance: Rows | None = None,
         growth: Vector = 0.2,
     ) -> None:
-        self.positions = array("positions", positions, ("N", 2))
+        self.positions = array("positions", positions, ("N", 2), may_be_empty=True)
         number = self.positions.shape[0]
-        self.velocities = array("velocities", velocities, (number, 2))
+        self.velocities = array("velocities", velocities, (number, 2), may_be_empty=number == 0)
         self.radii = _one_each("radii", radii, self.positions, at_least=0.0)
         if std is not None and covariance is not None:
             raise ValueError(f"std is {std!r} beside a covariance; accepted: one of them")

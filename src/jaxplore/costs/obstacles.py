@@ -85,7 +85,8 @@ class DiscObstacleCost(Cost):
     is the least over their centres, whose height is the robot's.
 
     Args:
-        centres: (N, 2) or (N, 3) [m]; the third column is compared with `state["z"]`.
+        centres: (N, 2) or (N, 3) [m]; the third column is compared with `state["z"]`. None of them,
+            N = 0, costs nothing.
         radii: (N,) or one number [m].
         clearance: distance from the robot's centre below which it costs [m].
         collision: cost of each step that is 5 cm too close.
@@ -113,7 +114,7 @@ class DiscObstacleCost(Cost):
         margin: ArrayLike = 0.02,
         reaction_time: ArrayLike = 0.05,
     ) -> None:
-        self.centres = array("centres", centres, ("N", 2), ("N", 3))
+        self.centres = array("centres", centres, ("N", 2), ("N", 3), may_be_empty=True)
         number = self.centres.shape[0]
         self.radii = jnp.broadcast_to(array("radii", radii, (), (number,), at_least=0.0), (number,))
         self.clearance = _checks.scalar("clearance", clearance, above=0.0)
