@@ -92,6 +92,7 @@ from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
 from jaxplore.costs.path_following import ContouringCost as ContouringCost
 from jaxplore.costs.path_following import CorridorCost as CorridorCost
 from jaxplore.costs.path_following import LagCost as LagCost
+from jaxplore.costs.path_following import PathErrorCost as PathErrorCost
 from jaxplore.costs.path_following import ProgressCost as ProgressCost
 from jaxplore.costs.terrain import TerrainCost as TerrainCost
 from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost

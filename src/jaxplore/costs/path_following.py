@@ -11,6 +11,7 @@ would run away, and the robot would be measured against where it is not.
 The objects that plan are the ones that measure: `errors` of a trajectory.
 """
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -28,81 +29,69 @@ from jaxplore.costs.extract import Extractor
 from jaxplore.dynamics.base import Dynamics, State
 from jaxplore.geometry.path import Path, PathErrors, errors_at
 
+PHI = extract.component("phi")
 
-class ContouringCost(Cost):
+
+class PathErrorCost(Cost):
+    """Square of one of the errors of a position beside a path [m^2].
+
+    Args:
+        path: to follow.
+        position: reads (x, y) of a state; the model's position when absent.
+        parameter: reads phi; the component of that name when absent.
+
+    Raises:
+        ValueError: when traced, an extractor that returns another shape, a model without phi.
+    """
+
+    path: Path
+    position: Extractor = eqx.field(static=True, default=extract.position)
+    parameter: Extractor = eqx.field(static=True, default=PHI)
+
+    @abc.abstractmethod
+    def chosen(self, errors: PathErrors) -> Scalar:
+        """Return the error that is paid for."""
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return the squared error."""
+        error = self.error(state)
+        return error * error
+
+    def error(self, state: State) -> Scalar:
+        """Return the error of a state, with its sign [m]."""
+        phi = extract.extract("parameter", self.parameter, state, ())
+        where = extract.extract("position", self.position, state, (2,))
+        return self.chosen(self.path.errors(where, phi))
+
+    def errors(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
+        """Return the error of each of many states (T,) [m]."""
+        return jax.vmap(lambda values: self.error(State(values, dynamics)))(states)
+
+
+class ContouringCost(PathErrorCost):
     """Square of the distance from a path, measured across it at phi [m^2]:
 
         e_c = sin(theta) (x - x_phi) - cos(theta) (y - y_phi)
 
-    Args:
-        path: to follow.
-        position: reads (x, y) of a state; the model's position when absent.
-        parameter: reads phi; the component of that name when absent.
-
-    Raises:
-        ValueError: when traced, an extractor that returns another shape, a model without phi.
+    positive to the right of the path. Arguments and errors are those of `PathErrorCost`.
     """
 
-    path: Path
-    position: Extractor = eqx.field(static=True)
-    parameter: Extractor = eqx.field(static=True)
-
-    def __init__(
-        self, path: Path, position: Extractor | None = None, parameter: Extractor | None = None
-    ) -> None:
-        self.path = path
-        self.position, self.parameter = _extractors(position, parameter)
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared contouring error."""
-        error = self.error(state)
-        return error * error
-
-    def error(self, state: State) -> Scalar:
-        """Return the contouring error of a state, positive to the right of the path [m]."""
-        return _errors(self.path, self.position, self.parameter, state).contouring
-
-    def errors(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
-        """Return the contouring error of each of many states (T,) [m]."""
-        return jax.vmap(lambda values: self.error(State(values, dynamics)))(states)
+    def chosen(self, errors: PathErrors) -> Scalar:
+        """Return the contouring error [m]."""
+        return errors.contouring
 
 
-class LagCost(Cost):
+class LagCost(PathErrorCost):
     """Square of how far a robot is behind the point of a path at phi, along the path [m^2]:
 
         e_l = -cos(theta) (x - x_phi) - sin(theta) (y - y_phi)
 
-    Args:
-        path: to follow.
-        position: reads (x, y) of a state; the model's position when absent.
-        parameter: reads phi; the component of that name when absent.
-
-    Raises:
-        ValueError: when traced, an extractor that returns another shape, a model without phi.
+    positive behind the point. Arguments and errors are those of `PathErrorCost`.
     """
 
-    path: Path
-    position: Extractor = eqx.field(static=True)
-    parameter: Extractor = eqx.field(static=True)
-
-    def __init__(
-        self, path: Path, position: Extractor | None = None, parameter: Extractor | None = None
-    ) -> None:
-        self.path = path
-        self.position, self.parameter = _extractors(position, parameter)
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared lag error."""
-        error = self.error(state)
-        return error * error
-
-    def error(self, state: State) -> Scalar:
-        """Return the lag error of a state, positive behind the point [m]."""
-        return _errors(self.path, self.position, self.parameter, state).lag
-
-    def errors(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
-        """Return the lag error of each of many states (T,) [m]."""
-        return jax.vmap(lambda values: self.error(State(values, dynamics)))(states)
+    def chosen(self, errors: PathErrors) -> Scalar:
+        """Return the lag error [m]."""
+        return errors.lag
 
 
 class ProgressCost(Cost):
@@ -166,7 +155,7 @@ class CorridorCost(Cost):
         self.path = path
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.scale = _checks.scalar("scale", scale, above=0.0)
-        self.parameter = _extractors(None, parameter)[1]
+        self.parameter = PHI if parameter is None else parameter
 
     def check(self, dynamics: Dynamics) -> None:
         """Raise a `ValueError` if the robot does not fit between the edges."""
@@ -199,17 +188,3 @@ class CorridorCost(Cost):
     def clearances(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
         """Return the clearance of each of many states (T,) [m]; negative is a violation."""
         return jax.vmap(lambda values: self.clearance(State(values, dynamics)))(states)
-
-
-def _extractors(
-    position: Extractor | None, parameter: Extractor | None
-) -> tuple[Extractor, Extractor]:
-    return (
-        extract.position if position is None else position,
-        extract.component("phi") if parameter is None else parameter,
-    )
-
-
-def _errors(path: Path, position: Extractor, parameter: Extractor, state: State) -> PathErrors:
-    phi = extract.extract("parameter", parameter, state, ())
-    return path.errors(extract.extract("position", position, state, (2,)), phi)

@@ -18,6 +18,30 @@ _YAML_ERRORS = (*MALFORMED, yaml.YAMLError)
 _SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
 
 
+def read_bytes(path: Path, what: str, limit: int) -> bytes:
+    """Return what is in a file.
+
+    Args:
+        path: of the file.
+        what: it is to hold, for messages.
+        limit: largest file that is read [bytes].
+
+    Raises:
+        ValueError: a file that is missing, cannot be read or is too large.
+    """
+    where = name_of(path)
+    try:
+        if not path.is_file():
+            raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
+        with path.open("rb") as file:
+            data = file.read(limit + 1)
+    except OSError as error:
+        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+    if len(data) > limit:
+        raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of {what}")
+    return data
+
+
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
     """Return the mapping in a YAML file.
 
@@ -30,15 +54,7 @@ def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[obje
         ValueError: a file that is missing, too large, too intricate or no YAML mapping.
     """
     where = name_of(path)
-    try:
-        if not path.is_file():
-            raise ValueError(f"{where} is not there or not a file; accepted: a {of}'s YAML file")
-        with path.open("rb") as file:
-            data = file.read(limit + 1)
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
-    if len(data) > limit:
-        raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of YAML")
+    data = read_bytes(path, f"a {of}'s YAML", limit)
     try:
         _refuse_intricate(data)
         entries = yaml.safe_load(data)

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
-from jaxplore.maps._files import name_of, read_yaml, reason_of, show
+from jaxplore.maps._files import name_of, read_bytes, read_yaml, show
 
 CSV_LIMIT = 10_000_000
 """Largest CSV file read [bytes]."""
@@ -88,15 +88,7 @@ def _nearly_meets(points: np.ndarray) -> bool:
 
 def _csv_rows(file: FilePath) -> np.ndarray:
     where = name_of(file)
-    try:
-        if not file.is_file():
-            raise ValueError(f"{where} is not there or not a file; accepted: a file of waypoints")
-        with file.open("rb") as stream:
-            data = stream.read(CSV_LIMIT + 1)
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
-    if len(data) > CSV_LIMIT:
-        raise ValueError(f"{where} is too large; accepted: at most {CSV_LIMIT} bytes")
+    data = read_bytes(file, "a path's CSV", CSV_LIMIT)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
