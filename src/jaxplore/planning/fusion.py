@@ -24,7 +24,8 @@ class Candidates(NamedTuple):
     Args:
         controls: (N, T, nu) on one time grid.
         costs: (N,) under the common objective, what collides included; not finite if a plan is not.
-        hazards: (N,) the share of it that is paid for collisions; 0 for a plan without.
+        hazards: (N,) the share of it that is paid for collisions and the risk of one; 0 for a plan
+            without.
         uncertainties: (N,) spread of the weighted samples, in half ranges of the controls.
     """
 
