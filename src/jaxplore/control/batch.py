@@ -3,12 +3,12 @@
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.control.rollout import follow, step_costs
 from jaxplore.costs.base import Cost
-from jaxplore.dynamics.base import Dynamics, State
+from jaxplore.dynamics.base import Dynamics
 
 
 class Batch(NamedTuple):
@@ -51,18 +51,10 @@ def rollout_batch(
         applied: (nu,) control before the first one; the default control when absent.
     """
     before = dynamics.default_control if applied is None else applied
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
 
     def one(sequence: Array) -> tuple[Array, Array]:
-        def advance(state: Array, inputs: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
-            control, t = inputs
-            reached = dynamics.step_at(state, control, t - dt, dt)
-            paid = cost.stage(State(reached, dynamics), control, t, belief)
-            return reached, (reached, paid)
-
-        last, (states, paid) = jax.lax.scan(advance, initial, (sequence, times))
-        ending = cost.terminal(State(last, dynamics), belief)
-        return states, paid.at[-1].add(ending + cost.sequence(sequence, before, dt, dynamics))
+        states = follow(dynamics, initial, sequence, dt)
+        return states, step_costs(dynamics, cost, states, sequence, dt, belief, applied=before)
 
     states, costs = jax.vmap(one, in_axes=-1, out_axes=-1)(controls)
     return Batch(states, controls, costs)

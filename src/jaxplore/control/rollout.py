@@ -317,23 +317,55 @@ def rollout(
         belief: what the robot knows.
         applied: (nu,) control before the first one; the default control when absent.
     """
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
     before = dynamics.default_control if applied is None else applied
+    reached = follow(dynamics, initial, controls, dt)
+    terms: dict[str, Scalar] = {}
+    for name, term in cost.terms():
+        paid = step_costs(dynamics, term, reached, controls, dt, belief, applied=before)
+        terms[name] = terms.get(name, jnp.zeros(())) + jnp.sum(paid)
+    return Trajectory(jnp.concatenate([initial[None], reached]), controls, terms)
+
+
+def follow(
+    dynamics: Dynamics, initial: StateVector, controls: Float[Array, "T nu"], dt: Scalar
+) -> Float[Array, "T nx"]:
+    """Return the states (T, nx) that controls lead to, without the initial one."""
 
     def advance(state: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         control, t = inputs
         reached = dynamics.step_at(state, control, t - dt, dt)
         return reached, reached
 
-    _, reached = jax.lax.scan(advance, initial, (controls, times))
-    terms: dict[str, Scalar] = {}
-    for name, term in cost.terms():
-        paid = jax.vmap(
-            lambda state, control, t, term=term: term.stage(
-                State(state, dynamics), control, t, belief
-            )
-        )(reached, controls, times)
-        total = jnp.sum(paid) + term.terminal(State(reached[-1], dynamics), belief)
-        total = total + term.sequence(controls, before, dt, dynamics)
-        terms[name] = terms.get(name, jnp.zeros(())) + total
-    return Trajectory(jnp.concatenate([initial[None], reached]), controls, terms)
+    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
+    return jax.lax.scan(advance, initial, (controls, times))[1]
+
+
+def step_costs(
+    dynamics: Dynamics,
+    cost: Cost,
+    states: Float[Array, "T nx"],
+    controls: Float[Array, "T nu"],
+    dt: Scalar,
+    belief: Any,
+    *,
+    applied: ControlVector,
+) -> Float[Array, " T"]:
+    """Return what each step of a rollout pays (T,), the last one also for the end and the sequence.
+
+    Args:
+        dynamics: the model.
+        cost: what is paid.
+        states: (T, nx) reached by the controls.
+        controls: (T, nu).
+        dt: model step [s].
+        belief: what the robot knows.
+        applied: (nu,) control before the first one.
+    """
+    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
+
+    def paid(state: Array, control: Array, t: Array) -> Array:
+        return cost.stage(State(state, dynamics), control, t, belief)
+
+    ending = cost.terminal(State(states[-1], dynamics), belief)
+    ending = ending + cost.sequence(controls, applied, dt, dynamics)
+    return jax.vmap(paid)(states, controls, times).at[-1].add(ending)
