@@ -14,6 +14,7 @@ from jaxplore.control.disturbance import ControlNoise as ControlNoise
 from jaxplore.control.disturbance import Disturbance as Disturbance
 from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
 from jaxplore.control.disturbance import StateNoise as StateNoise
+from jaxplore.control.disturbance import UncertainObstacles as UncertainObstacles
 from jaxplore.control.draft import Draft as Draft
 from jaxplore.control.draft import MPPIState as MPPIState
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
@@ -73,6 +74,7 @@ from jaxplore.costs.base import NamedCost as NamedCost
 from jaxplore.costs.bounds import SpeedLimitCost as SpeedLimitCost
 from jaxplore.costs.bounds import StateBoundsCost as StateBoundsCost
 from jaxplore.costs.collision import CollisionCost as CollisionCost
+from jaxplore.costs.comfort import ComfortCost as ComfortCost
 from jaxplore.costs.effort import ControlCost as ControlCost
 from jaxplore.costs.effort import ControlJerkCost as ControlJerkCost
 from jaxplore.costs.effort import ControlRateCost as ControlRateCost
@@ -87,6 +89,7 @@ from jaxplore.costs.heading_for import RegionCost as RegionCost
 from jaxplore.costs.heading_for import ToGoalCost as ToGoalCost
 from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
 from jaxplore.costs.moving import TrackedObstacleCost as TrackedObstacleCost
+from jaxplore.costs.obstacle_distance import ObstacleDistanceCost as ObstacleDistanceCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
 from jaxplore.costs.path_following import ContouringCost as ContouringCost
@@ -123,6 +126,7 @@ from jaxplore.geometry.curves import path_through as path_through
 from jaxplore.geometry.footprint import Disc as Disc
 from jaxplore.geometry.footprint import Footprint as Footprint
 from jaxplore.geometry.footprint import Rectangle as Rectangle
+from jaxplore.geometry.outlines import Outlines as Outlines
 from jaxplore.geometry.path import Path as Path
 from jaxplore.geometry.path import PathErrors as PathErrors
 from jaxplore.geometry.path import PathPoint as PathPoint
@@ -146,6 +150,7 @@ from jaxplore.information.noise import GaussianNoise as GaussianNoise
 from jaxplore.information.noise import RangeNoise as RangeNoise
 from jaxplore.information.noise import ToeplitzNoise as ToeplitzNoise
 from jaxplore.information.noise import UniformNoise as UniformNoise
+from jaxplore.information.obstacles import Obstacles as Obstacles
 from jaxplore.information.perception import Perception as Perception
 from jaxplore.information.pose import PoseInformation as PoseInformation
 from jaxplore.information.pose import PoseView as PoseView

@@ -23,10 +23,15 @@ from jaxplore import (
     Entropic,
     MeanVariance,
     ModelEnsemble,
+    ObstacleDistanceCost,
+    Obstacles,
     Outcomes,
+    Outlines,
     PointMass,
     Risk,
+    State,
     StateNoise,
+    UncertainObstacles,
     ValueAtRisk,
     WorstCase,
     rollout_costs,
@@ -443,3 +448,85 @@ def controller(**settings) -> MPPI:
 def test_bad_input_is_named(build, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         build()
+
+
+# Obstacles that may go elsewhere
+
+
+OBSTACLES = Obstacles(
+    Outlines.discs([[1.5, 0.2], [0.5, 1.0]], 0.3),
+    [[-0.5, 0.0], [0.0, -0.4]],
+    [0.3, 0.0],
+    std=0.2,
+    growth=0.3,
+    turn_growth=0.2,
+)
+
+
+@pytest.mark.parametrize("risk", [MeanVariance(2.0), ConditionalValueAtRisk(0.7), WorstCase()])
+@pytest.mark.parametrize("robot", [None, StateNoise([0.2, 0.2, 0.1, 0.1])])
+def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> None:
+    """Against each outcome on its own, with the obstacles of its draw as what is believed."""
+    model, dt, count = PointMass(), jnp.asarray(0.1), 5
+    cost = ObstacleDistanceCost(caution=0.0, clearance=1.0)
+    uncertain = UncertainObstacles(robot)
+    controls = jnp.asarray(np.random.default_rng(0).normal(size=(8, 2, 3)), jnp.float32)
+    initial = jnp.asarray([0.0, 0.0, 1.0, 0.0])
+    outcomes = Outcomes.draw(uncertain, risk, model, 8, count, key=jax.random.key(3))
+
+    @jax.jit
+    def together(belief):
+        return rollout_costs(model, cost, initial, controls, dt, belief, outcomes=outcomes)
+
+    @jax.jit
+    def stages(controls, keys, draws, belief):
+        """Return the stage costs (T,) of one sequence in one outcome."""
+        state, paid = initial, []
+        for t in range(8):
+            if robot is None:
+                state = model.step(state, controls[t], dt)
+            else:
+                state = robot.step_at(model, state, controls[t], dt * t, dt, draws[t])
+            known = belief.drawn(keys[t])
+            paid.append(cost.stage(State(state, model), controls[t], dt * (t + 1), known))
+        return jnp.stack(paid)
+
+    keys, draws = outcomes.drawn
+    alone = np.array(
+        [
+            [
+                stages(controls[..., k], keys[:, m], draws[:, m] if robot else (), OBSTACLES)
+                for k in range(3)
+            ]
+            for m in range(count)
+        ]
+    )
+    assert alone.sum() > 0.0
+    assert np.ptp(alone.sum(-1), axis=0).min() > 0.0
+    variation = np.zeros(3)
+    if isinstance(risk, MeanVariance):
+        discounts = 0.95 ** np.arange(8)
+        variation = (discounts[:, None] * np.var(alone, axis=0, ddof=1).T).sum(axis=0)
+    expected = cost_of(risk, jnp.asarray(alone.sum(-1)), jnp.asarray(variation, jnp.float32))
+    np.testing.assert_allclose(together(OBSTACLES), expected, rtol=2e-4)
+
+
+def test_an_averse_robot_keeps_more_room_from_what_is_uncertain() -> None:
+    """The cheaper of two ways past an obstacle depends on the measure of risk."""
+    model, dt = PointMass(), jnp.asarray(0.1)
+    obstacle = Obstacles(Outlines.discs([[1.0, 0.0]], 0.3), std=0.25)
+    cost = ObstacleDistanceCost(caution=0.0, clearance=0.05, collision=1.0)
+    near, far = 0.75, 1.05
+    starts = jnp.asarray([[0.0, 0.0], [near, far], [2.0, 2.0], [0.0, 0.0]])
+    effort = jnp.asarray([0.0, 0.25])
+
+    def prices(risk: Risk):
+        outcomes = Outcomes.draw(UncertainObstacles(), risk, model, 10, 200, key=jax.random.key(0))
+        paid = rollout_costs(
+            model, cost, starts, jnp.zeros((10, 2, 2)), dt, obstacle, outcomes=outcomes
+        )
+        return np.asarray(paid + effort)
+
+    median, tail = prices(ValueAtRisk(0.5)), prices(ConditionalValueAtRisk(0.95))
+    assert median[0] < median[1]
+    assert tail[0] > tail[1]

@@ -18,7 +18,10 @@ from jaxplore import (
     Ground,
     InformationField,
     MovingObstacleCost,
+    ObstacleDistanceCost,
+    Obstacles,
     OccupancyGrid,
+    Outlines,
     PathCost,
     QuadraticControlCost,
     ReferenceCost,
@@ -42,6 +45,22 @@ RNG = np.random.default_rng(0)
 # All goals, obstacles and paths lead through (0, 0): that is where gradients are delicate.
 HERE = np.zeros(2)
 PATH = np.array([[-1.0, 0.0], [0.0, 0.0], [0.0, 0.0], [1.0, 2.0]])
+
+
+def obstacles_at(place: np.ndarray, size: float = 1.0) -> Obstacles:
+    """Return a disc and a triangle with a corner at a place, of which all is uncertain."""
+    triangle = place + size * np.array([[0.0, 0.0], [1.5, 0.5], [0.25, 2.0]])
+    return Obstacles(
+        Outlines.discs([place], size) + Outlines.polygons([triangle], 0.25 * size),
+        size * np.array([[0.5, 0.25], [0.0, 0.0]]) + size - 1.0,
+        [0.1 * size, 0.2 * size],
+        centres=place + np.array([[0.0, 0.0], [0.75, 0.75]]),
+        covariance=size * np.array([[3.0, 1.0], [1.0, 4.0]]),
+        growth=size,
+        turn_growth=0.1 * size,
+    )
+
+
 # Two of each kind in which every number differs.
 PAIRS = {
     "goal": [GoalCost(HERE), GoalCost([1.0, 2.0], None, 2.0)],
@@ -71,6 +90,10 @@ PAIRS = {
             covariance=[[3.0, 1.0], [1.0, 4.0]],
             growth=5.0,
         ),
+    ],
+    "outlined": [
+        ObstacleDistanceCost(obstacles_at(HERE)),
+        ObstacleDistanceCost(obstacles_at(np.ones(2), 2.0), 2.0, 3.0, 4.0, 5.0, 6.0),
     ],
     "effort": [ControlCost(), ControlCost()],
     "quadratic effort": [

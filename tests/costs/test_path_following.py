@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import Ackermann, KinematicBicycle, Quadrotor, Rectangle, State, Unicycle
+from jaxplore import MPPI, Ackermann, KinematicBicycle, Quadrotor, Rectangle, State, Unicycle
 from jaxplore.costs import extract
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
 from jaxplore.dynamics.augmented import Augmented
@@ -188,6 +188,15 @@ def test_another_path_of_as_many_nodes_does_not_recompile() -> None:
         (
             lambda: price(LagCost(PATH), State(jnp.zeros(3), Unicycle())),
             "Unicycle has no state component 'phi'",
+        ),
+        (
+            lambda: MPPI(
+                Augmented(Unicycle(), PathParameter(1.0, end=3.0)),
+                LagCost(line_path([0, 0], [5, 0])),
+                temperature=1.0,
+                noise_std=[1.0, 1.0, 1.0],
+            ),
+            "path is 5 m long, beyond the bound of its PathParameter; accepted: at most 3 m",
         ),
         (lambda: extract.component(""), "name is ''; accepted"),
         (lambda: CorridorCost(PATH), "path has no half_widths; accepted"),

@@ -11,14 +11,20 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.information.obstacles import Obstacles
 
 
 class Disturbance(eqx.Module):
-    """A distribution of outcomes of a model.
+    """A distribution of outcomes of a model, or of what the robot believes.
 
     M outcomes are drawn at each step and every control sequence meets the same ones: what differs
     between the sequences' costs is the sequences' doing.
     """
+
+    @property
+    def moves_robot(self) -> bool:
+        """Whether the robot's states differ between outcomes; otherwise one rollout serves all."""
+        return True
 
     @abc.abstractmethod
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
@@ -35,6 +41,15 @@ class Disturbance(eqx.Module):
         drawn: Any,
     ) -> StateVector:
         """Return the state (nx,) after a disturbed step; `drawn` is one step of one outcome."""
+
+    def belief(self, belief: Any, drawn: Any) -> Any:
+        """Return what is true in the outcome drawn: what is believed, by default.
+
+        Args:
+            belief: of the robot.
+            drawn: one step of one outcome.
+        """
+        return belief
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
         """Raise a `ValueError` if the disturbance does not fit; all do, by default."""
@@ -174,6 +189,61 @@ class ModelEnsemble(Disturbance):
             raise ValueError(
                 f"num_outcomes is {num_outcomes}; accepted: {count}, one per model of the ensemble"
             )
+
+
+class UncertainObstacles(Disturbance):
+    """Obstacles that are and go elsewhere than predicted: outcome m meets `Obstacles` as they were
+    drawn the m-th time, and knows them exactly.
+
+    With a measure of risk, such as `ConditionalValueAtRisk`, that is the risk of collision of a
+    whole plan. The robot's own rollout is computed once for all outcomes, unless it is disturbed
+    too.
+
+    Reads and replaces the `Obstacles` of the belief: the belief itself, or its `obstacles`.
+
+    Args:
+        robot: what the robot itself is disturbed by; nothing when absent.
+    """
+
+    robot: Disturbance | None = None
+
+    @property
+    def moves_robot(self) -> bool:
+        """Whether the robot is disturbed too."""
+        return self.robot is not None
+
+    def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
+        """Return a key for each outcome, the same at every step, and the robot's draws."""
+        first, second = jax.random.split(key)
+        keys = jnp.broadcast_to(jax.random.split(first, num_outcomes), (horizon, num_outcomes))
+        if self.robot is None:
+            return keys, ()
+        return keys, self.robot.draw(dynamics, horizon, num_outcomes, key=second)
+
+    def step_at(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        t: Scalar,
+        dt: Scalar,
+        drawn: Any,
+    ) -> StateVector:
+        """Return the state after a step, disturbed if the robot is."""
+        if self.robot is None:
+            return dynamics.step_at(state, control, t, dt)
+        return self.robot.step_at(dynamics, state, control, t, dt, drawn[1])
+
+    def belief(self, belief: Any, drawn: Any) -> Any:
+        """Return the belief with obstacles as drawn."""
+        if isinstance(belief, Obstacles):
+            return belief.drawn(drawn[0])
+        return eqx.tree_at(lambda known: known.obstacles, belief, belief.obstacles.drawn(drawn[0]))
+
+    def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
+        """Raise a `ValueError` if what the robot is disturbed by does not fit."""
+        if self.robot is not None:
+            self.robot.check(dynamics, num_outcomes)
 
 
 def _deviations(value: Vector) -> Array:

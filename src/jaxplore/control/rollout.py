@@ -125,12 +125,19 @@ def _totals(
     """Return the total (K,) of each cost."""
     horizon, _, num_samples = controls.shape
     lanes = _lanes(num_samples)
-    if outcomes is None:
-        shape: tuple[int, ...] = (lanes,)
-        drawn: Any = ()
-    else:
+    drawn: Any = ()
+    shape: tuple[int, ...] = (lanes,)
+    state_shape = shape
+    axis = None
+    if outcomes is not None:
         drawn = outcomes.drawn
         shape = (jax.tree.leaves(drawn)[0].shape[1], lanes)
+        # Where only what is believed differs between outcomes, the states are the same in all.
+        if outcomes.disturbance.moves_robot:
+            axis, state_shape = 0, shape
+
+    def known(draw: Any) -> Any:
+        return belief if outcomes is None else outcomes.disturbance.belief(belief, draw)
 
     def number(cost: Cost, method: Callable[..., Array], *arguments: Any) -> Array:
         # To look for the culprit traces everything once more, so only when there is one.
@@ -154,12 +161,13 @@ def _totals(
         check_state(dynamics, jnp.shape(reached))
         # The costs read what the model has computed; fused, they would compute the step again.
         reached = jnp.stack(cut(tuple(reached)))
-        here = State(reached, dynamics)
-        return reached, tuple(number(cost, cost.stage, here, control, t, belief) for cost in costs)
+        here, truth = State(reached, dynamics), known(draw)
+        return reached, tuple(number(cost, cost.stage, here, control, t, truth) for cost in costs)
 
     step_all = jax.vmap(sample_step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
     if outcomes is not None:
-        step_all = jax.vmap(step_all, in_axes=(0, None, None, 0), out_axes=(1, 0))
+        out = None if axis is None else 1
+        step_all = jax.vmap(step_all, in_axes=(axis, None, None, 0), out_axes=(out, 0))
 
     Values = tuple[Array, ...]
 
@@ -180,7 +188,7 @@ def _totals(
 
     if initial.ndim == 2:
         initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
-    start = tuple(jnp.broadcast_to(value, shape) for value in initial)
+    start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
     times = dt * jnp.arange(1, horizon + 1, dtype=jnp.float32)
     nothing = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
     (last, totals, variations), _ = jax.lax.scan(
@@ -189,17 +197,18 @@ def _totals(
 
     before = dynamics.default_control if applied is None else applied
 
-    def final(cost: Cost, components: tuple[Array, ...]) -> Array:
-        return number(cost, cost.terminal, State(jnp.stack(components), dynamics), belief)
+    def final(cost: Cost, components: tuple[Array, ...], draw: Any) -> Array:
+        state = State(jnp.stack(components), dynamics)
+        return number(cost, cost.terminal, state, known(draw))
 
     def changes(cost: Cost, sequence: Array) -> Array:
         return number(cost, cost.sequence, sequence, before, dt, dynamics)
 
     def finish(cost: Cost, total: Array, variation: Array) -> Array:
-        ending = functools.partial(final, cost)
-        for _ in shape:
-            ending = jax.vmap(ending)
-        total = total + ending(last)
+        ending = jax.vmap(functools.partial(final, cost), in_axes=(0, None))
+        if outcomes is not None:
+            ending = jax.vmap(ending, in_axes=(axis, 0))
+        total = total + ending(last, jax.tree.map(lambda rows: rows[-1], drawn))
         if outcomes is not None:
             contained = jnp.all(jnp.isfinite(total), axis=0)
             total = jnp.where(contained, outcomes.risk.costs(total, variation), jnp.inf)

@@ -36,3 +36,10 @@ def contact(state: State, margin: Scalar, reaction_time: Scalar) -> Scalar:
 def depth(distance: Scalar, too_close: Scalar) -> Scalar:
     """Return by how much a distance is too small, in 5 cm."""
     return jnp.maximum(too_close - distance, 0.0) / 0.05
+
+
+def penalty(distance: Scalar, clearance: Scalar, too_close: Scalar, collision: Scalar) -> Scalar:
+    """Return what a distance costs: a little below `clearance`, `collision` for 5 cm too close."""
+    near = jnp.maximum(clearance - distance, 0.0) / clearance
+    deep = depth(distance, too_close)
+    return near * near + collision * deep * deep

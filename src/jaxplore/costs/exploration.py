@@ -6,8 +6,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._arguments import array
 from jaxplore._types import ControlVector, Scalar, Vector
-from jaxplore.costs._arguments import array
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State

@@ -5,13 +5,12 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
-import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._arguments import array, covariances, isotropic, one_each
 from jaxplore._types import ControlVector, Flag, Rows, Scalar, Vector
-from jaxplore.costs._arguments import array
 from jaxplore.costs._contact import contact, depth, levers, shifted
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import add_up
@@ -67,17 +66,10 @@ class MovingObstacleCost(Cost):
         self.positions = array("positions", positions, ("N", 2), may_be_empty=True)
         number = self.positions.shape[0]
         self.velocities = array("velocities", velocities, (number, 2), may_be_empty=number == 0)
-        self.radii = _one_each("radii", radii, self.positions, at_least=0.0)
-        if std is not None and covariance is not None:
-            raise ValueError(f"std is {std!r} beside a covariance; accepted: one of them")
-        if covariance is None:
-            spread = _one_each("std", 0.2 if std is None else std, self.positions, above=0.0)
-            self.covariance = _isotropic(spread)
-        else:
-            given = array("covariance", covariance, (2, 2), (number, 2, 2))
-            _check_covariance(given)
-            self.covariance = jnp.broadcast_to(given, (number, 2, 2))
-        self.growth = _one_each("growth", growth, self.positions, at_least=0.0)
+        self.radii = one_each("radii", radii, number, at_least=0.0)
+        std = 0.2 if std is None and covariance is None else std
+        self.covariance = covariances(std, covariance, number)
+        self.growth = one_each("growth", growth, number, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the sum over the obstacles at the time when the state is reached."""
@@ -144,7 +136,7 @@ class TrackedObstacleCost(Cost):
         centres = jnp.where(is_known[:, None], tracks.predicted(t), 0.0)
         std = jnp.where(is_known, tracks.deviation(t), 1.0)
         extent = state.dynamics.footprint.radius + tracks.radii
-        forms = _forms(_isotropic(std), jnp.zeros(()), extent)
+        forms = _forms(isotropic(std), jnp.zeros(()), extent)
         too_close = contact(state, self.margin, self.reaction_time)
         parts = levers(state)
 
@@ -181,33 +173,3 @@ def _nearness(form: Float[Array, "3"], offsets: Sequence[tuple[Scalar, ...]]) ->
     """Return the Gaussian at the offset from its middle where it is greatest."""
     exponents = [form[0] * x * x + form[1] * x * y + form[2] * y * y for x, y in offsets]
     return jnp.exp(functools.reduce(jnp.maximum, exponents))
-
-
-def _isotropic(std: Float[Array, " N"]) -> Float[Array, "N 2 2"]:
-    return (std * std)[:, None, None] * jnp.eye(2)
-
-
-def _one_each(
-    name: str,
-    value: Vector,
-    rows: Array,
-    *,
-    above: float | None = None,
-    at_least: float | None = None,
-) -> Float[Array, " N"]:
-    """Return one number for each row (N,); a single one is for all."""
-    number = rows.shape[0]
-    given = array(name, value, (), (number,), above=above, at_least=at_least)
-    return jnp.broadcast_to(given, (number,))
-
-
-def _check_covariance(covariance: Array) -> None:
-    if _checks.is_traced(covariance):
-        return
-    given = np.asarray(covariance, np.float64)
-    skew = np.abs(given - np.swapaxes(given, -1, -2))
-    is_symmetric = (skew <= 1e-5 * np.abs(given).max(axis=(-2, -1), keepdims=True)).all()
-    if not is_symmetric or (np.linalg.eigvalsh(given) <= 0.0).any():
-        raise ValueError(
-            f"covariance is {given.tolist()}; accepted: symmetric and positive definite"
-        )

@@ -8,9 +8,9 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._arguments import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
-from jaxplore.costs._arguments import array
-from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
+from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
@@ -71,7 +71,7 @@ class ObstacleCost(Cost):
 
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))
         too_close = contact(state, self.margin, self.reaction_time)
-        return _penalty(distance, self.clearance, too_close, self.collision)
+        return penalty(distance, self.clearance, too_close, self.collision)
 
 
 class DiscObstacleCost(Cost):
@@ -135,10 +135,4 @@ class DiscObstacleCost(Cost):
 
         distance, _ = least(outside, (self.centres, self.radii))
         too_close = contact(state, self.margin, self.reaction_time)
-        return _penalty(distance, self.clearance, too_close, self.collision)
-
-
-def _penalty(distance: Scalar, clearance: Scalar, too_close: Scalar, collision: Scalar) -> Scalar:
-    near = jnp.maximum(clearance - distance, 0.0) / clearance
-    deep = depth(distance, too_close)
-    return near * near + collision * deep * deep
+        return penalty(distance, self.clearance, too_close, self.collision)

@@ -26,7 +26,9 @@ from jaxplore.costs import extract
 from jaxplore.costs._contact import levers, shifted
 from jaxplore.costs.base import Cost
 from jaxplore.costs.extract import Extractor
+from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import Dynamics, State
+from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path, PathErrors, errors_at
 
 PHI = extract.component("phi")
@@ -41,7 +43,8 @@ class PathErrorCost(Cost):
         parameter: reads phi; the component of that name when absent.
 
     Raises:
-        ValueError: when traced, an extractor that returns another shape, a model without phi.
+        ValueError: when traced, an extractor that returns another shape, a model without phi, one
+            whose phi ends before the path does.
     """
 
     path: Path
@@ -59,6 +62,7 @@ class PathErrorCost(Cost):
 
     def error(self, state: State) -> Scalar:
         """Return the error of a state, with its sign [m]."""
+        _check_reach(self.path, state.dynamics)
         phi = extract.extract("parameter", self.parameter, state, ())
         where = extract.extract("position", self.position, state, (2,))
         return self.chosen(self.path.errors(where, phi))
@@ -188,3 +192,18 @@ class CorridorCost(Cost):
     def clearances(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
         """Return the clearance of each of many states (T,) [m]; negative is a violation."""
         return jax.vmap(lambda values: self.clearance(State(values, dynamics)))(states)
+
+
+def _check_reach(path: Path, dynamics: Dynamics) -> None:
+    """Raise a `ValueError` if a model's path parameter cannot reach the end of the path."""
+    virtual = dynamics.virtual if isinstance(dynamics, Augmented) else None
+    if not isinstance(virtual, PathParameter) or virtual.end is None:
+        return
+    if _checks.is_traced(virtual.end, path.length):
+        return
+    end, length = float(virtual.end), float(path.length)
+    if length > end * (1.0 + 1e-5):
+        raise ValueError(
+            f"path is {length:.4g} m long, beyond the bound of its PathParameter; accepted: at "
+            f"most {end:.4g} m, its end, or PathParameter.along(path, ...)"
+        )

@@ -20,8 +20,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
+from jaxplore._arguments import array, by_name, names_within
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
-from jaxplore.costs._arguments import array, by_name, names_within
 from jaxplore.costs._distance import length, offset, squared
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost

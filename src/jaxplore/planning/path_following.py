@@ -7,11 +7,13 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import Vector
 from jaxplore.control.augmented import AugmentedProposal
+from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.parameterisations import Parameterisation
 from jaxplore.control.planner import Planner
 from jaxplore.control.proposals import GaussianProposal, Proposal
+from jaxplore.control.risk import Risk
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
@@ -52,6 +54,9 @@ def augmented_mppi(
     temperature: ArrayLike = 50.0,
     dt: ArrayLike = 0.1,
     parameterisation: Parameterisation | None = None,
+    disturbance: Disturbance | None = None,
+    num_outcomes: int = 1,
+    risk: Risk | None = None,
 ) -> Planner:
     """Return a planner for a robot with a virtual state beside its own.
 
@@ -66,6 +71,9 @@ def augmented_mppi(
         temperature: of the softmax where a step gives none [units of cost].
         dt: model step [s].
         parameterisation: of the controls; the controls themselves when absent.
+        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
+        num_outcomes: of each control sequence, if there is a disturbance.
+        risk: how the outcomes' costs become one; their mean when absent.
 
     Raises:
         ValueError: parts that do not fit, and what `MPPI` refuses.
@@ -80,6 +88,9 @@ def augmented_mppi(
             dt=dt,
             proposal=AugmentedProposal(model, physical_proposal, virtual_proposal),
             parameterisation=parameterisation,
+            disturbance=disturbance,
+            num_outcomes=num_outcomes,
+            risk=risk,
             weighting=Softmax(temperature, importance=0.0),
         )
     )
@@ -102,6 +113,9 @@ def mpcc(
     temperature: ArrayLike = 50.0,
     dt: ArrayLike = 0.1,
     parameterisation: Parameterisation | None = None,
+    disturbance: Disturbance | None = None,
+    num_outcomes: int = 1,
+    risk: Risk | None = None,
 ) -> PathFollowing:
     """Return model predictive contouring control of a robot along a path.
 
@@ -123,6 +137,9 @@ def mpcc(
         temperature: of the softmax where a step gives none [units of cost].
         dt: model step [s].
         parameterisation: of the controls; splines through 5 knots when absent.
+        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
+        num_outcomes: of each control sequence, if there is a disturbance.
+        risk: how the outcomes' costs become one; their mean when absent.
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
@@ -155,6 +172,9 @@ def mpcc(
         temperature=temperature,
         dt=step,
         parameterisation=parameterisation,
+        disturbance=disturbance,
+        num_outcomes=num_outcomes,
+        risk=risk,
     )
     model = planner.mppi.dynamics
     assert isinstance(model, Augmented)

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import Scalar
+from jaxplore._types import Rows, Scalar, Vector
 
 
 def array(
@@ -50,6 +51,46 @@ def array(
     return result
 
 
+def one_each(
+    name: str,
+    value: object,
+    number: int,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+) -> Float[Array, " N"]:
+    """Return a number for each of N things (N,); a single one is for all."""
+    bounds = {"above": above, "at_least": at_least}
+    given = array(name, value, (), (number,), **bounds, may_be_empty=number == 0)
+    return jnp.broadcast_to(given, (number,))
+
+
+def covariances(
+    std: Vector | None, covariance: Rows | None, number: int, *, may_be_zero: bool = False
+) -> Float[Array, "N 2 2"]:
+    """Return the covariance of each of N positions (N, 2, 2) [m^2].
+
+    Args:
+        std: standard deviation along either axis, (N,) or one number [m]; or give `covariance`.
+        covariance: (N, 2, 2), or (2, 2) for all [m^2].
+        number: N.
+        may_be_zero: whether a position may be known exactly.
+    """
+    if (std is None) == (covariance is None):
+        raise ValueError(f"std is {std!r} beside a covariance; accepted: one of them")
+    if covariance is None:
+        bound = {"at_least": 0.0} if may_be_zero else {"above": 0.0}
+        return isotropic(one_each("std", std, number, **bound))
+    given = array("covariance", covariance, (2, 2), (number, 2, 2), may_be_empty=number == 0)
+    _check_covariance(given, may_be_zero)
+    return jnp.broadcast_to(given, (number, 2, 2))
+
+
+def isotropic(std: Float[Array, " N"]) -> Float[Array, "N 2 2"]:
+    """Return covariances (N, 2, 2) of errors that are alike along both axes."""
+    return (std * std)[:, None, None] * jnp.eye(2)
+
+
 def by_name(
     name: str,
     value: Mapping[str, ArrayLike] | None,
@@ -88,3 +129,16 @@ def _fits(shape: tuple[int, ...], accepted: tuple[int | str, ...]) -> bool:
 def _describe(shapes: tuple[tuple[int | str, ...], ...]) -> str:
     texts = [str(shape).replace("'", "") if shape else "one number" for shape in shapes]
     return " or ".join(texts)
+
+
+def _check_covariance(covariance: Array, may_be_zero: bool) -> None:
+    if _checks.is_traced(covariance):
+        return
+    given = np.asarray(covariance, np.float64)
+    size = np.abs(given).max(axis=(-2, -1), keepdims=True)
+    is_symmetric = (np.abs(given - np.swapaxes(given, -1, -2)) <= 1e-5 * size).all()
+    lowest = np.linalg.eigvalsh(given)
+    is_bad = lowest < -1e-6 * size[..., 0] if may_be_zero else lowest <= 0.0
+    if not is_symmetric or is_bad.any():
+        kind = "positive semidefinite" if may_be_zero else "positive definite"
+        raise ValueError(f"covariance is {given.tolist()}; accepted: symmetric and {kind}")

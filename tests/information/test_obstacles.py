@@ -1,0 +1,116 @@
+"""Prediction of obstacles, against integration, finite differences and many draws."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from jaxplore import Obstacles, Outlines
+
+SQUARE = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
+SPEED = st.floats(-3, 3, width=32)
+RATE = st.one_of(st.floats(-2, 2, width=32), st.floats(-(2.0**-10), 2.0**-10, width=32))
+
+
+@jax.jit
+def predicted(obstacles: Obstacles, t):
+    return obstacles.predicted(t), obstacles.predicted_centres(t), obstacles.predicted_covariance(t)
+
+
+def one(velocity, turn_rate, **certainty) -> Obstacles:
+    return Obstacles(Outlines.polygons([SQUARE]), [velocity], turn_rate, **certainty)
+
+
+@given(velocity=st.tuples(SPEED, SPEED), turn_rate=RATE, t=st.floats(0, 4, width=32))
+def test_they_go_on_as_integrated(velocity, turn_rate, t) -> None:
+    def rate(_, state):
+        _, _, vx, vy = state
+        return [vx, vy, -turn_rate * vy, turn_rate * vx]
+
+    start = [1.5, 1.5, *velocity]
+    end = solve_ivp(rate, (0.0, t), start, rtol=1e-9, atol=1e-9).y[:2, -1] if t > 0 else start[:2]
+    outlines, centres, _ = predicted(one(velocity, turn_rate), jnp.asarray(t))
+    np.testing.assert_allclose(centres[0], end, atol=2e-5)
+    angle = turn_rate * t
+    rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    expected = (SQUARE - 1.5) @ rotation.T + end
+    np.testing.assert_allclose(outlines.corners[0], expected, atol=3e-5)
+
+
+@pytest.mark.parametrize("turn_rate", [0.0, 1e-4, 0.15, -0.7, 2.0])
+def test_the_covariance_is_that_of_small_errors(turn_rate: float) -> None:
+    """By central differences in float64 of the closed form with complex numbers."""
+    velocity, t, deviations = 1.2 - 0.5j, 2.5, (0.1, 0.2, 0.3)
+
+    def centre(v: complex, w: float) -> complex:
+        return v * (np.exp(1j * w * t) - 1.0) / (1j * w)
+
+    h = 1e-3
+    w = turn_rate if abs(turn_rate) > 1e-6 else 1e-9
+    slope = (
+        (centre(velocity, w + h) - centre(velocity, w - h)) / (2 * h)
+        if abs(turn_rate) > 1e-2
+        else velocity * (1j * t**2 / 2 - w * t**3 / 3)
+    )
+    along = np.array([slope.real, slope.imag])
+    std, growth, turn_growth = deviations
+    expected = (std**2 + (growth * t) ** 2) * np.eye(2) + turn_growth**2 * np.outer(along, along)
+    obstacle = one(
+        [velocity.real, velocity.imag],
+        turn_rate,
+        std=std,
+        growth=growth,
+        turn_growth=turn_growth,
+    )
+    found = predicted(obstacle, jnp.asarray(t))[2][0]
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)
+
+
+def test_draws_are_spread_as_predicted() -> None:
+    obstacle = one(
+        [1.0, 0.5], 0.3, covariance=[[0.04, 0.01], [0.01, 0.02]], growth=0.1, turn_growth=0.05
+    )
+    t = jnp.asarray(1.5)
+    keys = jax.random.split(jax.random.key(0), 20000)
+    centres = jax.jit(jax.vmap(lambda key: obstacle.drawn(key).predicted_centres(t)[0]))(keys)
+    _, expected, covariance = predicted(obstacle, t)
+    np.testing.assert_allclose(np.mean(centres, axis=0), expected[0], atol=5e-3)
+    np.testing.assert_allclose(np.cov(np.asarray(centres).T), covariance[0], atol=2e-3)
+
+
+def test_a_draw_is_known_exactly_and_keeps_its_shape() -> None:
+    obstacle = one([1.0, 0.5], 0.3, std=0.5)
+    drawn = obstacle.drawn(jax.random.key(1))
+    assert not np.any(drawn.covariance)
+    assert not np.any(drawn.growth)
+    moved = np.asarray(drawn.centres - obstacle.centres)
+    assert np.abs(moved).max() > 0.01
+    np.testing.assert_allclose(drawn.outlines.corners[0] - moved[0], SQUARE, atol=1e-6)
+    still = Obstacles(Outlines.discs([[3.0, 4.0]], 1.0)).drawn(jax.random.key(2))
+    np.testing.assert_array_equal(still.centres, [[3.0, 4.0]])
+
+
+@pytest.mark.parametrize(
+    ("given_", "named"),
+    [
+        ({"velocities": [[1.0, 2.0], [3.0, 4.0]]}, "velocities"),
+        ({"turn_rates": [1.0, 2.0]}, "turn_rates"),
+        ({"centres": [1.0, 2.0]}, "centres"),
+        ({"std": -1.0}, "std"),
+        ({"std": 1.0, "covariance": np.eye(2)}, "std"),
+        ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance"),
+        ({"growth": float("nan")}, "growth"),
+        ({"turn_growth": -0.1}, "turn_growth"),
+    ],
+)
+def test_what_is_no_obstacle_is_refused(given_, named) -> None:
+    with pytest.raises(ValueError, match=named):
+        Obstacles(Outlines.discs([[0.0, 0.0]], 1.0), **given_)
+
+
+def test_none_of_them_is_fine() -> None:
+    nothing = Obstacles(Outlines.discs([], 1.0), [], [])
+    assert nothing.predicted_centres(jnp.asarray(1.0)).shape == (0, 2)
