@@ -1,8 +1,6 @@
 """The closed loop: sense, update the belief, plan, move; one compiled loop, nothing in between.
 
-The loop is a `lax.while_loop` over a buffer of records: a scan whose length is data. So the same
-compiled program runs a chunk, a single step that is to be timed, and ends the moment the target is
-reached; between steps nothing returns to Python.
+Between steps nothing returns to Python: see `jaxplore.simulation.chunks`.
 """
 
 import dataclasses
@@ -22,6 +20,7 @@ from jaxplore.information.tracks import Tracks
 from jaxplore.information.zones import unknown_fraction
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Scan
+from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.collision import discs_clearance, footprint_clearance
 from jaxplore.simulation.movers import Movers
 from jaxplore.simulation.record import Progress, Record, blank_records
@@ -257,19 +256,13 @@ def run_chunk(
     Returns:
         The state, the records (the first axis has `capacity` entries) and how many are filled.
     """
-    buffer = blank_records(controller, scenario.robot, capacity)
-
-    def unfinished(carry: tuple[LoopState, Record, Array]) -> Array:
-        current, _, done = carry
-        return (done < num_steps) & is_unfinished(scenario, current)
-
-    def advance(carry: tuple[LoopState, Record, Array]) -> tuple[LoopState, Record, Array]:
-        current, records, done = carry
-        current, record = closed_loop_step(controller, scenario, current, key)
-        records = jax.tree.map(lambda rows, row: rows.at[done].set(row), records, record)
-        return current, records, done + 1
-
-    return jax.lax.while_loop(unfinished, advance, (state, buffer, jnp.zeros((), jnp.int32)))
+    return loop(
+        lambda current: closed_loop_step(controller, scenario, current, key),
+        functools.partial(is_unfinished, scenario),
+        state,
+        blank_records(controller, scenario.robot, capacity),
+        num_steps,
+    )
 
 
 def scan_all(

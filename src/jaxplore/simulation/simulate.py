@@ -1,11 +1,8 @@
 """Runs the closed loop chunk by chunk."""
 
-import signal
-import threading
+import functools
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,9 +12,10 @@ import numpy as np
 from jax import Array
 
 from jaxplore import _checks
-from jaxplore._types import Key
+from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller, SampledPlan
 from jaxplore.geometry.footprint import Footprint, Rectangle
+from jaxplore.simulation.chunks import CHUNK_SECONDS, watch
 from jaxplore.simulation.closed_loop import (
     LoopState,
     initial_loop_state,
@@ -28,15 +26,9 @@ from jaxplore.simulation.closed_loop import (
     world_at,
 )
 from jaxplore.simulation.record import Record
-from jaxplore.simulation.recording import Frame, Recording, Timing
+from jaxplore.simulation.recording import Frame, Recording
 from jaxplore.simulation.scenario import Scenario
 
-CHUNK_SECONDS = 0.5
-"""Simulated time between returns to Python."""
-STEPWISE_CHUNKS = 10
-"""One chunk in so many is run one step at a time, by the same compiled program, to time steps."""
-MAX_FRAMES = 240
-"""Looks kept of a run; when there are more, every second one goes."""
 NUM_TRAJECTORIES = 60
 """Rollouts in each look."""
 
@@ -86,58 +78,33 @@ def record_run(
     beginning = state.progress
     chunk = max(1, round(CHUNK_SECONDS / period))
 
-    def run(current: LoopState, steps: int) -> tuple[LoopState, Record, int, float]:
-        began = time.perf_counter()
-        count = jnp.asarray(steps, jnp.int32)
-        current, rows, done = run_chunk(controller, scenario, current, key, count, chunk)
-        filled = int(done)
-        rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:filled], rows)
-        return current, rows, filled, time.perf_counter() - began
+    def run(current: LoopState, steps: Count) -> tuple[LoopState, Record, Count]:
+        return run_chunk(controller, scenario, current, key, steps, chunk)
 
-    def look(current: LoopState) -> Frame:
-        step = int(current.step)
-        return _frame(
-            _look(controller, scenario, current, key, num_trajectories), step, step * period
-        )
+    def look(current: LoopState, step: int) -> Frame:
+        seen = _look(controller, scenario, current, key, num_trajectories)
+        return _frame(seen, step, step * period)
 
-    state, rows, _, _ = run(state, 0)
-    compile_seconds = time.perf_counter() - began
-    pieces, frames, step_seconds = [rows], [look(state)], []
-    loop_seconds, loop_steps, total, chunks, every = 0.0, 0, 0, 0, 1
-    started = time.perf_counter()
-    finished = not bool(is_unfinished(scenario, state))
-    with _stop_on_interrupt() as stop_requested:
-        while total < limit and not finished and not stop_requested():
-            chunks += 1
-            steps = min(chunk, limit - total)
-            stepwise = chunks % STEPWISE_CHUNKS == 0
-            for size in [1] * steps if stepwise else [steps]:
-                state, rows, done, seconds = run(state, size)
-                pieces.append(rows)
-                total += done
-                if stepwise:
-                    step_seconds.append(seconds)
-                else:
-                    loop_seconds, loop_steps = loop_seconds + seconds, loop_steps + done
-                finished = not bool(is_unfinished(scenario, state))
-                if finished:
-                    break
-            if chunks % every == 0:
-                frames.append(look(state))
-            if len(frames) > MAX_FRAMES:
-                frames, every = frames[::2], every * 2
-            elapsed = time.perf_counter() - started
-            on_progress(
-                Progress(total * period, limit * period, float(state.progress.coverage), elapsed)
-            )
-        is_interrupted = stop_requested()
-    if frames[-1].step != total:
-        frames.append(look(state))
+    def report(current: LoopState, total: int, seconds: float) -> None:
+        coverage = float(current.progress.coverage)
+        on_progress(Progress(total * period, limit * period, coverage, seconds))
+
+    done = watch(
+        run,
+        functools.partial(is_unfinished, scenario),
+        look,
+        state,
+        began=began,
+        limit=limit,
+        chunk=chunk,
+        on_chunk=report,
+    )
+    state = done.state
     belief = state.belief
     return Recording(
-        records=jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
-        frames=tuple(frames),
-        timing=Timing(compile_seconds, loop_seconds, loop_steps, np.asarray(step_seconds)),
+        records=done.records,
+        frames=done.frames,
+        timing=done.timing,
         control_period=period,
         world=np.asarray(scenario.world.probability),
         belief=np.asarray(belief.grid.probability),
@@ -154,13 +121,13 @@ def record_run(
         control_half_range=np.asarray(
             0.5 * (scenario.robot.control_max - scenario.robot.control_min)
         ),
-        finished_step=total - int(state.finished) + 1 if int(state.finished) else None,
+        finished_step=done.num_steps - int(state.finished) + 1 if int(state.finished) else None,
         state_names=scenario.robot.state_names,
         robot_radius=float(scenario.robot.radius),
         target_coverage=None
         if float(scenario.target_coverage) > 1.0
         else (float(scenario.target_coverage)),
-        is_interrupted=is_interrupted,
+        is_interrupted=done.is_interrupted,
         footprint=_outline(scenario.robot.footprint),
         targets=np.asarray(scenario.targets),
         elevation=None if scenario.ground is None else np.asarray(scenario.ground.elevation),
@@ -253,23 +220,3 @@ def _outline(footprint: Footprint) -> np.ndarray:
         0.5 * float(footprint.width),
     )
     return np.array([[front, half], [rear, half], [rear, -half], [front, -half]])
-
-
-@contextmanager
-def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed; a second press interrupts at once."""
-    requested = threading.Event()
-
-    def request(_: int, __: FrameType | None) -> None:
-        if requested.is_set():
-            raise KeyboardInterrupt
-        requested.set()
-
-    if threading.current_thread() is not threading.main_thread():
-        yield requested.is_set
-        return
-    before = signal.signal(signal.SIGINT, request)
-    try:
-        yield requested.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)
