@@ -13,6 +13,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
+from jaxplore.geometry.angles import sin_cos
 
 
 class UnicycleFollower(Follower):
@@ -148,7 +149,7 @@ def _steering(yaw: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar
 
     Its speed [m/s], the angle to turn by [rad], and how much the angle counts, between 0 and 1.
     """
-    cos, sin = jnp.cos(yaw), jnp.sin(yaw)
+    sin, cos = sin_cos(yaw)
     ahead, aside = cos * x + sin * y, cos * y - sin * x
     squared = x * x + y * y
     confidence = squared / (squared + SLOW * SLOW)

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 
 from jaxplore._types import Scalar
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Disc
 
 Lever = tuple[Scalar, ...]
@@ -18,7 +19,7 @@ def levers(state: State) -> tuple[Lever, ...]:
     footprint = state.dynamics.footprint
     if isinstance(footprint, Disc):
         return ((),)
-    cos, sin = jnp.cos(state.heading), jnp.sin(state.heading)
+    sin, cos = sin_cos(state.heading)
     return tuple((ahead * cos, ahead * sin) for ahead in footprint.offsets)
 
 

@@ -12,6 +12,7 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics, State
+from jaxplore.geometry.angles import sin_cos
 
 
 class ComfortCost(Cost):
@@ -105,5 +106,5 @@ def acceleration(
 
     x, y = jax.jvp(velocity, (state,), (model.derivative(state, control),))[1]
     heading = model.heading(state)
-    cos, sin = jnp.cos(heading), jnp.sin(heading)
+    sin, cos = sin_cos(heading)
     return cos * x + sin * y, cos * y - sin * x

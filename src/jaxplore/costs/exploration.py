@@ -11,6 +11,7 @@ from jaxplore._types import ControlVector, Scalar, Vector
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.information.belief import Belief, StrategicBelief
 from jaxplore.maps.field import ScalarField
 
@@ -66,7 +67,8 @@ class GuidanceCost(Cost):
         """Return the cost to go and of the heading."""
         position, heading = state.position, state.heading
         way = belief.guidance.direction(position)
-        facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
+        sin, cos = sin_cos(heading)
+        facing = cos * way[0] + sin * way[1]
         return belief.guidance(position) + self.turning * (1.0 - facing)
 
 

@@ -1,6 +1,5 @@
 """Costs of not going somewhere: to a goal along its field, or into one of several regions."""
 
-import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
@@ -8,6 +7,7 @@ from jaxplore._types import ControlVector, Scalar
 from jaxplore.costs._distance import length
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.information.belief import Belief
 
 
@@ -41,7 +41,8 @@ class ToGoalCost(Cost):
             )
         position, heading = state.position, state.heading
         way = belief.to_goal.direction(position)
-        facing = jnp.cos(heading) * way[0] + jnp.sin(heading) * way[1]
+        sin, cos = sin_cos(heading)
+        facing = cos * way[0] + sin * way[1]
         return belief.to_goal(position) + self.turning * (length((way[0], way[1])) - facing)
 
 
@@ -71,4 +72,5 @@ class RegionCost(Cost):
         position = state.position
         x, y = position[0] - belief.pose[0], position[1] - belief.pose[1]
         angle = belief.pose[2] + self.direction
-        return length((x, y)) - (x * jnp.cos(angle) + y * jnp.sin(angle))
+        sin, cos = sin_cos(angle)
+        return length((x, y)) - (x * cos + y * sin)

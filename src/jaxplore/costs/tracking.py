@@ -26,6 +26,7 @@ from jaxplore.costs._distance import length, offset, squared
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
 
 
 class GoalCost(Cost):
@@ -130,7 +131,7 @@ class WaypointCost(Cost):
         if self.heading is None:
             return square
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
-        turned = 1.0 - jnp.cos(state.heading - self.heading)
+        turned = 1.0 - sin_cos(state.heading - self.heading)[1]
         return square + self.heading_weight * nearness * turned
 
 
@@ -231,7 +232,8 @@ class PathCost(Cost):
         source = jax.lax.cummax(lines)
         direction = (segments * jnp.sqrt(inverse)[:, None])[source][nearest]
         yaw = state.heading
-        facing = jnp.cos(yaw) * direction[0] + jnp.sin(yaw) * direction[1]
+        sin, cos = sin_cos(yaw)
+        facing = cos * direction[0] + sin * direction[1]
         if self.heading_weight is not None:
             total = total + self.heading_weight * (1.0 - facing)
         if self.speed is not None:
@@ -292,6 +294,6 @@ class StateCost(Cost):
         total = jnp.zeros(())
         for name, weight in self.weights.items():
             error = state[name] - self.target[name]
-            square = 2.0 * (1.0 - jnp.cos(error)) if name in self.angles else error * error
+            square = 2.0 * (1.0 - sin_cos(error)[1]) if name in self.angles else error * error
             total = total + weight * square
         return total

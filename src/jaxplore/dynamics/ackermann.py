@@ -11,6 +11,7 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
@@ -108,11 +109,13 @@ class Ackermann(ContinuousDynamics):
         # Between two steps an integrator may look beyond the bounds, which the car never reaches.
         _, _, yaw, v, steering = self.project(state)
         a, steering_rate = control
+        sin_yaw, cos_yaw = sin_cos(yaw)
+        sin_steering, cos_steering = sin_cos(steering)
         return jnp.stack(
             [
-                v * jnp.cos(yaw),
-                v * jnp.sin(yaw),
-                v * jnp.tan(steering) / self.wheelbase,
+                v * cos_yaw,
+                v * sin_yaw,
+                v * sin_steering / (cos_steering * self.wheelbase),
                 a - self.drag * v,
                 steering_rate,
             ]

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxplore._types import ControlVector, Position, Scalar, StateVector
-from jaxplore.dynamics.integrators import Integrator
+from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.footprint import Disc, Footprint
 
 
@@ -124,9 +124,16 @@ class ContinuousDynamics(Dynamics):
         """Return the nearest admissible state (nx,): all are, unless a model says otherwise."""
         return state
 
+    def derivative_under(self, control: ControlVector) -> Derivative:
+        """Return the derivative for a control that is held, `derivative` unless a model says
+        otherwise: one that computes much from its control alone does it here, once for all stages
+        of an integrator."""
+        return self.derivative
+
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (nx,) after `dt` seconds under a control (nu,)."""
-        return self.project(self.integrator(self.derivative, state, control, dt))
+        rate = self.derivative_under(control)
+        return self.project(self.integrator(rate, state, control, dt))
 
 
 class State(eqx.Module):

@@ -9,6 +9,7 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import Euler, Integrator
+from jaxplore.geometry.angles import sin_cos
 
 
 class DifferentialDrive(ContinuousDynamics):
@@ -74,10 +75,11 @@ class DifferentialDrive(ContinuousDynamics):
         """Return dx/dt (5,)."""
         _, _, yaw, v, omega = state
         a, alpha = control
+        sin, cos = sin_cos(yaw)
         return jnp.stack(
             [
-                v * jnp.cos(yaw),
-                v * jnp.sin(yaw),
+                v * cos,
+                v * sin,
                 omega,
                 a - self.drag * v,
                 alpha - self.drag * omega,

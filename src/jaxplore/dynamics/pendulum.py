@@ -9,6 +9,7 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.angles import sin_cos
 
 
 class Pendulum(ContinuousDynamics):
@@ -71,7 +72,7 @@ class Pendulum(ContinuousDynamics):
         # Between two steps an integrator may look beyond the bound, which the rate never passes.
         angle, rate = self.project(state)
         (torque,) = control
-        fall = 1.5 * self.gravity / self.length * jnp.sin(angle)
+        fall = 1.5 * self.gravity / self.length * sin_cos(angle)[0]
         return jnp.stack([rate, fall + 3.0 / (self.mass * self.length * self.length) * torque])
 
     def project(self, state: StateVector) -> StateVector:

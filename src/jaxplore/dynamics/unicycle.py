@@ -10,6 +10,7 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.angles import sin_cos
 
 
 class Unicycle(ContinuousDynamics):
@@ -60,7 +61,8 @@ class Unicycle(ContinuousDynamics):
         """Return dx/dt (3,)."""
         _, _, yaw = state
         v, omega = control
-        return jnp.stack([v * jnp.cos(yaw), v * jnp.sin(yaw), omega])
+        sin, cos = sin_cos(yaw)
+        return jnp.stack([v * cos, v * sin, omega])
 
     def speed(self, state: StateVector) -> Scalar:
         """Return 0: the speed is a control, and no part of the state [m/s]."""
