@@ -18,7 +18,7 @@ test: $(READY)
 	$(BIN)/lint-imports
 	$(BIN)/pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
 
-bench: $(READY) $(PEERS)/.ready $(PEERS)/torch/.ready
+bench: $(READY) $(PEERS)/.ready $(PEERS)/torch/.ready $(PEERS)/faran/.ready
 	$(BIN)/python -m benchmarks
 
 # jax_mppi's own environment. Building it needs CUDA, its JAX part does not: the sources do.
@@ -28,7 +28,8 @@ $(PEERS)/.ready: $(READY)
 	  && $(PEERS)/bin/python -m pip install --quiet -c constraints.txt jax chex \
 	  && $(PEERS)/bin/python -m pip download --quiet --no-deps --dest $(PEERS)/source jax_mppi==0.3.0 \
 	  && mkdir $(PEERS)/jax_mppi \
-	  && tar -xzf $(PEERS)/source/jax_mppi-0.3.0.tar.gz -C $(PEERS)/jax_mppi --strip-components 1
+	  && tar -xzf $(PEERS)/source/jax_mppi-0.3.0.tar.gz -C $(PEERS)/jax_mppi --strip-components 1 \
+	  || { rm -rf $(PEERS)/bin; false; }
 	mkdir -p $(PEERS) && touch $@
 
 # pytorch_mppi's: any Python that PyTorch has a build for; 3.11 if it is there.
@@ -37,8 +38,17 @@ $(PEERS)/torch/.ready: $(PEERS)/.ready
 	-for python in python3.11 $(wildcard $(HOME)/.pyenv/versions/3.11*/bin/python3.11) $(PYTHON); do \
 	  $$python -c 'import ensurepip' 2> /dev/null && break; done \
 	  && $$python -m venv $(PEERS)/torch \
-	  && $(PEERS)/torch/bin/python -m pip install --quiet torch==2.13.0 pytorch_mppi==0.9.1 numpy
+	  && $(PEERS)/torch/bin/python -m pip install --quiet torch==2.13.0 pytorch_mppi==0.9.1 numpy \
+	  || { rm -rf $(PEERS)/torch; false; }
 	mkdir -p $(PEERS)/torch && touch $@
+
+# Faran's, which needs Python 3.13. It brings both of its backends.
+$(PEERS)/faran/.ready: $(PEERS)/.ready
+	rm -rf $(PEERS)/faran
+	-$(PYTHON) -m venv $(PEERS)/faran \
+	  && $(PEERS)/faran/bin/python -m pip install --quiet -c constraints.txt faran==0.3.1 \
+	  || { rm -rf $(PEERS)/faran; false; }
+	mkdir -p $(PEERS)/faran && touch $@
 
 docs: $(READY)
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html

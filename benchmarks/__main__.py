@@ -19,6 +19,7 @@ from benchmarks import (
     exploration,
     information,
     informative,
+    path_following,
     portfolio_step,
 )
 from benchmarks.tables import table
@@ -114,6 +115,16 @@ def _informative(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {"informative": times}
 
 
+def _path_following(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    following = path_following.measure()
+    for title, name in (
+        ("Contouring control along an S-curve, a step, and Faran's", "step"),
+        ("How well it follows: K = 256, T = 30, at most 10 s", "tracking"),
+    ):
+        console.print(table(title, following[name]))
+    return {"path_following": following}
+
+
 def _portfolio(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     times = portfolio_step.measure(arguments.steps)
     for title, name in (
@@ -136,6 +147,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "information": _information,
     "control_step": _control_step,
     "informative": _informative,
+    "path_following": _path_following,
     "portfolio": _portfolio,
     "exploration": _exploration,
 }

@@ -42,7 +42,7 @@ def measure() -> list[dict[str, Any]]:
             theirs: list[dict[str, Any]] = []
             paid = _probe(controller, problem)
             for peer, command in _commands(file, variant).items():
-                result = _run_peer(peer, command, folder)
+                result = run_peer(peer, command, folder)
                 ours.append(timed_step(controller, problem["start"]))
                 # Those of our runs before and after it.
                 beside = float(np.mean([one.p50_ms for one in ours[-2:]]))
@@ -109,7 +109,7 @@ def _commands(problem: Path, variant: str) -> dict[str, list[str]]:
     }
 
 
-def _run_peer(name: str, command: list[str], folder: str) -> dict[str, Any] | None:
+def run_peer(name: str, command: list[str], folder: str) -> dict[str, Any] | None:
     """Run a peer on a problem, where `make bench` has set it up."""
     if not Path(command[0]).exists():
         print(f"{name} is not installed at {command[0]}: left out", file=sys.stderr)

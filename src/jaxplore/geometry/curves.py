@@ -150,7 +150,7 @@ def path_through(
     points: Rows,
     *,
     method: str = "cubic",
-    boundary: str = "not-a-knot",
+    boundary: str = "natural",
     is_closed: bool = False,
     half_widths: Rows | None = None,
 ) -> Path:
@@ -169,8 +169,9 @@ def path_through(
         points: (M, 2) to pass in this order, M >= 2; of a closed path M >= 3, the first not
             repeated at the end [m].
         method: the spline.
-        boundary: of an open cubic one: "not-a-knot", "natural" (no curvature at the ends) or
-            "clamped" (no derivative there). A closed one is periodic.
+        boundary: of an open cubic one: "natural" (no curvature at the ends: who stands at the
+            start need not turn at once), "not-a-knot" or "clamped" (no derivative there). A closed
+            one is periodic.
         is_closed: whether the path returns to the first point.
         half_widths: room to the left and right of the path [m]: two numbers, or (M, 2), one row for
             each waypoint.

@@ -1,0 +1,193 @@
+"""Contouring control along an S-curve, ours and Faran's: times of a step, and how well it follows.
+
+The problem is that of Faran's README: its waypoints and spline, car, Euler's rule, noise,
+temperature and weights. Its path parameter runs to 35 units, of which each is worth 1000; ours is
+the arc length, and gains the same over the whole path. The rest is what each library has by
+default: Faran draws new noise at each step of the horizon, ours draws the knots of splines. Beside
+that, ours with the integrator that our car has by default, Runge and Kutta's.
+
+A time is that of one whole `planner.step` in its closed loop, from Python until the optimal
+controls are there; of ours with the making of its key, which Faran's planners do within the step.
+Ours is timed before and after each peer.
+
+The car stands at first. A run is over when the path parameter is `NEAR_END` before the path's end,
+or after `STEPS`. Contouring and lag errors are what each library's own objects say, from its own
+reference point; `distance` is that from the car to the nearest point of the path, for all alike.
+"""
+
+import dataclasses
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxplore as jx
+from benchmarks.control_peers import PEERS, run_peer
+from benchmarks.timing import Timed
+from jaxplore.planning.path_following import PathFollowing
+
+BACKENDS = {"numpy": "Faran, NumPy", "jax": "Faran, JAX"}
+PRECISE = "jaxplore, Runge-Kutta"
+SIZES = ((256, 30), (1000, 40))
+STEPS, SEEDS, NEAR_END = 100, 20, 0.8
+WARM_UP = 20
+PROBLEM: dict[str, Any] = {
+    "waypoints": [(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)],
+    "path_length": 35.0,
+    "wheelbase": 2.5,
+    "dt": 0.1,
+    "max_speed": 15.0,
+    "max_steering": 0.5,
+    "max_acceleration": 3.0,
+    "noise_std": [0.5, 0.05],
+    "temperature": 50.0,
+    "contouring_weight": 100.0,
+    "lag_weight": 100.0,
+    "progress_weight": 1000.0,
+    "steps": STEPS,
+}
+Run = dict[str, Any]
+
+
+def measure(timed_steps: int = 400) -> dict[str, list[dict[str, Any]]]:
+    """Return the times of all sizes, and how well the first of them follows."""
+    # Natural, as Faran's spline: with another one the curve is another, by up to a metre.
+    path = jx.path_through(PROBLEM["waypoints"], boundary="natural")
+    times, tracking = [], []
+    with tempfile.TemporaryDirectory() as folder:
+        for samples, horizon in SIZES:
+            seeds = SEEDS if (samples, horizon) == SIZES[0] else 0
+            problem = {**PROBLEM, "rollouts": samples, "horizon": horizon, "seeds": seeds}
+            problem["timed_steps"] = timed_steps
+            file = Path(folder) / "problem.json"
+            file.write_text(json.dumps(problem), encoding="utf-8")
+            following = _following(problem, path, jx.Euler())
+            precise = _following(problem, path, jx.RK4())
+            ours = [_times(following, problem)]
+            theirs = [_times_row(PRECISE, dataclasses.asdict(_times(precise, problem)))]
+            runs = {
+                library: [_follow(each, problem, path, seed) for seed in range(seeds)]
+                for library, each in (("jaxplore", following), (PRECISE, precise))
+            }
+            for backend, library in BACKENDS.items():
+                result = run_peer(library, _command(backend, file), folder)
+                ours.append(_times(following, problem))
+                # Those of our runs before and after it.
+                beside = float(np.mean([one.p50_ms for one in ours[-2:]]))
+                row = _times_row(library, result)
+                if result is not None:
+                    row["times_as_long_as_jaxplore"] = result["p50_ms"] / beside
+                    runs[library] = result["runs"]
+                theirs.append(row)
+            mine = {
+                "compile_seconds": ours[0].compile_seconds,
+                "p50_ms": float(np.median([one.p50_ms for one in ours])),
+                "p99_ms": float(np.median([one.p99_ms for one in ours])),
+            }
+            title = f"K = {samples}, T = {horizon}"
+            times += [{"": title, **row} for row in (_times_row("jaxplore", mine), *theirs)]
+            if seeds:
+                tracking = [_tracking_row(library, kept, path) for library, kept in runs.items()]
+    return {"step": times, "tracking": tracking}
+
+
+def _command(backend: str, problem: Path) -> list[str]:
+    script = Path(__file__).parent / "peers" / "faran_mpcc.py"
+    return [str(PEERS / "faran" / "bin" / "python"), str(script), backend, str(problem)]
+
+
+def _following(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator) -> PathFollowing:
+    limits = {name: problem[name] for name in ("max_speed", "max_acceleration", "max_steering")}
+    # Faran's car is known by its rear axle; ours may not stand right on it.
+    car = jx.KinematicBicycle(problem["wheelbase"], 1e-3, **limits, integrator=integrator)
+    shared = ("noise_std", "max_speed", "contouring_weight", "lag_weight", "horizon", "dt")
+    return jx.mpcc(
+        car,
+        path,
+        num_samples=problem["rollouts"],
+        progress_weight=problem["progress_weight"] * problem["path_length"] / float(path.length),
+        **{name: problem[name] for name in shared},
+    )
+
+
+def _drive(
+    following: PathFollowing, problem: dict[str, Any], seed: int
+) -> Iterator[tuple[jax.Array, float]]:
+    """Yield the state after each step, and the time it took."""
+    planner, model = following.planner, following.model
+    move = jax.jit(lambda state, control: model.step(state, control, jnp.asarray(problem["dt"])))
+    state, nominal = model.at_pose(0.0, 0.0, 0.0), planner.initial_nominal
+    for step in range(problem["steps"]):
+        jax.block_until_ready((state, nominal))  # type: ignore[no-untyped-call]
+        began = time.perf_counter()
+        planned = planner.step(
+            temperature=problem["temperature"],
+            nominal_input=nominal,
+            initial_state=state,
+            key=jax.random.key(problem["steps"] * seed + step),
+        )
+        planned.optimal.block_until_ready()
+        spent = time.perf_counter() - began
+        state, nominal = move(state, planned.optimal[0]), planned.nominal
+        yield state, spent
+
+
+def _times(following: PathFollowing, problem: dict[str, Any]) -> Timed:
+    """Time steps along the path, which begins anew when a run is over."""
+    seconds: list[float] = []
+    seed = 0
+    while len(seconds) < WARM_UP + problem["timed_steps"]:
+        seconds += [spent for _, spent in _drive(following, problem, seed)]
+        seed += 1
+    p50, p99 = 1e3 * np.percentile(seconds[WARM_UP:], [50, 99])
+    return Timed(seconds[0], float(p50), float(p99), len(seconds) - WARM_UP)
+
+
+def _follow(following: PathFollowing, problem: dict[str, Any], path: jx.Path, seed: int) -> Run:
+    states = jnp.stack([state for state, _ in _drive(following, problem, seed)])
+    return {
+        "positions": states[:, :2],
+        "share": states[:, -1] / path.length,
+        "contouring": following.contouring.errors(states, following.model),
+        "lag": following.lag.errors(states, following.model),
+    }
+
+
+def _times_row(library: str, times: dict[str, Any] | None) -> dict[str, Any]:
+    names = {"ms": "p50_ms", "p99_ms": "p99_ms", "first_call_s": "compile_seconds"}
+    row = {short: None if times is None else times[name] for short, name in names.items()}
+    return {"library": library, **row, "times_as_long_as_jaxplore": None}
+
+
+def _tracking_row(library: str, runs: list[Run], path: jx.Path) -> dict[str, Any]:
+    """Return how well the runs followed the path, over all their steps until they were over."""
+    errors: dict[str, list[np.ndarray]] = {"contouring": [], "lag": [], "distance": []}
+    seconds, finished = [], 0
+    for run in runs:
+        share = np.asarray(run["share"])
+        there = np.flatnonzero(share >= 1.0 - NEAR_END / float(path.length))
+        steps = int(there[0]) + 1 if there.size else share.size
+        finished += bool(there.size)
+        seconds.append(steps * PROBLEM["dt"])
+        for name in ("contouring", "lag"):
+            errors[name].append(np.abs(run[name])[:steps])
+        errors["distance"].append(_distances(run["positions"], path)[:steps])
+    row: dict[str, Any] = {"library": library}
+    for name in errors:
+        together = np.concatenate(errors[name])
+        row[f"{name}_mean_m"] = float(together.mean())
+        if name != "distance":
+            row[f"{name}_max_m"] = float(together.max())
+    return {**row, "finished": f"{finished} of {len(runs)}", "median_s": float(np.median(seconds))}
+
+
+def _distances(positions: Any, path: jx.Path) -> np.ndarray:
+    points = jnp.asarray(positions, jnp.float32)
+    nearest = jax.vmap(lambda point: path.at(path.nearest(point)).position)(points)
+    return np.asarray(jnp.linalg.norm(points - nearest, axis=1))
