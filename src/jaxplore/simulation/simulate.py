@@ -128,7 +128,7 @@ def record_run(
         if float(scenario.target_coverage) > 1.0
         else (float(scenario.target_coverage)),
         is_interrupted=done.is_interrupted,
-        footprint=_outline(scenario.robot.footprint),
+        footprint=outline_of(scenario.robot.footprint),
         targets=np.asarray(scenario.targets),
         elevation=None if scenario.ground is None else np.asarray(scenario.ground.elevation),
         traversable=(
@@ -210,7 +210,7 @@ def _frame(look: _Look, step: int, seconds: float) -> Frame:
     return Frame(step=step, time=seconds, terms=terms, heading=heading, **kept)
 
 
-def _outline(footprint: Footprint) -> np.ndarray:
+def outline_of(footprint: Footprint) -> np.ndarray:
     """Return the corners (4, 2) of a rectangle in the robot's frame [m]; none of another robot."""
     if not isinstance(footprint, Rectangle):
         return np.zeros((0, 2))
