@@ -463,7 +463,7 @@ def path_following() -> Figure:
     waypoints = np.array([(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)], np.float32)
     path = jx.path_through(waypoints)
     car = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
-    following = jx.mpcc(car, path, noise_std=[0.5, 0.05], max_speed=15.0, progress_weight=620.0)
+    following = jx.mpcc(car, path, noise_std=[0.5, 0.05], max_speed=15.0, progress_weight=630.0)
     model, end = following.model, float(path.length) - 0.8
 
     @eqx.filter_jit

@@ -119,6 +119,7 @@ from jaxplore.dynamics.pendulum import Pendulum as Pendulum
 from jaxplore.dynamics.point_mass import PointMass as PointMass
 from jaxplore.dynamics.quadrotor import Quadrotor as Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle as Unicycle
+from jaxplore.geometry.angles import sin_cos as sin_cos
 from jaxplore.geometry.curves import arc_path as arc_path
 from jaxplore.geometry.curves import clothoid_path as clothoid_path
 from jaxplore.geometry.curves import line_path as line_path
@@ -130,6 +131,7 @@ from jaxplore.geometry.outlines import Outlines as Outlines
 from jaxplore.geometry.path import Path as Path
 from jaxplore.geometry.path import PathErrors as PathErrors
 from jaxplore.geometry.path import PathPoint as PathPoint
+from jaxplore.geometry.track import race_track as race_track
 from jaxplore.information.beam import beam_information as beam_information
 from jaxplore.information.beam import cauchy_schwarz_information as cauchy_schwarz_information
 from jaxplore.information.beam import cell_information as cell_information
@@ -220,8 +222,11 @@ from jaxplore.planning.voting import WeightedVote as WeightedVote
 from jaxplore.report.comparison import Comparison as Comparison
 from jaxplore.report.comparison import Summary as Summary
 from jaxplore.report.metrics import Metrics as Metrics
+from jaxplore.report.path_metrics import PathMetrics as PathMetrics
+from jaxplore.runs import PathRun as PathRun
 from jaxplore.runs import Run as Run
 from jaxplore.runs import compare as compare
+from jaxplore.runs import follow_path as follow_path
 from jaxplore.runs import simulate as simulate
 from jaxplore.sensing.base import Scan as Scan
 from jaxplore.sensing.base import Sensor as Sensor
@@ -230,7 +235,10 @@ from jaxplore.sensing.camera import Camera as Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
 from jaxplore.sensing.lidar import Lidar as Lidar
 from jaxplore.simulation.faults import Faults as Faults
+from jaxplore.simulation.follow import PathRecording as PathRecording
 from jaxplore.simulation.movers import Movers as Movers
 from jaxplore.simulation.movers import MoverState as MoverState
+from jaxplore.simulation.path_scenario import PathScenario as PathScenario
 from jaxplore.simulation.recording import Recording as Recording
 from jaxplore.simulation.scenario import Scenario as Scenario
+from jaxplore.simulation.traffic import Traffic as Traffic

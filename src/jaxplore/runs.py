@@ -17,8 +17,12 @@ from jaxplore._types import Key
 from jaxplore.control.base import Controller
 from jaxplore.report.comparison import Comparison, check_names
 from jaxplore.report.metrics import Metrics, compute_metrics
+from jaxplore.report.path_metrics import PathMetrics, compute_path_metrics
+from jaxplore.report.path_save import save_path_recording
 from jaxplore.report.save import save_recording
 from jaxplore.simulation import simulate as simulation
+from jaxplore.simulation.follow import PathProgress, PathRecording, record_path_run
+from jaxplore.simulation.path_scenario import PathScenario
 from jaxplore.simulation.recording import Recording
 from jaxplore.simulation.scenario import Scenario
 
@@ -115,8 +119,108 @@ def simulate(
             on_progress=show,
             num_trajectories=num_trajectories,
         )
-    seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
-    return Run(recording, compute_metrics(recording, seed=seed))
+    return Run(recording, compute_metrics(recording, seed=_seed(key)))
+
+
+@dataclasses.dataclass(frozen=True)
+class PathRun:
+    """A finished run along a path.
+
+    Args:
+        recording: every step, and looks at the run.
+        metrics: what came of it.
+    """
+
+    recording: PathRecording
+    metrics: PathMetrics
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        animation: bool = True,
+        settings: Mapping[str, object] | None = None,
+        progress: bool = False,
+    ) -> None:
+        """Write a run folder: metrics.json, arrays.npz, path.png, errors.png, following.gif.
+
+        The folder appears complete or not at all.
+
+        Args:
+            path: the folder.
+            overwrite: replace a run folder that is there.
+            animation: draw following.gif.
+            settings: written to settings.yaml, from which the command line repeats the run.
+            progress: show how far the drawing is.
+
+        Raises:
+            ValueError: the folder exists, or cannot be written.
+        """
+        with progress_bar("drawing", enabled=progress and animation) as advance:
+            save_path_recording(
+                self.recording,
+                self.metrics,
+                path,
+                settings=settings,
+                animation=animation,
+                overwrite=overwrite,
+                on_progress=lambda share: advance(share, ""),
+            )
+
+
+def follow_path(
+    controller: Controller,
+    scenario: PathScenario,
+    num_steps: int,
+    *,
+    key: Key,
+    progress: bool = False,
+    num_trajectories: int = simulation.NUM_TRAJECTORIES,
+) -> PathRun:
+    """Simulate a robot along a path until its end is reached or the steps are done.
+
+    The closed loop is one compiled program, run in chunks of half a simulated second. Ctrl-C ends
+    the run after the current chunk and returns what was done.
+
+    Args:
+        controller: decides, such as the `planner.mppi` of `mpcc`; it is told the scenario's control
+            rate. Its belief are the `Obstacles` that the robot knows of; None without any.
+        scenario: where and how.
+        num_steps: at most, in control periods of the scenario.
+        key: the same key gives the same run.
+        progress: show the way passed, speed and time left.
+        num_trajectories: rollouts in each look at the run, for the animation; with 0 there are no
+            plans in it.
+
+    Raises:
+        ValueError: a number of steps < 1, or of rollouts < 0.
+    """
+    with progress_bar("following", enabled=progress) as advance:
+
+        def show(now: PathProgress) -> None:
+            speed = now.time / max(now.seconds, 1e-9)
+            left = (now.time_limit - now.time) / speed
+            share = max(now.progress / now.end, now.time / now.time_limit)
+            advance(
+                min(max(share, 0.0), 1.0),
+                f"{now.time:4.0f} of {now.time_limit:.0f} s  {now.progress:6.1f} of {now.end:.1f} m"
+                f"  {speed:4.1f} x real time  at most {left:3.0f} s left",
+            )
+
+        recording = record_path_run(
+            controller,
+            scenario,
+            num_steps,
+            key=key,
+            on_progress=show,
+            num_trajectories=num_trajectories,
+        )
+    return PathRun(recording, compute_path_metrics(recording, seed=_seed(key)))
+
+
+def _seed(key: Key) -> int:
+    return int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
 
 
 def compare(

@@ -3,16 +3,20 @@
 import importlib.resources
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Negative = Annotated[float, Field(lt=0)]
-Share = Annotated[float, Field(gt=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
+from jaxplore._sections import (
+    Count,
+    Negative,
+    NonNegative,
+    Positive,
+    Section,
+    Share,
+    validated,
+)
+from jaxplore._sections import read_settings as read_settings
 
 Architecture = Literal[
     "explorer", "portfolio", "two-layer", "parallel", "sequential", "random-walk", "goal"
@@ -42,11 +46,7 @@ FLIGHT: dict[str, Any] = {
 """What differs by default if the architecture is not `explorer`: a quadrotor with a camera."""
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class OfficeSettings(_Section):
+class OfficeSettings(Section):
     """The generated office: seed of its plan, size and cells [m]."""
 
     seed: Annotated[int, Field(ge=0)] = 0
@@ -54,7 +54,7 @@ class OfficeSettings(_Section):
     height: Positive = 14.0
 
 
-class RobotSettings(_Section):
+class RobotSettings(Section):
     """The robot: model, bounds [m/s, rad/s, m/s^2, rad/s^2], drag [1/s] and radius [m].
 
     A car (`ackermann`) has a wheelbase, a length and a width [m] instead of a radius, and steering
@@ -79,7 +79,7 @@ class RobotSettings(_Section):
     min_speed: float = 0.0
 
 
-class LidarSettings(_Section):
+class LidarSettings(Section):
     """The lidar: beams, reach [m], field of view [degrees], noise and height above ground [m]."""
 
     num_beams: Count = 360
@@ -89,7 +89,7 @@ class LidarSettings(_Section):
     height: NonNegative = 0.5
 
 
-class CameraSettings(_Section):
+class CameraSettings(Section):
     """A forward depth camera: columns, reach [m], views [degrees], noise and height [m], tilt
     [rad], down is negative."""
 
@@ -102,7 +102,7 @@ class CameraSettings(_Section):
     tilt: float = -0.1
 
 
-class WatchSettings(_Section):
+class WatchSettings(Section):
     """What is looked for beside the map: see `jaxplore.Watch`. Without a memory nothing that was
     seen is worth a second look [s]."""
 
@@ -110,7 +110,7 @@ class WatchSettings(_Section):
     weight: NonNegative = 1.0
 
 
-class TerrainSettings(_Section):
+class TerrainSettings(Section):
     """The ground: see `jaxplore.Ground`. A height map is a grey image of the size of the ROS map's,
     black 0 and white `elevation_scale` [m]."""
 
@@ -121,7 +121,7 @@ class TerrainSettings(_Section):
     threshold: Annotated[float, Field(ge=0, le=1)] = 0.3
 
 
-class SensorModelSettings(_Section):
+class SensorModelSettings(Section):
     """The inverse sensor model: log-odds added by a hit and a pass, and the clamp; or
     `line_of_sight`, for which one look settles a cell."""
 
@@ -132,7 +132,7 @@ class SensorModelSettings(_Section):
     maximum: Positive = 5.0
 
 
-class FieldSettings(_Section):
+class FieldSettings(Section):
     """The information and guidance fields: see `jaxplore.Perception`."""
 
     num_directions: Annotated[int, Field(ge=4)] = 32
@@ -145,7 +145,7 @@ class FieldSettings(_Section):
     memory: Positive = 60.0
 
 
-class ControllerSettings(_Section):
+class ControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.explorer`."""
 
     horizon: Count = 40
@@ -160,7 +160,7 @@ class ControllerSettings(_Section):
     control_weight: NonNegative = 0.01
 
 
-class PortfolioSettings(_Section):
+class PortfolioSettings(Section):
     """A portfolio for a ground vehicle and its fusion: see `jaxplore.ground_portfolio` and
     `jaxplore.Contextual`. `weights` of one's own, by member and objective, take the place of
     `members`. `is_safe` puts the fusion into a `SafeFusion` with that `regret`."""
@@ -190,7 +190,7 @@ class PortfolioSettings(_Section):
     margin: NonNegative = 0.02
 
 
-class InformativeSettings(_Section):
+class InformativeSettings(Section):
     """Informative MPPI: see `jaxplore.informative_mppi`, `jaxplore.Flight` and
     `jaxplore.FieldNumbers`. The defaults are the quadrotor design notes' where they have one.
 
@@ -237,7 +237,7 @@ class InformativeSettings(_Section):
     control_weight: NonNegative = 0.01
 
 
-class RatesSettings(_Section):
+class RatesSettings(Section):
     """How often things happen [Hz]."""
 
     control: Positive = 50.0
@@ -245,7 +245,7 @@ class RatesSettings(_Section):
     fields: Positive = 5.0
 
 
-class Settings(_Section):
+class Settings(Section):
     """A whole run; what is not given has the default shown.
 
     Args:
@@ -298,26 +298,6 @@ class Settings(_Section):
     rates: RatesSettings = RatesSettings()
 
 
-def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Read settings from a YAML file.
-
-    Raises:
-        ValueError: a file that is missing, unreadable, not YAML or not a mapping.
-    """
-    try:
-        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"settings file {path} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"settings file {path} is not YAML: {reason}") from None
-    if not isinstance(entries, dict):
-        raise ValueError(
-            f"settings file {path} holds {type(entries).__name__}; accepted: a mapping of settings"
-        )
-    return entries
-
-
 def scenario_path(name: str) -> Path:
     """Return the settings file of one of the `SCENARIOS`."""
     return Path(str(importlib.resources.files("jaxplore"))) / "scenarios" / f"{name}.yaml"
@@ -338,13 +318,7 @@ def make_settings(entries: dict[str, Any]) -> Settings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    try:
-        return Settings.model_validate(_with_defaults(entries))
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(
-            _one_line(first["loc"], first["type"], first["input"], first["msg"])
-        ) from None
+    return validated(Settings, _with_defaults(entries))
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
@@ -366,25 +340,3 @@ def _merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]
         if isinstance(section, dict) and isinstance(given, dict):
             merged[name] = {**section, **given}
     return merged
-
-
-def _one_line(where: tuple[int | str, ...], kind: str, value: object, message: str) -> str:
-    name = ".".join(str(part) for part in where)
-    if kind == "extra_forbidden":
-        section: type[BaseModel] = Settings
-        for part in where[:-1]:
-            section = _section(section, str(part))
-        return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
-    if kind == "missing":
-        return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
-    shown = repr(value) if len(repr(value)) <= 80 else repr(value)[:77] + "..."
-    return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
-
-
-def _section(section: type[BaseModel], name: str) -> type[BaseModel]:
-    inner = section.model_fields[name].annotation
-    # Of a section that may be absent, the section.
-    inner = next((part for part in get_args(inner) if part is not type(None)), inner)
-    assert isinstance(inner, type)
-    assert issubclass(inner, BaseModel)
-    return inner

@@ -1,10 +1,12 @@
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
 
 from jaxplore.control.base import Members
+from jaxplore.simulation.follow import PathFrame, PathRecording
+from jaxplore.simulation.path_loop import PathRecord
 from jaxplore.simulation.record import Record
 from jaxplore.simulation.recording import Frame, Recording, Timing
 
@@ -202,3 +204,155 @@ def make_vehicle() -> Callable[[Recording], Recording]:
 def vehicle(recording: Recording) -> Recording:
     """A run of ten steps with ground, targets, movers, a watch, members and a rectangle."""
     return ground_vehicle(recording)
+
+
+PATH_NAMES = ("x", "y", "yaw", "v", "phi")
+RADIUS = 5.0
+"""Of the ring [m]."""
+
+
+def path_run(
+    poses: Sequence[tuple[float, float, float]],
+    progress: Sequence[float],
+    *,
+    num_frames: int = 4,
+    **changes: object,
+) -> PathRecording:
+    """A run on a straight path of 10 m along x, through given poses, without anything beside it.
+
+    Each frame has six rollouts that fan out ahead; `progress` has one entry more than steps.
+    """
+    steps = len(poses) - 1
+    states = np.zeros((steps + 1, 5), np.float32)
+    states[:, :3] = np.asarray(poses, np.float32).reshape(-1, 3)
+    moves = np.hypot(*np.diff(states[:, :2], axis=0).T)
+    states[1:, 3], states[:, 4] = moves / PERIOD, progress
+    k = np.arange(steps, dtype=np.float32)
+    records = PathRecord(
+        state=states[1:],
+        control=np.zeros((steps, 3), np.float32),
+        contouring=(0.2 * (-1.0) ** k).astype(np.float32),
+        lag=np.full(steps, 0.1, np.float32),
+        progress=np.asarray(progress[1:], np.float32),
+        deviation=np.zeros(steps, np.float32),
+        room=np.full(steps, np.inf, np.float32),
+        gap=np.full(steps, np.inf, np.float32),
+        acceleration=np.stack([np.cos(k), np.sin(k)], axis=-1),
+        effective_sample_size=np.full(steps, 8.0, np.float32),
+        is_finite=np.ones(steps, bool),
+    )
+    recording = PathRecording(
+        records=records,
+        frames=tuple(
+            _path_frame(int(step), states[step])
+            for step in np.unique(np.linspace(0, steps, num_frames).round().astype(int))
+        ),
+        timing=Timing(2.0, 1.0, 100, np.array([0.01, 0.02, 0.03])),
+        control_period=PERIOD,
+        start=states[0],
+        start_progress=float(progress[0]),
+        centre=np.stack([np.linspace(0.0, 10.0, 21), np.zeros(21)], axis=-1).astype(np.float32),
+        edges=np.zeros((0, 21, 2), np.float32),
+        length=10.0,
+        end=10.0,
+        is_closed=False,
+        state_names=PATH_NAMES,
+        control_half_range=np.ones(3, np.float32),
+        robot_radius=0.3,
+        footprint=np.zeros((0, 2)),
+        obstacle_radii=np.zeros(0),
+        is_interrupted=False,
+    )
+    return dataclasses.replace(recording, **changes)
+
+
+def _path_frame(step: int, state: np.ndarray) -> PathFrame:
+    angles = state[2] + np.linspace(-0.5, 0.5, 6)
+    ahead = np.linspace(0.0, 1.0, 5)[None, :, None]
+    fan = ahead * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+    return PathFrame(
+        step=step,
+        time=step * PERIOD,
+        position=state[:2],
+        heading=float(state[2]),
+        corners=np.zeros((0, 1, 2), np.float32),
+        samples=(state[:2] + fan).astype(np.float32),
+        weights=np.array([0.5, 0.1, 1e-3, 1e-9, 0.0, 0.3], np.float32),
+        plan=(state[:2] + fan[2]).astype(np.float32),
+    )
+
+
+@pytest.fixture
+def make_straight() -> Callable[..., PathRecording]:
+    """Make a run on an open path, without anything beside it."""
+    return straight_run
+
+
+def straight_run(**changes: object) -> PathRecording:
+    """Ten steps of 1 m along an open path; a disc, nothing beside it."""
+    along = np.arange(11.0)
+    return path_run([(x, 0.0, 0.0) for x in along], list(along), **changes)
+
+
+def ring_run(
+    *, laps: int = 2, steps: int = 20, num_frames: int = 4, **changes: object
+) -> PathRecording:
+    """Laps of so many steps on a circle of 5 m, to the left, in a corridor 2 m wide.
+
+    A car, a disc that goes round before it, and a rounded square and a bar that stand; the car is
+    out of the corridor in steps 4, 5 and 7 and in contact in steps 12 and 13.
+    """
+    total = laps * steps
+    angles = np.linspace(0.0, 2.0 * np.pi * laps, total + 1)
+    poses = [(RADIUS * np.cos(a), RADIUS * np.sin(a), a + 0.5 * np.pi) for a in angles]
+    recording = path_run(poses, list(RADIUS * angles), num_frames=num_frames)
+    around = np.linspace(0.0, 2.0 * np.pi, 73)
+    unit = np.stack([np.cos(around), np.sin(around)], axis=-1)
+    room, gap = np.full(total, 0.5, np.float32), np.full(total, 1.5, np.float32)
+    room[[4, 5, 7]] = [-0.1, -0.2, -0.1]
+    gap[[12, 13]] = [-0.05, -0.02]
+    frames = []
+    for frame in recording.frames:
+        disc = np.repeat([[RADIUS * np.cos(0.1 * frame.time), 4.8]], 4, axis=0)
+        square = np.array([[-5.2, -0.2], [-4.8, -0.2], [-4.8, 0.2], [-5.2, 0.2]])
+        bar = np.array([[-0.5, -5.0], [0.5, -5.0], [0.5, -5.0], [0.5, -5.0]])
+        frames.append(dataclasses.replace(frame, corners=np.stack([disc, square, bar])))
+    # The loop compares in the records' own precision.
+    end = float(recording.records.progress[-1])
+    ring = dataclasses.replace(
+        recording,
+        records=recording.records._replace(room=room, gap=gap),
+        frames=tuple(frames),
+        centre=(RADIUS * unit).astype(np.float32),
+        edges=np.stack([(RADIUS - 1.0) * unit, (RADIUS + 1.0) * unit]).astype(np.float32),
+        length=end / laps,
+        end=end,
+        is_closed=True,
+        footprint=CORNERS,
+        obstacle_radii=np.array([0.3, 0.1, 0.15]),
+    )
+    return dataclasses.replace(ring, **changes)
+
+
+@pytest.fixture
+def make_ring() -> Callable[..., PathRecording]:
+    """Make laps in a corridor, with obstacles."""
+    return ring_run
+
+
+@pytest.fixture
+def straight() -> PathRecording:
+    """Ten steps of 1 m along an open path."""
+    return straight_run()
+
+
+@pytest.fixture
+def ring() -> PathRecording:
+    """Two laps of twenty steps in a corridor, with obstacles."""
+    return ring_run()
+
+
+@pytest.fixture
+def path_start() -> PathRecording:
+    """A run along a path that ended before its first step."""
+    return path_run([(0.0, 0.0, 0.0)], [0.0])

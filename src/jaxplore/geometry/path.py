@@ -146,6 +146,20 @@ class Path(eqx.Module):
             return True
         return bool(np.isfinite(np.asarray(self.half_widths)).any())
 
+    def with_room(self, half_widths: Rows) -> "Path":
+        """Return the same path with that room to its left and right.
+
+        Args:
+            half_widths: two numbers, or (M, 2) at equal distances from start to end [m].
+
+        Raises:
+            ValueError: half widths that are not positive, or of another shape.
+        """
+        same: Path = eqx.tree_at(
+            lambda path: path.half_widths, self, _widths(half_widths, self.points.shape[0])
+        )
+        return same
+
     @property
     def spacing(self) -> Scalar:
         """Arc length between nodes [m]."""

@@ -82,6 +82,17 @@ class Obstacles(eqx.Module):
         self.growth = one_each("growth", growth, number, at_least=0.0)
         self.turn_growth = one_each("turn_growth", turn_growth, number, at_least=0.0)
 
+    def __add__(self, other: "Obstacles") -> "Obstacles":
+        """Return the obstacles of both."""
+        both = (self, other)
+        merged: dict[str, Array] = {
+            name: jnp.concatenate([getattr(each, name) for each in both])
+            for name in ("centres", "covariance", "growth", "turn_growth")
+        }
+        velocities = jnp.concatenate([each.velocities for each in both])
+        turn_rates = jnp.concatenate([each.turn_rates for each in both])
+        return Obstacles(self.outlines + other.outlines, velocities, turn_rates, **merged)
+
     def predicted_centres(self, t: Scalar) -> Float[Array, "N 2"]:
         """Return where the centres are `t` seconds from now (N, 2) [m]."""
         half = 0.5 * t * self.turn_rates

@@ -108,6 +108,7 @@ def mpcc(
     progress_weight: ArrayLike = 600.0,
     other: Cost | None = None,
     corridor: bool | None = None,
+    corridor_margin: ArrayLike = 0.05,
     horizon: int = 30,
     num_samples: int = 256,
     temperature: ArrayLike = 50.0,
@@ -132,6 +133,7 @@ def mpcc(
         progress_weight: w_p, gained by each metre of the path [1/m].
         other: costs of one's own, such as of obstacles.
         corridor: whether to keep within the path's half widths; if it has them, when absent.
+        corridor_margin: kept from their edges [m].
         horizon: model steps ahead, T.
         num_samples: rollouts, M.
         temperature: of the softmax where a step gives none [units of cost].
@@ -152,7 +154,7 @@ def mpcc(
     total = total + _checks.scalar("lag_weight", lag_weight, at_least=0.0) * lag
     total = total + (gain * step) * ProgressCost()
     if path.has_room if corridor is None else corridor:
-        keep = CorridorCost(path)
+        keep = CorridorCost(path, margin=corridor_margin)
         keep.check(robot)
         total = total + 100.0 * keep
     if other is not None:

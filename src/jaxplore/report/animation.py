@@ -1,6 +1,7 @@
 """An animated GIF of a run: the map grows, the robot looks ahead and drives."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from functools import partial
 from os import PathLike
 
 import numpy as np
@@ -15,9 +16,10 @@ from jaxplore.report.colours import (
     TARGET,
     belief_colours,
 )
+from jaxplore.report.drawing import draw_body, draw_line, draw_rollouts
 from jaxplore.report.footer import draw_footer
+from jaxplore.report.gif import evenly_chosen, write_gif
 from jaxplore.report.palette import (
-    FAINT,
     HEAT,
     HEAT_LEVELS,
     HIDDEN_WALL,
@@ -27,21 +29,12 @@ from jaxplore.report.palette import (
     PAPER,
     PLAN,
     REFERENCE,
-    ROBOT,
-    STRONG,
     TRAIL,
-    Colour,
     shared_palette,
 )
-from jaxplore.report.window import outline_at
 from jaxplore.simulation.recording import Frame, Recording
 
-FRAME_MILLISECONDS, LAST_MILLISECONDS = 90, 3000
 NUM_RAYS = 45
-STRONG_SHARE = 0.02
-"""Rollouts of at least this share of the heaviest one's weight are drawn boldly."""
-LEAST_RADIUS = 6.5
-"""Smallest robot that is drawn [pixels]."""
 STAR = 7.0
 """Radius of a target [pixels]."""
 
@@ -69,25 +62,12 @@ def write_animation(
     if max_frames < 1:
         raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
     canvas = make_canvas(recording, width)
-    frames = _chosen(recording.frames, max_frames)
-    looks = [_draw(canvas, frame) for frame in _chosen(tuple(frames), 6)]
-    palette = shared_palette(recording, looks)
-
-    def pictures() -> Iterator[Image.Image]:
-        for done, frame in enumerate(frames):
-            yield _draw(canvas, frame).quantize(palette=palette, dither=Image.Dither.NONE)
-            on_progress((done + 1) / len(frames))
-
-    first, *others = pictures()
-    first.save(
+    write_gif(
         path,
-        format="GIF",
-        save_all=True,
-        append_images=others,
-        duration=[FRAME_MILLISECONDS] * len(others) + [LAST_MILLISECONDS],
-        loop=0,
-        disposal=1,
-        optimize=True,
+        evenly_chosen(recording.frames, max_frames),
+        partial(_draw, canvas),
+        partial(shared_palette, recording),
+        on_progress,
     )
 
 
@@ -103,13 +83,6 @@ def frame_image(recording: Recording, frame: Frame, *, width: int = 720) -> Imag
         ValueError: a width below 320 pixels.
     """
     return _draw(make_canvas(recording, width), frame)
-
-
-def _chosen(frames: tuple[Frame, ...], most: int) -> list[Frame]:
-    count = min(most, len(frames))
-    # Counted from the end, so that a single frame is the last one.
-    back = np.round(np.linspace(0, len(frames) - 1, count)).astype(int)[::-1]
-    return [frames[len(frames) - 1 - index] for index in back]
 
 
 def _draw(canvas: Canvas, frame: Frame) -> Image.Image:
@@ -151,13 +124,7 @@ def _draw_robot(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None
     names = recording.state_names
     here = frame.state[[names.index("x"), names.index("y")]]
 
-    def line(points: np.ndarray, colour: Colour, thickness: float) -> None:
-        whole = points[np.isfinite(points).all(axis=-1)]
-        if len(whole) > 1:
-            draw.line(
-                pairs(canvas.pixels(whole)), colour, round(thickness * SUPERSAMPLING), "curve"
-            )
-
+    line = partial(draw_line, canvas, draw)
     seen = frame.scan[np.isfinite(frame.scan).all(axis=-1)]
     if len(seen) > 1:
         draw.polygon(pairs(canvas.pixels(np.concatenate([here[None], seen]))), LIDAR_AREA)
@@ -166,11 +133,7 @@ def _draw_robot(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
     _draw_targets(canvas, draw)
     _draw_movers(canvas, frame, draw)
-    weights = np.nan_to_num(frame.weights)
-    bold = STRONG_SHARE * weights.max(initial=0.0)
-    for index in np.argsort(weights):
-        is_strong = weights[index] > 0.0 and weights[index] >= bold
-        line(frame.samples[index], STRONG if is_strong else FAINT, 1.5 if is_strong else 1.0)
+    draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         line(frame.reference, REFERENCE, 3.0)
     line(frame.plan, PLAN, 2.0)
@@ -179,7 +142,8 @@ def _draw_robot(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None
         for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
             reach = size * SUPERSAMPLING
             draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
-    _draw_body(canvas, frame, here, draw)
+    footprint, radius = recording.footprint, recording.robot_radius
+    draw_body(canvas, draw, footprint, radius, here, frame.heading)
 
 
 def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
@@ -200,31 +164,6 @@ def _draw_movers(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> Non
             reach = max(radius * canvas.scale, 3.0) * SUPERSAMPLING
             box = (x - reach, y - reach, x + reach, y + reach)
             draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * SUPERSAMPLING))
-
-
-def _draw_body(canvas: Canvas, frame: Frame, here: np.ndarray, draw: ImageDraw.ImageDraw) -> None:
-    """Draw the robot, a rectangle or a disc, with an arrow ahead."""
-    recording = canvas.recording
-    middle, edge = canvas.pixels(here), round(1.2 * SUPERSAMPLING)
-    radius = max(recording.robot_radius * canvas.scale, LEAST_RADIUS) * SUPERSAMPLING
-    is_turned = bool(np.isfinite(frame.heading))
-    if len(recording.footprint) and is_turned:
-        # A robot that is small in the picture is drawn larger, in its own shape.
-        width = float(np.ptp(recording.footprint[:, 1]))
-        larger = max(1.0, LEAST_RADIUS / (0.5 * width * canvas.scale))
-        corners = canvas.pixels(outline_at(larger * recording.footprint, here, frame.heading))
-        draw.polygon(pairs(corners), ROBOT, PAPER, edge)
-        middle, radius = corners.mean(axis=0), 0.5 * larger * width * canvas.scale * SUPERSAMPLING
-    else:
-        x, y = middle.tolist()
-        draw.ellipse((x - radius, y - radius, x + radius, y + radius), ROBOT, PAPER, edge)
-    if is_turned:
-        angle = frame.heading - float(recording.origin[2])
-        ahead = np.array([np.cos(angle), -np.sin(angle)])
-        aside = np.array([ahead[1], -ahead[0]])
-        tips = [middle + 0.72 * radius * ahead]
-        tips += [middle + radius * (-0.35 * ahead + side * 0.5 * aside) for side in (-1.0, 1.0)]
-        draw.polygon(pairs(np.stack(tips)), PAPER)
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:

@@ -1,10 +1,17 @@
-"""What a run costs in wall-clock time."""
+"""What a run costs in wall-clock time, and what it was made with."""
 
 import dataclasses
+import os
+import platform
+import sys
+from importlib.metadata import version
 
+import equinox as eqx
+import jax
 import numpy as np
 
-from jaxplore.report._numbers import finite
+from jaxplore._version import __version__
+from jaxplore.report._numbers import finite, text
 from jaxplore.simulation.recording import Timing
 
 
@@ -28,6 +35,16 @@ class Compute:
     real_time_factor: float | None
     compile_seconds: float | None
 
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what matters as (name, text), for tables."""
+        single = f"{text(self.step_ms_p50, 2)} ms p50, {text(self.step_ms_p99, 2)} ms p99"
+        return [
+            ("step", single),
+            ("loop", f"{text(self.loop_step_ms, 2)} ms a step"),
+            ("real time", f"{text(self.real_time_factor, 1)} times as fast"),
+            ("compilation", f"{text(self.compile_seconds, 1)} s"),
+        ]
+
 
 def compute_cost(timing: Timing, period: float) -> Compute:
     """Return what the steps of a run cost.
@@ -47,3 +64,18 @@ def compute_cost(timing: Timing, period: float) -> Compute:
         real_time_factor=None if mean is None else period / mean,
         compile_seconds=finite(timing.compile_seconds),
     )
+
+
+def software() -> dict[str, str | int | None]:
+    """Return the versions of what a run was made with, and the machine."""
+    return {
+        "jaxplore": __version__,
+        "jax": jax.__version__,
+        "jaxlib": version("jaxlib"),
+        "numpy": np.__version__,
+        "equinox": eqx.__version__,
+        "python": sys.version.split()[0],
+        "platform": platform.platform(),
+        "device": jax.devices()[0].device_kind,
+        "cpu_count": os.cpu_count(),
+    }

@@ -1,21 +1,15 @@
 """The numbers by which a run is judged."""
 
 import dataclasses
-import os
-import platform
-import sys
-from importlib.metadata import version
 from typing import Any
 
-import equinox as eqx
-import jax
 import numpy as np
 
-from jaxplore._version import __version__
 from jaxplore.report._numbers import finite, percent, text
 from jaxplore.report.compute import Compute as Compute
-from jaxplore.report.compute import compute_cost
+from jaxplore.report.compute import compute_cost, software
 from jaxplore.report.missions import fusion_means, idleness, last_target_at, member_means
+from jaxplore.report.motion import command_jerk, episodes
 from jaxplore.report.progress import at_instants, longest_stall, progress
 from jaxplore.simulation.recording import Recording
 
@@ -173,13 +167,7 @@ class Metrics:
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
             *self._member_rows(),
-            (
-                "step",
-                f"{text(compute.step_ms_p50, 2)} ms p50, {text(compute.step_ms_p99, 2)} ms p99",
-            ),
-            ("loop", f"{text(compute.loop_step_ms, 2)} ms a step"),
-            ("real time", f"{text(compute.real_time_factor, 1)} times as fast"),
-            ("compilation", f"{text(compute.compile_seconds, 1)} s"),
+            *compute.rows(),
             ("seed", "-" if self.seed is None else str(self.seed)),
             ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
             ("device", str(versions["device"])),
@@ -224,7 +212,6 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
     time, coverage, entropy, path = progress(recording)
     reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
     in_contact = np.asarray(records.is_collision, bool)
-    begins = in_contact & ~np.concatenate([[False], in_contact[:-1]])
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
     stride = max(1, round(CURVE_PERIOD / period))
@@ -259,9 +246,11 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
             finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
         ),
         goal_distance=_goal_distance(recording),
-        command_jerk=_command_jerk(recording),
+        command_jerk=command_jerk(
+            records.control, recording.control_half_range, recording.control_period
+        ),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
-        collisions=int(begins.sum()),
+        collisions=episodes(in_contact),
         collision_steps=int(in_contact.sum()),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_effective_sample_size=finite(sample_size.mean()) if sample_size.size else None,
@@ -280,7 +269,7 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
         longest_stall=longest_stall(recording.positions, coverage) * period,
         compute=compute_cost(recording.timing, period),
         seed=seed,
-        versions=_versions(),
+        versions=software(),
         coverage_curve={
             name: [finite(value, digits=5) for value in values[kept]]
             for name, values in curve.items()
@@ -301,30 +290,6 @@ def _goal_distance(recording: Recording) -> float | None:
     if recording.goal is None:
         return None
     return float(np.hypot(*(recording.positions[-1] - recording.goal)))
-
-
-def _command_jerk(recording: Recording) -> float | None:
-    controls = np.asarray(recording.records.control, np.float64)
-    if len(controls) < 3:
-        return None
-    jerk = np.diff(controls, 2, axis=0) / (
-        recording.control_half_range * recording.control_period**2
-    )
-    return finite(np.sqrt(np.mean(jerk**2)))
-
-
-def _versions() -> dict[str, str | int | None]:
-    return {
-        "jaxplore": __version__,
-        "jax": jax.__version__,
-        "jaxlib": version("jaxlib"),
-        "numpy": np.__version__,
-        "equinox": eqx.__version__,
-        "python": sys.version.split()[0],
-        "platform": platform.platform(),
-        "device": jax.devices()[0].device_kind,
-        "cpu_count": os.cpu_count(),
-    }
 
 
 def _first(mask: np.ndarray) -> int | None:

@@ -42,7 +42,7 @@ def shared_palette(recording: Recording, looks: Sequence[Image.Image]) -> Image.
         looks: some of the frames, all of one size.
     """
     lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
-    given = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
+    given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
     if recording.traversable is not None:
@@ -51,6 +51,16 @@ def shared_palette(recording: Recording, looks: Sequence[Image.Image]) -> Image.
         given.append(TARGET)
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
+    return fitted_palette(given, looks)
+
+
+def fitted_palette(given: Sequence[Colour], looks: Sequence[Image.Image]) -> Image.Image:
+    """Return so many given colours, and those that some frames need besides.
+
+    Args:
+        given: that are kept as they are, opaque.
+        looks: some of the frames, all of one size.
+    """
     width, height = looks[0].size
     sheet = Image.new("RGB", (width, height * len(looks)))
     for index, look in enumerate(looks):

@@ -3,8 +3,9 @@
 import contextlib
 import json
 from collections.abc import Callable, Mapping
+from functools import partial
 from os import PathLike
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import yaml
@@ -17,6 +18,9 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.report.plots import coverage_figure, map_figure
 from jaxplore.report.progress import progress
 from jaxplore.simulation.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 150
 
@@ -49,29 +53,69 @@ def save_recording(
     Raises:
         ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
     """
+    figures = {"map": map_figure, "coverage": coverage_figure}
+    if recording.records.members is not None:
+        figures["members"] = members_figure
+    if recording.idleness is not None:
+        figures["idleness"] = idleness_figure
+    write_run(
+        path,
+        metrics.as_dict(),
+        arrays(recording),
+        {f"{name}.png": partial(draw, recording) for name, draw in figures.items()},
+        ("exploration.gif", partial(write_animation, recording)) if animation else None,
+        settings=settings,
+        overwrite=overwrite,
+        on_progress=on_progress,
+    )
+
+
+def write_run(
+    path: str | PathLike[str],
+    metrics: Mapping[str, object],
+    arrays: Mapping[str, np.ndarray],
+    figures: Mapping[str, Callable[[], "Figure"]],
+    animation: tuple[str, Callable[..., None]] | None,
+    *,
+    settings: Mapping[str, object] | None = None,
+    overwrite: bool = False,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a run folder of any kind: it appears complete or not at all.
+
+    Args:
+        path: of the folder.
+        metrics: for metrics.json.
+        arrays: for arrays.npz.
+        figures: by the names of their files, each drawn when its turn comes.
+        animation: name of its file and what writes it; Ctrl-C leaves it out. None: no animation.
+        settings: for settings.yaml; none when absent.
+        overwrite: replace a former run.
+        on_progress: called with the share that is done, 0 to 1.
+
+    Raises:
+        ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
+    """
     document = None if settings is None else settings_document(settings)
-    report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
+    report = json.dumps(metrics, indent=2, allow_nan=False)
     with run_folder(path, overwrite=overwrite) as folder:
         on_progress(0.0)
         (folder / MARK).write_text(report + "\n", encoding="utf-8")
         if document is not None:
             (folder / "settings.yaml").write_text(document, encoding="utf-8")
-        _write_arrays(folder / "arrays.npz", recording)
-        map_figure(recording).savefig(folder / "map.png", dpi=DOTS_PER_INCH)
-        coverage_figure(recording).savefig(folder / "coverage.png", dpi=DOTS_PER_INCH)
-        if recording.records.members is not None:
-            members_figure(recording).savefig(folder / "members.png", dpi=DOTS_PER_INCH)
-        if recording.idleness is not None:
-            idleness_figure(recording).savefig(folder / "idleness.png", dpi=DOTS_PER_INCH)
+        with (folder / "arrays.npz").open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+        for name, draw in figures.items():
+            draw().savefig(folder / name, dpi=DOTS_PER_INCH)
         before = 0.2
-        if animation:
+        if animation is not None:
             on_progress(before)
+            name, write = animation
             # Drawing takes longest and can be done without: Ctrl-C leaves out the animation, not
             # the run.
             with contextlib.suppress(KeyboardInterrupt):
-                write_animation(
-                    recording,
-                    folder / "exploration.gif",
+                write(
+                    folder / name,
                     on_progress=lambda share: on_progress(before + (1.0 - before) * share),
                 )
     on_progress(1.0)
@@ -118,11 +162,6 @@ def arrays(recording: Recording) -> dict[str, np.ndarray]:
         "state_names": np.asarray(recording.state_names, np.str_),
         **{name: each for name, each in optional.items() if each is not None and len(each)},
     }
-
-
-def _write_arrays(path: Path, recording: Recording) -> None:
-    with path.open("wb") as file:
-        np.savez_compressed(file, allow_pickle=False, **arrays(recording))
 
 
 def settings_document(settings: Mapping[str, object]) -> str:

@@ -183,7 +183,7 @@ def record_path_run(
         chunk=chunk,
         on_chunk=report,
     )
-    path, model, traffic = scenario.path, scenario.model, scenario.traffic
+    path, model, truth = scenario.path, scenario.model, scenario.true_obstacles(jnp.zeros(()))
     centre, edges = _drawn(scenario)
     return PathRecording(
         records=done.records,
@@ -201,7 +201,7 @@ def record_path_run(
         control_half_range=np.asarray(0.5 * (model.control_max - model.control_min)),
         robot_radius=float(model.radius),
         footprint=outline_of(model.footprint),
-        obstacle_radii=np.zeros(0) if traffic is None else np.asarray(traffic.outlines.radii),
+        obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         is_interrupted=done.is_interrupted,
     )
 
@@ -225,8 +225,9 @@ def _look(
         "weights": jnp.zeros(0),
         "plan": jnp.zeros((0, 2)),
     }
-    if scenario.traffic is not None:
-        seen["corners"] = scenario.traffic.at(time).outlines.corners
+    truth = scenario.true_obstacles(time)
+    if truth is not None:
+        seen["corners"] = truth.outlines.corners
     if num_trajectories:
         known = scenario.obstacles(time, key=track_key)
         plan = controller.inspect(

@@ -109,8 +109,9 @@ def _record(
     if path.has_room:
         # Where the robot is, whatever phi it plans with.
         room = CorridorCost(path, parameter=lambda _: now).clearance(here)
-    if scenario.traffic is not None:
-        gap = ObstacleDistanceCost().room(here, scenario.traffic.at(time))
+    truth = scenario.true_obstacles(time)
+    if truth is not None:
+        gap = ObstacleDistanceCost().room(here, truth)
     felt = jnp.full(2, jnp.nan)
     if isinstance(model.physical, ContinuousDynamics):
         felt = jnp.stack(acceleration(robot, control, model))

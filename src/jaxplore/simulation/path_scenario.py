@@ -1,6 +1,7 @@
 """What a robot that follows a path is put into."""
 
-from typing import Literal, get_args
+import functools
+import operator
 
 import equinox as eqx
 import jax
@@ -12,11 +13,12 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import Key, Scalar, StateVector, Vector
 from jaxplore.dynamics.augmented import Augmented
+from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
 from jaxplore.information.obstacles import Obstacles
 from jaxplore.simulation.traffic import Traffic
 
-Prediction = Literal["constant-turn", "constant-velocity"]
+PREDICTIONS = ("constant-turn", "constant-velocity")
 
 
 class PathScenario(eqx.Module):
@@ -34,6 +36,7 @@ class PathScenario(eqx.Module):
             absent.
         laps: of a closed path.
         traffic: what else moves; nothing when absent.
+        standing: what stands in the way, known beforehand; nothing when absent.
         control_rate: [Hz].
         finish: how near to an open path's end is there [m].
         tracking_noise: standard deviations of the obstacles' positions [m] and velocities [m/s] as
@@ -54,11 +57,12 @@ class PathScenario(eqx.Module):
     start: StateVector
     end: Scalar
     traffic: Traffic | None
+    standing: Outlines | None
     control_period: Scalar
     tracking_noise: Float[Array, "2"]
     growth: Scalar
     turn_growth: Scalar
-    prediction: Prediction = eqx.field(static=True)
+    prediction: str = eqx.field(static=True)
 
     def __init__(
         self,
@@ -68,10 +72,11 @@ class PathScenario(eqx.Module):
         start: Vector | None = None,
         laps: int = 1,
         traffic: Traffic | None = None,
+        standing: Outlines | None = None,
         control_rate: float = 50.0,
         finish: ArrayLike = 0.5,
         tracking_noise: Vector = (0.02, 0.05),
-        prediction: Prediction = "constant-turn",
+        prediction: str = "constant-turn",
         growth: ArrayLike = 0.1,
         turn_growth: ArrayLike = 0.1,
     ) -> None:
@@ -85,6 +90,7 @@ class PathScenario(eqx.Module):
             raise ValueError(f"laps is {laps!r} of an open path; accepted: 1")
         self.model, self.path = model, path
         self.traffic = None if traffic is None or traffic.number == 0 else traffic
+        self.standing = None if standing is None or standing.number == 0 else standing
         near = _checks.scalar("finish", finish, at_least=0.0)
         self.end = rounds * path.length if path.is_closed else path.length - near
         if start is None:
@@ -102,19 +108,28 @@ class PathScenario(eqx.Module):
             raise ValueError(
                 f"tracking_noise is {self.tracking_noise.tolist()}; accepted: 2 numbers >= 0"
             )
-        if prediction not in get_args(Prediction):
-            raise ValueError(
-                f"prediction is {prediction!r}; accepted: {', '.join(get_args(Prediction))}"
-            )
+        if prediction not in PREDICTIONS:
+            raise ValueError(f"prediction is {prediction!r}; accepted: {', '.join(PREDICTIONS)}")
         self.prediction = prediction
         self.growth = _checks.scalar("growth", growth, at_least=0.0)
         self.turn_growth = _checks.scalar("turn_growth", turn_growth, at_least=0.0)
 
+    def true_obstacles(self, time: Scalar) -> Obstacles | None:
+        """Return what truly moves and stands there at a time since the start [s]; None: nothing."""
+        parts = [] if self.traffic is None else [self.traffic.at(time)]
+        if self.standing is not None:
+            parts.append(Obstacles(self.standing))
+        return functools.reduce(operator.add, parts) if parts else None
+
     def obstacles(self, time: Scalar, *, key: Key) -> Obstacles | None:
-        """Return what the robot knows of what moves, at a time since the start [s]."""
-        if self.traffic is None:
-            return None
-        truth = self.traffic.at(time)
+        """Return what the robot knows of it."""
+        known = [] if self.traffic is None else [self._tracked(self.traffic.at(time), key)]
+        if self.standing is not None:
+            known.append(Obstacles(self.standing))
+        return functools.reduce(operator.add, known) if known else None
+
+    def _tracked(self, truth: Obstacles, key: Key) -> Obstacles:
+        """Return what the robot measures of obstacles that move, and what it reckons with."""
         keys, size = jax.random.split(key), truth.velocities.shape
         position_std, velocity_std = self.tracking_noise
         off = position_std * jax.random.normal(keys[0], size)

@@ -98,6 +98,9 @@ class Traffic(eqx.Module):
                 f"path has {narrow:.3g} m on either side; accepted: half widths above the radius "
                 f"of the obstacles, {size:g}"
             )
+        slow, fast = (float(rate) for rate in rates)
+        if not (np.isfinite([slow, fast]).all() and slow <= fast):
+            raise ValueError(f"rates is {tuple(rates)}; accepted: the least and the greatest")
         if free >= length:
             raise ValueError(f"clear is {clear!r}; accepted: less than the length, {length:g}")
         rng = np.random.default_rng(seed)
@@ -107,7 +110,7 @@ class Traffic(eqx.Module):
             path,
             free + (length - free) * share,
             sides,
-            rng.uniform(*rates, count),
+            rng.uniform(slow, fast, count),
             radii=size,
         )
 

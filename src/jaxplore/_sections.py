@@ -1,0 +1,82 @@
+"""Sections of settings: how they are read and checked."""
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, get_args
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Negative = Annotated[float, Field(lt=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Section(BaseModel):
+    """Settings that belong together: no unknown names, no infinities."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read settings from a YAML file.
+
+    Raises:
+        ValueError: a file that is missing, unreadable, not YAML or not a mapping.
+    """
+    try:
+        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"settings file {path} cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(f"settings file {path} is not YAML: {reason}") from None
+    if not isinstance(entries, dict):
+        raise ValueError(
+            f"settings file {path} holds {type(entries).__name__}; accepted: a mapping of settings"
+        )
+    return entries
+
+
+def validated[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
+    """Return settings of any kind, checked.
+
+    Raises:
+        ValueError: an unknown name or a value that is not accepted; one line that names it.
+    """
+    try:
+        return kind.model_validate(entries)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where, given = first["loc"], (first["type"], first["input"], first["msg"])
+        raise ValueError(_one_line(kind, where, *given)) from None
+
+
+def _one_line(
+    settings: type[BaseModel],
+    where: tuple[int | str, ...],
+    kind: str,
+    value: object,
+    message: str,
+) -> str:
+    name = ".".join(str(part) for part in where)
+    if kind == "extra_forbidden":
+        section = settings
+        for part in where[:-1]:
+            section = _section(section, str(part))
+        return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
+    if kind == "missing":
+        return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
+    shown = repr(value) if len(repr(value)) <= 80 else repr(value)[:77] + "..."
+    return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
+
+
+def _section(section: type[BaseModel], name: str) -> type[BaseModel]:
+    inner = section.model_fields[name].annotation
+    # Of a section that may be absent, the section.
+    inner = next((part for part in get_args(inner) if part is not type(None)), inner)
+    assert isinstance(inner, type)
+    assert issubclass(inner, BaseModel)
+    return inner

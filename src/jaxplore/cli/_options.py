@@ -1,0 +1,166 @@
+"""What the commands are given."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+import yaml
+
+from jaxplore.settings import (
+    OFFICE,
+    SCENARIOS,
+    ZONES,
+    is_scenario_file,
+    make_settings,
+    read_settings,
+)
+
+# Options that stand for a setting: option, dotted setting, type, help.
+_OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
+    ("--seed", "seed", int, "Seed of everything random."),
+    ("--time-limit", "time_limit", float, "Simulated time [s]."),
+    ("--target-coverage", "target_coverage", float, "Share of reachable cells at which to stop."),
+    ("--resolution", "resolution", float, "Side of a map cell [m]; finer maps are resampled."),
+    (
+        "--robot",
+        "robot.model",
+        str,
+        "Model of the robot: differential_drive, unicycle, ackermann or quadrotor.",
+    ),
+    (
+        "--architecture",
+        "architecture",
+        str,
+        "explorer or portfolio; for quadrotors two-layer, parallel, sequential, random-walk, goal.",
+    ),
+    ("--radius", "robot.radius", float, "Radius of the robot [m]."),
+    ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
+    ("--beams", "lidar.num_beams", int, "Beams of the lidar."),
+    ("--range", "lidar.max_range", float, "Reach of the lidar [m]."),
+    ("--samples", "controller.num_samples", int, "Rollouts of MPPI."),
+)
+
+
+DEFAULTS = tuple(
+    make_settings({"map": OFFICE, "architecture": name}).model_dump()
+    for name in ("explorer", "two-layer")
+)
+"""Of ground robots and of quadrotors."""
+
+
+def _default(defaults: dict[str, Any], setting: str) -> Any:
+    value: Any = defaults
+    for part in setting.split("."):
+        value = value[part]
+    return value
+
+
+def with_options(*without: str) -> Callable[[Any], Any]:
+    """Return a decorator that adds what says what is run: the map, where, and every setting."""
+    added = [
+        click.argument("map_", metavar="[MAP.yaml | NAME]", required=False),
+        click.option(
+            "--start",
+            nargs=3,
+            type=float,
+            metavar="X Y YAW",
+            help="Where the robot starts [m, m, rad]; office and zones have a start of their own.",
+        ),
+        click.option(
+            "--goal",
+            nargs=2,
+            type=float,
+            metavar="X Y",
+            help="Where the robot is to be in the end [m]; zones have a goal of their own.",
+        ),
+    ]
+    for flag, setting, kind, text in _OPTIONS:
+        if setting in without:
+            continue
+        ground, flying = (_default(each, setting) for each in DEFAULTS)
+        value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
+        name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
+        added.append(click.option(flag, name, type=kind, help=text))
+    added += [
+        click.option(
+            "--settings",
+            "settings_file",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help="Settings in YAML, for example the settings.yaml of a run; options win over it.",
+        ),
+        click.option(
+            "--set",
+            "assignments",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
+            "settings').",
+        ),
+        click.option("--overwrite", is_flag=True, help="Replace a run folder that is there."),
+    ]
+
+    def add(command: Any) -> Any:
+        for option in reversed(added):
+            command = option(command)
+        return command
+
+    return add
+
+
+def entries_of(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings given by what `_options` adds."""
+    settings_file, assignments = options.pop("settings_file"), options.pop("assignments")
+    entries = {} if settings_file is None else read_settings(settings_file)
+    map_ = options.pop("map_")
+    if map_ is not None:
+        entries = {**_place(map_), **entries}
+    for name, value in options.items():
+        if value is not None:
+            assign(entries, name.replace("__", "."), value)
+    if options["controller__num_samples"] is not None:
+        for section in ("informative", "portfolio"):
+            assign(entries, f"{section}.num_samples", options["controller__num_samples"])
+    assign_all(entries, assignments)
+    return entries
+
+
+def _place(name: str) -> dict[str, Any]:
+    """Return the settings that a map, a world, a scenario or the name of one stands for."""
+    if name in (OFFICE, ZONES, *SCENARIOS):
+        return {"map": name}
+    if is_scenario_file(name):
+        return {"map": str(Path(name).absolute()), **read_settings(name)}
+    return {"map": str(Path(name).absolute())}
+
+
+def assign(entries: dict[str, Any], name: str, value: Any) -> None:
+    """Set one setting by its dotted name.
+
+    Raises:
+        ValueError: a name within what is no section.
+    """
+    *sections, last = name.split(".")
+    for section in sections:
+        inner = entries.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise ValueError(f"setting {section} is {inner!r}; accepted: a mapping")
+        entries = inner
+    entries[last] = value
+
+
+def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
+    """Set what `--set` gives, NAME=VALUE each.
+
+    Raises:
+        ValueError: no assignment, a value that is not YAML, a name within what is no section.
+    """
+    for assignment in assignments:
+        name, separator, text = assignment.partition("=")
+        if not separator:
+            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
+        try:
+            assign(entries, name.strip(), yaml.safe_load(text))
+        except yaml.YAMLError:
+            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None

@@ -1,0 +1,109 @@
+"""`jaxplore run path`."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxplore.cli._options import assign, assign_all
+from jaxplore.cli._show import free_name, show
+from jaxplore.experiment.path import build_path
+from jaxplore.path_settings import PATH, TRACK, make_path_settings
+from jaxplore.report.folder import check_folder
+from jaxplore.runs import follow_path
+from jaxplore.settings import read_settings
+from jaxplore.simulation.simulate import NUM_TRAJECTORIES
+
+_OWN = {"laps": "laps", "obstacles": "obstacles.number"}
+"""Options that only a path takes, and the settings that they stand for."""
+_SHARED = (
+    "seed",
+    "time_limit",
+    "start",
+    "robot__model",
+    "robot__radius",
+    "robot__max_speed",
+    "controller__num_samples",
+)
+"""Options that a path and a map take."""
+
+
+def path_options(command: Any) -> Any:
+    """Add the options that only a path takes."""
+    for option in (
+        click.option("--obstacles", type=int, help="Of a path: moving obstacles.  [default: 0]"),
+        click.option("--laps", type=int, help="Of a closed path.  [default: 1]"),
+        click.option(
+            "--path",
+            "path_file",
+            metavar="FILE",
+            help="Path to follow, in CSV or YAML.  [default: a generated track]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def is_path(options: dict[str, Any]) -> bool:
+    """Say whether a path is to be followed, and not a map explored.
+
+    Raises:
+        ValueError: a path beside a map, options of a path without one.
+    """
+    map_, file = options["map_"], options["path_file"]
+    if file is not None and map_ not in (None, PATH):
+        raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
+    if map_ == PATH or file is not None:
+        return True
+    settings_file = options["settings_file"]
+    if map_ is None and settings_file is not None and PATH in read_settings(settings_file):
+        return True
+    for name in _OWN:
+        if options[name] is not None:
+            raise ValueError(f"--{name} is {options[name]}; accepted: with jaxplore run path")
+    return False
+
+
+def run_path(
+    options: dict[str, Any], out: Path | None, *, overwrite: bool, animation: bool
+) -> None:
+    """Follow a path, and write the run's folder.
+
+    Raises:
+        ValueError: options that only a map takes, and what the parts refuse.
+    """
+    settings_file = options["settings_file"]
+    entries = {} if settings_file is None else read_settings(settings_file)
+    if options["path_file"] is not None:
+        entries["path"] = str(Path(options["path_file"]).absolute())
+    for name, value in options.items():
+        if value is None or name in ("map_", "path_file", "settings_file", "assignments"):
+            continue
+        if name not in (*_OWN, *_SHARED):
+            # By the last part of its name, as the options are called.
+            raise ValueError(
+                f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
+            )
+        assign(entries, _OWN.get(name, name.replace("__", ".")), value)
+    assign_all(entries, options["assignments"])
+    settings = make_path_settings(entries)
+    name = TRACK if settings.path == TRACK else Path(settings.path).stem
+    folder = free_name(Path("runs") / name) if out is None else out
+    check_folder(folder, overwrite=overwrite)
+    experiment = build_path(settings)
+    result = follow_path(
+        *experiment[:3],
+        key=experiment.key,
+        progress=True,
+        num_trajectories=NUM_TRAJECTORIES if animation else 0,
+    )
+    result.save(
+        folder,
+        overwrite=overwrite,
+        animation=animation,
+        settings=settings.model_dump(mode="json"),
+        progress=True,
+    )
+    show(result.metrics, folder)
+    if result.metrics.is_interrupted:
+        click.echo("Interrupted: what was done before is in the run folder.", err=True)

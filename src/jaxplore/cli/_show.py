@@ -1,0 +1,49 @@
+"""What the commands print when they are done."""
+
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from jaxplore.report.comparison import Comparison
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.path_metrics import PathMetrics
+
+
+def free_name(path: Path) -> Path:
+    """Return a path that is not there yet: itself, or with a number."""
+    candidate, number = path, 2
+    while candidate.exists():
+        candidate, number = path.with_name(f"{path.name}-{number}"), number + 1
+    return candidate
+
+
+def show(metrics: Metrics | PathMetrics, folder: Path) -> None:
+    """Print what a run came to, and its files."""
+    table = Table(title=str(folder), show_header=False)
+    for name, value in metrics.rows():
+        table.add_row(name, value)
+    Console().print(table)
+    for pattern in ("*.png", "*.gif", "metrics.json"):
+        for file in sorted(folder.glob(pattern)):
+            click.echo(str(file))
+
+
+def show_comparison(comparison: Comparison, folder: Path) -> None:
+    """Print the table of a comparison, and its files."""
+    # A column for each controller: a row would not fit on a terminal.
+    header, *rows = zip(*comparison.rows(), strict=True)
+    click.echo(f"{folder}: medians [quartiles]")
+    # As text: square brackets are units and quartiles here, not markup.
+    table = Table()
+    for cell in header:
+        table.add_column(Text(cell))
+    for row in rows:
+        table.add_row(*map(Text, row))
+    Console().print(table)
+    for path in sorted(folder.iterdir()):
+        click.echo(str(path))
+    if comparison.is_interrupted:
+        click.echo("Interrupted: the runs that were done before are in the folder.", err=True)

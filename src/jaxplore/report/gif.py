@@ -1,0 +1,54 @@
+"""Writes animated GIFs whose frames share their colours."""
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+
+import numpy as np
+from PIL import Image
+
+FRAME_MILLISECONDS, LAST_MILLISECONDS = 90, 3000
+LOOKS = 6
+"""Frames that the shared colours are found from."""
+
+
+def write_gif[F](
+    path: str | PathLike[str],
+    frames: Sequence[F],
+    draw: Callable[[F], Image.Image],
+    colours: Callable[[Sequence[Image.Image]], Image.Image],
+    on_progress: Callable[[float], None],
+) -> None:
+    """Write a picture of each frame; it plays for ever and rests on the last one.
+
+    Args:
+        path: of the file.
+        frames: at least one.
+        draw: a frame; every picture has the same size.
+        colours: finds a palette from some of the pictures.
+        on_progress: called with the share that is done, 0 to 1.
+    """
+    palette = colours([draw(frame) for frame in evenly_chosen(frames, LOOKS)])
+    pictures = []
+    for done, frame in enumerate(frames):
+        pictures.append(draw(frame).quantize(palette=palette, dither=Image.Dither.NONE))
+        on_progress((done + 1) / len(frames))
+    first, *others = pictures
+    first.save(
+        path,
+        format="GIF",
+        save_all=True,
+        append_images=others,
+        duration=[FRAME_MILLISECONDS] * len(others) + [LAST_MILLISECONDS],
+        loop=0,
+        disposal=1,
+        optimize=True,
+    )
+
+
+def evenly_chosen[F](frames: Sequence[F], most: int) -> list[F]:
+    """Return at most so many frames, evenly spread, the first and the last one among them; a single
+    one is the last."""
+    count = min(most, len(frames))
+    # Counted from the end, so that a single frame is the last one.
+    back = np.round(np.linspace(0, len(frames) - 1, count)).astype(int)[::-1]
+    return [frames[len(frames) - 1 - index] for index in back]

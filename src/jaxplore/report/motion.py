@@ -1,0 +1,30 @@
+"""How smoothly a robot was driven, and how often something happened."""
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from jaxplore.report._numbers import finite
+
+
+def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> float | None:
+    """Return the root mean square of the commands' second differences [1/s^2]; None of fewer than
+    three.
+
+        (u_{t+1} - 2 u_t + u_{t-1}) / period^2, in halves of the range between their bounds
+
+    Args:
+        controls: (N, nu).
+        half_range: (nu,).
+        period: between commands [s].
+    """
+    commands = np.asarray(controls, np.float64)
+    if len(commands) < 3:
+        return None
+    jerk = np.diff(commands, 2, axis=0) / (half_range * period**2)
+    return finite(np.sqrt(np.mean(jerk**2)))
+
+
+def episodes(flags: ArrayLike) -> int:
+    """Return how often something happened: successive steps (N,) in which it did are once."""
+    happens = np.asarray(flags, bool)
+    return int((happens & ~np.concatenate([[False], happens[:-1]])).sum())

@@ -1,0 +1,238 @@
+"""Runs along a path: what is recorded, traffic, and when they end."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.simulation.follow import record_path_run
+from jaxplore.simulation.path_loop import initial_path_state, run_path_chunk
+
+RING = jx.clothoid_path(
+    [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
+)
+CAR = jx.Ackermann(
+    wheelbase=0.33,
+    max_speed=4.0,
+    max_acceleration=6.0,
+    max_steering_rate=3.0,
+    footprint=jx.Rectangle(0.45, 0.13, 0.3),
+    integrator=jx.Euler(),
+)
+OTHER = 20.0 * jx.ComfortCost(lateral=1.0, free_lateral=6.0)
+AROUND = 100.0 * jx.ObstacleDistanceCost(collision=1.0)
+
+
+def mpcc(path=RING, *, other=OTHER, **changes):
+    given = {
+        "noise_std": [2.4, 1.2],
+        "max_speed": 4.0,
+        "contouring_weight": 10.0,
+        "lag_weight": 50.0,
+        "progress_weight": 300.0,
+        "temperature": 10.0,
+        "dt": 0.05,
+        "num_samples": 128,
+    }
+    return jx.mpcc(CAR, path, other=other, **{**given, **changes})
+
+
+ALONE, PASSING = mpcc(), mpcc(other=OTHER + AROUND)
+TRAFFIC = jx.Traffic(RING, [6.0, 12.0], [0.3, -0.3], [0.5, 0.8], radii=0.15)
+SHARED = {"control_rate": 50.0, "traffic": TRAFFIC}
+
+
+@pytest.fixture(scope="module")
+def lap():
+    """Two laps with traffic."""
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED)
+    run = jx.follow_path(PASSING.planner.mppi, scenario, 2000, key=jax.random.key(0))
+    return run, scenario
+
+
+def test_it_drives_its_laps_within_the_corridor_and_past_the_others(lap) -> None:
+    run, scenario = lap
+    metrics = run.metrics
+    assert metrics.is_finished
+    assert len(metrics.lap_times) == 2
+    assert metrics.corridor_violations == metrics.collisions == 0
+    assert metrics.progress == pytest.approx(2 * float(RING.length), abs=0.15)
+    assert run.recording.progress[-1] >= float(scenario.end) > run.recording.progress[-2]
+    assert metrics.non_finite_steps == 0
+
+
+def test_what_is_recorded_is_what_geometry_says(lap) -> None:
+    """On a ring around (0, 3), in double precision."""
+    records = lap[0].recording.records
+    x, y, yaw, v, steering, phi = records.state.T.astype(np.float64)
+    radius = np.hypot(x, y - 3.0)
+    np.testing.assert_allclose(records.deviation, radius - 3.0, atol=2e-4)
+    angle = np.arctan2(x, 3.0 - y)
+    off = np.mod(records.progress - 3.0 * angle + 1.0, 2 * np.pi * 3.0) - 1.0
+    np.testing.assert_allclose(off, 0.0, atol=2e-3)
+    assert (np.diff(records.progress) > -0.01).all()
+    theta = phi / 3.0
+    dx, dy = x - 3.0 * np.sin(theta), y - (3.0 - 3.0 * np.cos(theta))
+    contouring = np.sin(theta) * dx - np.cos(theta) * dy
+    lag = -np.cos(theta) * dx - np.sin(theta) * dy
+    np.testing.assert_allclose(records.contouring, contouring, atol=2e-3)
+    np.testing.assert_allclose(records.lag, lag, atol=2e-3)
+    np.testing.assert_allclose(
+        records.acceleration[:, 1], v**2 * np.tan(steering) / 0.33, rtol=1e-4
+    )
+    discs = [
+        np.stack([x, y], -1) + a * np.stack([np.cos(yaw), np.sin(yaw)], -1)
+        for a in np.asarray(CAR.footprint.offsets, np.float64)
+    ]
+    size = float(CAR.radius)
+    room = np.min([0.8 - np.abs(np.hypot(c[:, 0], c[:, 1] - 3.0) - 3.0) for c in discs], 0) - size
+    np.testing.assert_allclose(records.room, room, atol=0.02)  # across the path at the robot
+    time = 0.02 * np.arange(1, len(x) + 1)
+    gaps = []
+    for start, side, rate in ((6.0, 0.3, 0.5), (12.0, -0.3, 0.8)):
+        turn = (start + rate * time) / 3.0
+        far = 3.0 - side
+        place = np.stack([far * np.sin(turn), 3.0 - far * np.cos(turn)], -1)
+        gaps += [np.hypot(*(c - place).T) - 0.15 - size for c in discs]
+    np.testing.assert_allclose(records.gap, np.min(gaps, 0), atol=2e-3)
+
+
+def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> None:
+    scenario = lap[1]
+    again = record_path_run(
+        PASSING.planner.mppi, scenario, 100, key=jax.random.key(0), num_trajectories=0
+    )
+    np.testing.assert_array_equal(again.records.state, lap[0].recording.records.state[:100])
+    assert not np.array_equal(
+        again.records.state,
+        record_path_run(
+            PASSING.planner.mppi, scenario, 100, key=jax.random.key(1), num_trajectories=0
+        ).records.state,
+    )
+
+
+def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
+    controller = PASSING.planner.mppi.at_period(0.02)
+    key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)
+    run_path_chunk(controller, lap[1], initial_path_state(controller, lap[1]), key, one, 25)
+    before = run_path_chunk._cached._cache_size()
+    moved = jx.PathScenario(
+        PASSING.model,
+        RING,
+        start=[0.5, 0.1, 0.2],
+        control_rate=40.0,
+        growth=0.3,
+        traffic=jx.Traffic(RING, [5.0, 9.0], [0.1, 0.2], [0.3, -0.8], radii=[0.2, 0.3]),
+    )
+    costs = 7.0 * jx.ComfortCost(), 50.0 * jx.ObstacleDistanceCost(clearance=0.6)
+    heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).planner.mppi
+    run_path_chunk(heavier, moved, initial_path_state(heavier, moved), key, one, 25)
+    assert run_path_chunk._cached._cache_size() == before
+
+
+def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
+    """By central differences; the prediction of a ring is exact for as long as one likes."""
+    bar = jx.Outlines.polygons([[[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]])
+    traffic = jx.Traffic(RING, [2.0], [0.4], [1.2], bar)
+    at = eqx.filter_jit(lambda time: traffic.at(time))
+    now, h = at(jnp.asarray(1.5)), 0.05
+    before, after = at(jnp.asarray(1.5 - h)), at(jnp.asarray(1.5 + h))
+    np.testing.assert_allclose(
+        now.velocities, (after.centres - before.centres) / (2 * h), atol=2e-3
+    )
+    for ahead in (0.5, 3.0):
+        predicted, there = now.predicted(jnp.asarray(ahead)), at(jnp.asarray(1.5 + ahead))
+        np.testing.assert_allclose(predicted.corners, there.outlines.corners, atol=2e-3)
+
+
+def test_what_the_robot_knows_of_obstacles() -> None:
+    wall = jx.Outlines.polygons([[[5, 5], [6, 5], [6, 6]]])
+    given = {"traffic": TRAFFIC, "standing": wall, "growth": 0.3, "tracking_noise": (0.0, 0.0)}
+    turning = jx.PathScenario(PASSING.model, RING, **given)
+    straight = jx.PathScenario(PASSING.model, RING, prediction="constant-velocity", **given)
+    t, key = jnp.asarray(2.0), jax.random.key(0)
+    truth = turning.true_obstacles(t)
+    assert truth.outlines.number == 3
+    known, less = turning.obstacles(t, key=key), straight.obstacles(t, key=key)
+    np.testing.assert_allclose(known.centres, truth.centres, atol=1e-6)
+    np.testing.assert_allclose(known.turn_rates, truth.turn_rates, atol=1e-6)
+    np.testing.assert_array_equal(less.turn_rates, 0.0)
+    np.testing.assert_allclose(known.growth, [0.3, 0.3, 0.0])
+    noisy = eqx.tree_at(lambda s: s.tracking_noise, turning, jnp.asarray([0.1, 0.2]))
+    off = np.stack(
+        [noisy.obstacles(t, key=each).centres for each in jax.random.split(key, 300)]
+    ) - np.asarray(truth.centres)
+    assert off[:, :2].std() == pytest.approx(0.1, rel=0.1)
+    np.testing.assert_array_equal(off[:, 2], 0.0)
+    assert jx.PathScenario(ALONE.model, RING).obstacles(t, key=key) is None
+
+
+def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> None:
+    line = jx.line_path([0, 0], [6, 0], half_widths=[1.0, 1.0])
+    following = mpcc(line, other=AROUND)
+    post = jx.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
+    scenario = jx.PathScenario(following.model, line, standing=post, finish=0.3)
+    run = jx.follow_path(
+        following.planner.mppi, scenario, 1000, key=jax.random.key(2), num_trajectories=0
+    )
+    metrics = run.metrics
+    assert metrics.is_finished
+    assert metrics.lap_times == []
+    assert metrics.collisions == 0
+    assert metrics.minimum_gap < 1.0
+    assert float(run.recording.progress[-1]) >= 5.7
+
+
+def test_a_controller_that_diverges_stands_and_says_so() -> None:
+    class Lost(jx.Cost):
+        def stage(self, state, control, t, belief):
+            return jnp.asarray(jnp.nan)
+
+    following = mpcc(other=OTHER + Lost())
+    scenario = jx.PathScenario(following.model, RING)
+    recording = record_path_run(
+        following.planner.mppi, scenario, 20, key=jax.random.key(0), num_trajectories=0
+    )
+    assert not recording.records.is_finite.any()
+    assert np.isfinite(recording.records.state).all()
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        ({"laps": 0}, "laps"),
+        ({"path": jx.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
+        ({"model": jx.Augmented(CAR, jx.Pendulum())}, "model has the states x, y"),
+        ({"start": [0.0, 1.0]}, "start"),
+        ({"control_rate": 0.0}, "control_rate"),
+        ({"tracking_noise": (-1.0, 0.0)}, "tracking_noise"),
+        ({"prediction": "psychic"}, "prediction is 'psychic'; accepted: constant-turn"),
+        ({"growth": -1.0}, "growth"),
+    ],
+)
+def test_what_is_no_scenario_is_refused(given, named) -> None:
+    with pytest.raises(ValueError, match=named):
+        jx.PathScenario(**{"model": ALONE.model, "path": RING, **given})
+
+
+@pytest.mark.parametrize(
+    ("make", "named"),
+    [
+        (lambda: jx.Traffic(RING, [1.0, 2.0], [0.0, 0.0, 0.0], 1.0, radii=0.1), "offsets"),
+        (lambda: jx.Traffic(RING, [1.0], 0.9, 1.0, radii=0.1), r"offsets\[0\] is 0.9; accepted"),
+        (lambda: jx.Traffic(RING, [1.0], 0.0, 1.0), "outlines is None, radii is None"),
+        (lambda: jx.Traffic(RING, [1.0], 0.0, 1.0, radii=-0.1), "radii"),
+        (lambda: jx.Traffic(RING, [np.nan], 0.0, 1.0, radii=0.1), "phi"),
+        (
+            lambda: jx.Traffic.random(jx.line_path([0, 0], [9, 0]), 2, seed=0),
+            "path has inf m on either side",
+        ),
+        (lambda: jx.Traffic.random(RING, 2, seed=0, clear=50.0), "clear"),
+        (lambda: jx.Traffic.random(RING, -1, seed=0), "number"),
+    ],
+)
+def test_what_is_no_traffic_is_refused(make, named) -> None:
+    with pytest.raises(ValueError, match=named):
+        make()

@@ -1,0 +1,154 @@
+"""`jaxplore run path`, and its settings."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import jaxplore as jx
+from jaxplore.cli import main
+from jaxplore.experiment.path import build_path
+from jaxplore.path_settings import make_path_settings
+
+SMALL = ["--samples", "32", "--set", "controller.horizon=10"]
+ARC = np.linspace(0.0, np.pi, 9)
+CENTRE = np.stack([4.0 * np.sin(ARC), 4.0 - 4.0 * np.cos(ARC)], axis=-1)
+
+
+@pytest.fixture(autouse=True)
+def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    """Half a circle with the widths of a track."""
+    rows = np.column_stack([CENTRE, np.full(9, 0.9), np.full(9, 1.1)])
+    np.savetxt(tmp_path / "half.csv", rows, delimiter=",", header="x,y,w_right,w_left")
+    return tmp_path / "half.csv"
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """Run a command that must fail as users' mistakes do: one line, exit code 2."""
+    with pytest.raises(SystemExit) as exit_:
+        main(arguments)
+    captured = capsys.readouterr()
+    assert exit_.value.code == 2
+    assert captured.out == ""
+    assert captured.err.startswith("jaxplore: ")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, capsys) -> None:
+    given = ["--set", "is_closed=false", "--obstacles", "2", "--set", "obstacles.speeds=[0, 0.5]"]
+    main(["run", "path", "--path", str(file), "--time-limit", "1", "--seed", "4", *SMALL, *given,
+          "--no-animation"])  # fmt: skip
+    shown = capsys.readouterr().out
+    assert "contouring" in shown
+    folder = Path("runs/half")
+    assert str(folder / "path.png") in shown
+    assert {path.name for path in folder.iterdir()} == {
+        "metrics.json",
+        "arrays.npz",
+        "path.png",
+        "errors.png",
+        "settings.yaml",
+    }
+    used = yaml.safe_load((folder / "settings.yaml").read_text())
+    assert used["path"] == str(file)
+    assert used["obstacles"]["number"] == 2
+    assert used["controller"]["num_samples"] == 32
+    main(["run", "--settings", str(folder / "settings.yaml"), "--out", "again"])
+    assert Path("again/following.gif").exists()
+    first, again = (np.load(f"{name}/arrays.npz") for name in (folder, "again"))
+    for name in first.files:
+        np.testing.assert_array_equal(first[name], again[name])
+    metrics = json.loads(Path("again/metrics.json").read_text())
+    assert metrics["seed"] == 4
+    assert metrics["num_steps"] == len(first["contouring"]) == 50
+
+
+def test_without_a_file_it_drives_a_generated_track() -> None:
+    main(["run", "path", "--time-limit", "0.5", "--set", "track.seed=3", *SMALL, "--no-animation"])
+    length = float(np.load("runs/track/arrays.npz")["length"])
+    assert length == pytest.approx(float(jx.race_track(3).length))
+
+
+@pytest.mark.parametrize("model", ["bicycle", "unicycle", "differential_drive", "ackermann"])
+def test_every_robot_follows(model: str) -> None:
+    """With the default weights, each with its own bounds."""
+    settings = make_path_settings(
+        {
+            "robot": {"model": model, "max_speed": 2.0, "radius": 0.2},
+            "track": {"length": 30.0, "half_width": 1.0, "num_bends": 3},
+            "controller": {"num_samples": 128},
+            "time_limit": 6.0,
+        }
+    )
+    run = jx.follow_path(*build_path(settings)[:3], key=build_path(settings).key)
+    assert run.metrics.progress > 5.0
+    assert run.metrics.corridor_violations == 0
+
+
+def test_settings_become_what_they_say(file: Path) -> None:
+    settings = make_path_settings(
+        {
+            "path": str(file),
+            "is_closed": False,
+            "obstacles": {
+                "discs": [[2.0, 1.0, 0.1]],
+                "polygons": [[[3, 3], [3.2, 3], [3.2, 3.3]]],
+                "prediction": "constant-velocity",
+            },
+            "controller": {"risk_level": 0.9, "num_outcomes": 4},
+            "start": [0.1, 0.0, 0.2],
+            "laps": 1,
+        }
+    )
+    controller, scenario, num_steps, _ = build_path(settings)
+    assert num_steps == 6000
+    assert controller.num_outcomes == 4
+    assert isinstance(controller.risk, jx.ConditionalValueAtRisk)
+    assert isinstance(controller.disturbance, jx.UncertainObstacles)
+    assert scenario.standing.number == 2
+    assert scenario.prediction == "constant-velocity"
+    np.testing.assert_allclose(scenario.start[:3], [0.1, 0.0, 0.2])
+    widths = np.asarray(scenario.path.half_widths)
+    np.testing.assert_allclose(widths[0], [1.1, 0.9], rtol=1e-6)
+    plain = make_path_settings({"path": str(file), "half_width": 0.5, "is_closed": False})
+    np.testing.assert_array_equal(build_path(plain).scenario.path.half_widths, widths)
+    np.savetxt("bare.csv", CENTRE, delimiter=",")
+    bare = make_path_settings({"path": "bare.csv", "half_width": 0.5})
+    np.testing.assert_allclose(build_path(bare).scenario.path.half_widths, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["run", "path", "--path", "no.csv"], "no.csv"),
+        (["run", "office", "--path", "half.csv"], "--path is 'half.csv' beside the map 'office'"),
+        (["run", "office", "--laps", "2"], "--laps is 2; accepted: with jaxplore run path"),
+        (["run", "path", "--laps", "0"], "setting laps is 0"),
+        (["run", "path", "--beams", "20"], "lidar.num_beams is 20 beside a path"),
+        (["run", "path", "--goal", "1", "2"], "goal is (1.0, 2.0) beside a path"),
+        (["run", "path", "--robot", "quadrotor"], "setting robot.model is 'quadrotor'"),
+        (["run", "path", "--set", "controller.speed=1"], "unknown setting controller.speed"),
+        (["run", "path", "--obstacles", "-1"], "setting obstacles.number is -1"),
+        (["run", "path", "--set", "track.half_width=0.1", "--set", "track.min_radius=1"], "wide"),
+        (["run", "path", "--set", "obstacles.polygons=[[[0, 0], [1, 1]]]"], "polygons[0]"),
+        (["run", "path", "--set", "obstacles.speeds=[2, 1]"], "obstacles.speeds is (2.0, 1.0)"),
+    ],
+)
+def test_bad_input_is_one_line(file: Path, capsys, arguments: list[str], reason: str) -> None:
+    assert reason in fails(capsys, *arguments)
+    assert not Path("runs").exists()
+
+
+def test_two_waypoints_too_few_or_repeated_are_one_line(tmp_path: Path, capsys) -> None:
+    Path("one.csv").write_text("1.0,2.0\n")
+    assert "one.csv" in fails(capsys, "run", "path", "--path", "one.csv")
+    Path("nan.csv").write_text("1.0,2.0\nnan,3.0\n")
+    assert "nan.csv" in fails(capsys, "run", "path", "--path", "nan.csv")
