@@ -123,6 +123,18 @@ def test_near_keeps_to_the_branch_that_is_driven() -> None:
     np.testing.assert_allclose(hairpin.nearest(where, jnp.asarray(4.0)), 5.0, atol=0.2)
 
 
+def test_room_is_given_to_a_path_that_came_without() -> None:
+    bare = line_path([0, 0], [4, 0])
+    track = bare.with_room([[1.0, 2.0], [3.0, 2.0]])
+    assert track.has_room
+    assert not bare.has_room
+    left, right = track.room(jnp.asarray(1.0))
+    assert (float(left), float(right)) == pytest.approx((1.5, 2.0))
+    np.testing.assert_array_equal(track.points, bare.points)
+    with pytest.raises(ValueError, match="half_widths has a value -1"):
+        bare.with_room([1.0, -1.0])
+
+
 def test_room_is_linear_between_what_is_given() -> None:
     path = line_path([0, 0], [10, 0], half_widths=[[1.0, 2.0], [3.0, 2.0]])
     np.testing.assert_allclose(path.room(jnp.asarray(2.5)), (1.5, 2.0), rtol=1e-5)
