@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import pytest
 
 import jaxplore
+from jaxplore.cli import main
 
 # No test depends on a duration: the machine is shared, and the first call compiles.
 hypothesis.settings.register_profile(
@@ -25,6 +26,26 @@ def ros_maps() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no ROS maps at {folder}: set JAXPLORE_MAPS")
     return folder
+
+
+@pytest.fixture
+def fails(capsys: pytest.CaptureFixture[str]):
+    """Return what runs a command that must fail as users' mistakes do, one line, exit code 2 and
+    nothing written, and returns the line."""
+
+    def run(*arguments: str) -> str:
+        before = sorted(os.listdir())
+        with pytest.raises(SystemExit) as exit_:
+            main(arguments)
+        captured = capsys.readouterr()
+        assert exit_.value.code == 2
+        assert captured.out == ""
+        assert captured.err.startswith("jaxplore: ")
+        assert captured.err.count("\n") == 1
+        assert sorted(os.listdir()) == before
+        return captured.err
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -34,18 +34,6 @@ def ros_map(tmp_path: Path) -> Path:
     return tmp_path / "map.yaml"
 
 
-def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail as users' mistakes do: one line, exit code 2."""
-    with pytest.raises(SystemExit) as exit_:
-        main(arguments)
-    captured = capsys.readouterr()
-    assert exit_.value.code == 2
-    assert captured.out == ""
-    assert captured.err.startswith("jaxplore: ")
-    assert captured.err.count("\n") == 1
-    return captured.err
-
-
 def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
     arguments = ["run", str(ros_map), "--start", "1.5", "2", "0", "--time-limit", "2", *SMALL]
     main([*arguments, "--seed", "3", "--range", "2.0", "--out", "first", "--no-animation"])
@@ -127,7 +115,7 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
         (["run", "office", "--out", "file/inside"], "file"),
     ],
 )
-def test_bad_input_is_one_line(ros_map: Path, capsys, arguments, reason: str) -> None:
+def test_bad_input_is_one_line(ros_map: Path, fails, arguments, reason: str) -> None:
     Path("bad.yaml").write_text("seed: [1")
     Path("list.yaml").write_text("- 1")
     Path("binary.yaml").write_bytes(b"\xff\xfe\x00\x80")
@@ -135,7 +123,7 @@ def test_bad_input_is_one_line(ros_map: Path, capsys, arguments, reason: str) ->
     Path("file").write_text("")
     before = sorted(os.listdir())
     arguments = [str(ros_map) if argument == "MAP" else argument for argument in arguments]
-    assert reason in fails(capsys, *arguments)
+    assert reason in fails(*arguments)
     assert sorted(os.listdir()) == before
 
 
@@ -153,12 +141,12 @@ def test_bad_input_is_one_line(ros_map: Path, capsys, arguments, reason: str) ->
         ({"image": "../map.pgm"}, "outside the map's folder"),
     ],
 )
-def test_bad_maps_are_one_line(ros_map: Path, capsys, entry, reason: str) -> None:
+def test_bad_maps_are_one_line(ros_map: Path, fails, entry, reason: str) -> None:
     Path("text.pgm").write_text("this is not an image")
     Image.new("1", (9000, 9000)).save("huge.png")
     described = yaml.safe_load(ros_map.read_text())
     Path("other.yaml").write_text(yaml.safe_dump({**described, **entry}))
-    error = fails(capsys, "run", "other.yaml", "--start", "1", "1", "0", "--out", "out")
+    error = fails("run", "other.yaml", "--start", "1", "1", "0", "--out", "out")
     assert reason in error
     assert not Path("out").exists()
 
@@ -332,7 +320,7 @@ def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[
     ],
 )
 def test_what_cannot_be_compared_is_one_line(
-    ros_map: Path, room: Path, asked: list[Asked], capsys, arguments: list[str], reason: str
+    ros_map: Path, room: Path, asked: list[Asked], fails, arguments: list[str], reason: str
 ) -> None:
     for name in ("taken", "former"):
         Path(name).mkdir()
@@ -340,7 +328,7 @@ def test_what_cannot_be_compared_is_one_line(
     Path("file").write_text("")
     before = sorted(Path.cwd().rglob("*"))
     places = {"MAP": str(ros_map), "ROOM": str(room)}
-    assert reason in fails(capsys, *(places.get(each, each) for each in arguments))
+    assert reason in fails(*(places.get(each, each) for each in arguments))
     assert asked == []
     assert sorted(Path.cwd().rglob("*")) == before
 

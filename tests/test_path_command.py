@@ -30,18 +30,6 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "half.csv"
 
 
-def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail as users' mistakes do: one line, exit code 2."""
-    with pytest.raises(SystemExit) as exit_:
-        main(arguments)
-    captured = capsys.readouterr()
-    assert exit_.value.code == 2
-    assert captured.out == ""
-    assert captured.err.startswith("jaxplore: ")
-    assert captured.err.count("\n") == 1
-    return captured.err
-
-
 def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, capsys) -> None:
     given = ["--set", "is_closed=false", "--obstacles", "2", "--set", "obstacles.speeds=[0, 0.5]"]
     main(["run", "path", "--path", str(file), "--time-limit", "1", "--seed", "4", *SMALL, *given,
@@ -142,13 +130,13 @@ def test_settings_become_what_they_say(file: Path) -> None:
         (["run", "path", "--set", "obstacles.speeds=[2, 1]"], "obstacles.speeds is (2.0, 1.0)"),
     ],
 )
-def test_bad_input_is_one_line(file: Path, capsys, arguments: list[str], reason: str) -> None:
-    assert reason in fails(capsys, *arguments)
+def test_bad_input_is_one_line(file: Path, fails, arguments: list[str], reason: str) -> None:
+    assert reason in fails(*arguments)
     assert not Path("runs").exists()
 
 
-def test_two_waypoints_too_few_or_repeated_are_one_line(tmp_path: Path, capsys) -> None:
+def test_two_waypoints_too_few_or_repeated_are_one_line(tmp_path: Path, fails) -> None:
     Path("one.csv").write_text("1.0,2.0\n")
-    assert "one.csv" in fails(capsys, "run", "path", "--path", "one.csv")
+    assert "one.csv" in fails("run", "path", "--path", "one.csv")
     Path("nan.csv").write_text("1.0,2.0\nnan,3.0\n")
-    assert "nan.csv" in fails(capsys, "run", "path", "--path", "nan.csv")
+    assert "nan.csv" in fails("run", "path", "--path", "nan.csv")

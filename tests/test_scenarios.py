@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +20,6 @@ from jaxplore.settings import scenario_path as path_of
 @pytest.fixture(autouse=True)
 def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-
-
-def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """Run a command that must fail as users' mistakes do: one line, code 2, nothing written."""
-    before = sorted(os.listdir())
-    with pytest.raises(SystemExit) as exit_:
-        main(arguments)
-    captured = capsys.readouterr()
-    assert exit_.value.code == 2
-    assert captured.out == ""
-    assert captured.err.startswith("jaxplore: ")
-    assert captured.err.count("\n") == 1
-    assert sorted(os.listdir()) == before
-    return captured.err
 
 
 # Those that come with the package
@@ -287,8 +272,8 @@ def test_decompositions_by_name(decomposition: str, names: tuple[str, ...]) -> N
         ({"start": [0.0, 0.0, 0.0]}, "in a wall"),
     ],
 )
-def test_bad_scenarios_are_one_line(capsys, changes: dict[str, Any], reason: str) -> None:
-    error = fails(capsys, "run", write("yard.yaml", **changes), "--out", "out")
+def test_bad_scenarios_are_one_line(fails, changes: dict[str, Any], reason: str) -> None:
+    error = fails("run", write("yard.yaml", **changes), "--out", "out")
     assert reason in error
 
 
@@ -301,11 +286,11 @@ def test_a_member_that_is_to_weigh_nothing_is_refused() -> None:
         build(settings)
 
 
-def test_a_goal_that_cannot_be_reached_is_one_line(capsys) -> None:
+def test_a_goal_that_cannot_be_reached_is_one_line(fails) -> None:
     name = write("yard.yaml", goal=[3.2, 1.6], goal_radius=0.3, world={"hidden": {
         "walls": [[2.0, 0.0, 2.0, 3.2]]
     }, "targets": [], "movers": []})  # fmt: skip
-    error = fails(capsys, "run", name, "--out", "out")
+    error = fails("run", name, "--out", "out")
     assert "goal is [3.2" in error
     assert "cannot reach from its start" in error
 
@@ -343,8 +328,8 @@ def test_a_height_map_is_the_ground_of_a_ros_map(ros_map: str) -> None:
     ("height_map", "reason"),
     [((20, 31), "hills.png"), ((10, 15), "hills.png"), (None, "gone.png")],
 )
-def test_a_height_map_of_another_size_is_one_line(ros_map, capsys, height_map, reason) -> None:
+def test_a_height_map_of_another_size_is_one_line(ros_map, fails, height_map, reason) -> None:
     name = "gone.png" if height_map is None else hills(height_map)
     start = ["--start", "1", "2", "0", "--resolution", "0.2"]
     setting = ["--set", f"terrain.height_map={name}"]
-    assert reason in fails(capsys, "run", ros_map, *start, *setting, "--out", "out")
+    assert reason in fails("run", ros_map, *start, *setting, "--out", "out")

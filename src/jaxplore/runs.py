@@ -1,5 +1,6 @@
 """Simulate, judge and save in three lines."""
 
+import abc
 import contextlib
 import dataclasses
 import math
@@ -7,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 import jax
 import numpy as np
@@ -27,17 +29,12 @@ from jaxplore.simulation.recording import Recording
 from jaxplore.simulation.scenario import Scenario
 
 
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """A finished run.
+class Saved(abc.ABC):
+    """What is written into a run folder."""
 
-    Args:
-        recording: every step, and looks at the run.
-        metrics: what came of it.
-    """
-
-    recording: Recording
-    metrics: Metrics
+    @abc.abstractmethod
+    def _write(self, path: str | os.PathLike[str], **options: Any) -> None:
+        """Write it, with the options of `save_recording`."""
 
     def save(
         self,
@@ -48,14 +45,14 @@ class Run:
         settings: Mapping[str, object] | None = None,
         progress: bool = False,
     ) -> None:
-        """Write a run folder: metrics.json, arrays.npz, map.png, coverage.png, exploration.gif.
+        """Write a run folder: metrics.json, arrays.npz, pictures and an animation.
 
         The folder appears complete or not at all.
 
         Args:
             path: the folder.
             overwrite: replace a run folder that is there.
-            animation: draw exploration.gif.
+            animation: draw one.
             settings: written to settings.yaml, from which the command line repeats the run.
             progress: show how far the drawing is.
 
@@ -63,15 +60,29 @@ class Run:
             ValueError: the folder exists, or cannot be written.
         """
         with progress_bar("drawing", enabled=progress and animation) as advance:
-            save_recording(
-                self.recording,
-                self.metrics,
+            self._write(
                 path,
                 settings=settings,
                 animation=animation,
                 overwrite=overwrite,
                 on_progress=lambda share: advance(share, ""),
             )
+
+
+@dataclasses.dataclass(frozen=True)
+class Run(Saved):
+    """A finished run; its folder has map.png, coverage.png and exploration.gif.
+
+    Args:
+        recording: every step, and looks at the run.
+        metrics: what came of it.
+    """
+
+    recording: Recording
+    metrics: Metrics
+
+    def _write(self, path: str | os.PathLike[str], **options: Any) -> None:
+        save_recording(self.recording, self.metrics, path, **options)
 
 
 def simulate(
@@ -123,8 +134,8 @@ def simulate(
 
 
 @dataclasses.dataclass(frozen=True)
-class PathRun:
-    """A finished run along a path.
+class PathRun(Saved):
+    """A finished run along a path; its folder has path.png, errors.png and following.gif.
 
     Args:
         recording: every step, and looks at the run.
@@ -134,39 +145,8 @@ class PathRun:
     recording: PathRecording
     metrics: PathMetrics
 
-    def save(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        overwrite: bool = False,
-        animation: bool = True,
-        settings: Mapping[str, object] | None = None,
-        progress: bool = False,
-    ) -> None:
-        """Write a run folder: metrics.json, arrays.npz, path.png, errors.png, following.gif.
-
-        The folder appears complete or not at all.
-
-        Args:
-            path: the folder.
-            overwrite: replace a run folder that is there.
-            animation: draw following.gif.
-            settings: written to settings.yaml, from which the command line repeats the run.
-            progress: show how far the drawing is.
-
-        Raises:
-            ValueError: the folder exists, or cannot be written.
-        """
-        with progress_bar("drawing", enabled=progress and animation) as advance:
-            save_path_recording(
-                self.recording,
-                self.metrics,
-                path,
-                settings=settings,
-                animation=animation,
-                overwrite=overwrite,
-                on_progress=lambda share: advance(share, ""),
-            )
+    def _write(self, path: str | os.PathLike[str], **options: Any) -> None:
+        save_path_recording(self.recording, self.metrics, path, **options)
 
 
 def follow_path(

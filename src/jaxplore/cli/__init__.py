@@ -9,9 +9,10 @@ import click
 import yaml
 
 from jaxplore._version import __version__
+from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchmark
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
-from jaxplore.cli._show import free_name, show, show_comparison
+from jaxplore.cli._show import free_name, save, show_comparison
 from jaxplore.experiment.assembly import build, comparable
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import compare as compare_runs
@@ -77,16 +78,7 @@ def run(
         progress=True,
         num_trajectories=NUM_TRAJECTORIES if animation else 0,
     )
-    result.save(
-        folder,
-        overwrite=overwrite,
-        animation=animation,
-        settings=settings.model_dump(mode="json"),
-        progress=True,
-    )
-    show(result.metrics, folder)
-    if result.metrics.is_interrupted:
-        click.echo("Interrupted: what was done before is in the run folder.", err=True)
+    save(result, folder, settings, overwrite=overwrite, animation=animation)
 
 
 @cli.command()
@@ -104,6 +96,7 @@ def run(
     help="Folder.  [default: runs/MAP-comparison]",
 )
 @click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
+@benchmark_options
 def compare(
     architectures: str | None,
     seeds: int,
@@ -124,7 +117,17 @@ def compare(
       jaxplore compare maps/depot.yaml --start 4.62 7.73 0 --range 5 --seeds 5 --time-limit 240
 
     Ctrl-C ends the comparison and keeps the runs that were done.
+
+    With --maps it is a benchmark of explorers on all ROS maps of a folder. Its own folder, by
+    default runs/DIR-benchmark, holds a file for each run and results.parquet, the table of all; the
+    same command does what is missing:
+
+    \b
+      jaxplore compare --maps maps --explorers explorer,portfolio --workers 4
     """
+    if is_benchmark(options, architectures):
+        run_benchmark(options, seeds, out, overwrite=overwrite)
+        return
     entries = entries_of(options)
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")

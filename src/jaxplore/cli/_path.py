@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from jaxplore.cli._options import assign, assign_all
-from jaxplore.cli._show import free_name, show
+from jaxplore.cli._show import free_name, save
 from jaxplore.experiment.path import build_path
 from jaxplore.path_settings import PATH, TRACK, make_path_settings
 from jaxplore.report.folder import check_folder
@@ -97,13 +97,4 @@ def run_path(
         progress=True,
         num_trajectories=NUM_TRAJECTORIES if animation else 0,
     )
-    result.save(
-        folder,
-        overwrite=overwrite,
-        animation=animation,
-        settings=settings.model_dump(mode="json"),
-        progress=True,
-    )
-    show(result.metrics, folder)
-    if result.metrics.is_interrupted:
-        click.echo("Interrupted: what was done before is in the run folder.", err=True)
+    save(result, folder, settings, overwrite=overwrite, animation=animation)

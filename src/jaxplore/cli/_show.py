@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from jaxplore._sections import Section
 from jaxplore.report.comparison import Comparison
-from jaxplore.report.metrics import Metrics
-from jaxplore.report.path_metrics import PathMetrics
+from jaxplore.runs import PathRun, Run
 
 
 def free_name(path: Path) -> Path:
@@ -20,15 +20,26 @@ def free_name(path: Path) -> Path:
     return candidate
 
 
-def show(metrics: Metrics | PathMetrics, folder: Path) -> None:
-    """Print what a run came to, and its files."""
+def save(
+    result: Run | PathRun, folder: Path, settings: Section, *, overwrite: bool, animation: bool
+) -> None:
+    """Write a run's folder, and print what it came to and its files."""
+    result.save(
+        folder,
+        overwrite=overwrite,
+        animation=animation,
+        settings=settings.model_dump(mode="json"),
+        progress=True,
+    )
     table = Table(title=str(folder), show_header=False)
-    for name, value in metrics.rows():
+    for name, value in result.metrics.rows():
         table.add_row(name, value)
     Console().print(table)
     for pattern in ("*.png", "*.gif", "metrics.json"):
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
+    if result.metrics.is_interrupted:
+        click.echo("Interrupted: what was done before is in the run folder.", err=True)
 
 
 def show_comparison(comparison: Comparison, folder: Path) -> None:
