@@ -17,6 +17,7 @@ from matplotlib.patches import Circle, Wedge
 
 import jaxplore as jx
 from jaxplore.information.trajectory import METHODS
+from jaxplore.maps.generated import KINDS, generate_map
 
 IMAGES = Path(__file__).parent / "images"
 DPI = 120
@@ -44,6 +45,7 @@ def main() -> None:
             ("control_rollouts", control_rollouts),
             ("fusion_pillar", fusion_pillar),
             ("path_following", path_following),
+            ("generated_maps", generated_maps),
         ):
             figure = draw()
             path = IMAGES / f"{name}.png"
@@ -516,6 +518,31 @@ def path_following() -> Figure:
         f"contouring {mean[0]:.2f} mean, {most[1]:.2f} max; lag {mean[2]:.2f}, {most[3]:.2f}; "
         f"{np.median([row[4] for row in results]):.1f} s; {int(np.sum(results, axis=0)[5])} of 20"
     )
+    return figure
+
+
+def generated_maps() -> Figure:
+    """Draw an easy and a hard map of each kind, and where a robot starts."""
+    figure, axes = plt.subplots(4, 4, figsize=(8.4, 7.0), layout="constrained")
+    places = np.moveaxis(axes.reshape(2, 2, 4), 1, -1).reshape(-1, 2)
+    for axis in places[len(KINDS) :].reshape(-1):
+        axis.set_axis_off()
+    for kind, pair in zip(KINDS, places, strict=False):
+        for difficulty, axis in zip((0.2, 0.9), pair, strict=True):
+            grid = generate_map(kind, 1, difficulty=difficulty)
+            height, width = (side * grid.resolution for side in grid.shape)
+            free = float(np.count_nonzero(grid.is_free)) * grid.resolution**2
+            axis.imshow(
+                grid.probability,
+                origin="lower",
+                extent=(0.0, width, 0.0, height),
+                cmap="gray_r",
+            )
+            x, y, _ = jx.start_pose(grid)
+            axis.plot(x, y, ">", color=VERMILION, markeredgecolor="white", markersize=6)
+            axis.set(xticks=[], yticks=[])
+            axis.set_title(f"{kind}, {difficulty:g}", loc="left")
+            axis.set_xlabel(f"{width:.0f} m x {height:.0f} m, {free:.0f} m² free", fontsize=8)
     return figure
 
 

@@ -166,6 +166,7 @@ from jaxplore.information.zones import unknown_fraction as unknown_fraction
 from jaxplore.information.zones import visible as visible
 from jaxplore.maps.clearance import clearance_field as clearance_field
 from jaxplore.maps.field import ScalarField as ScalarField
+from jaxplore.maps.generated import generate_map as generate_map
 from jaxplore.maps.ground import Ground as Ground
 from jaxplore.maps.ground import GroundSample as GroundSample
 from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
@@ -208,6 +209,15 @@ from jaxplore.planning.references import StrategicReference as StrategicReferenc
 from jaxplore.planning.safe_fusion import FUSIONS as FUSIONS
 from jaxplore.planning.safe_fusion import SafeFusion as SafeFusion
 from jaxplore.planning.safe_fusion import fusion_by_name as fusion_by_name
+from jaxplore.planning.target_explorer import TargetExplorer as TargetExplorer
+from jaxplore.planning.target_rules import DiscountedInformation as DiscountedInformation
+from jaxplore.planning.target_rules import DistanceAdvantage as DistanceAdvantage
+from jaxplore.planning.target_rules import GainPerCost as GainPerCost
+from jaxplore.planning.target_rules import NearestFrontier as NearestFrontier
+from jaxplore.planning.target_rules import NextBestView as NextBestView
+from jaxplore.planning.target_rules import RandomFrontier as RandomFrontier
+from jaxplore.planning.target_rules import TargetRule as TargetRule
+from jaxplore.planning.target_rules import Wander as Wander
 from jaxplore.planning.targets import RemainingInformation as RemainingInformation
 from jaxplore.planning.targets import TargetChoice as TargetChoice
 from jaxplore.planning.targets import TargetReference as TargetReference

@@ -19,9 +19,32 @@ from jaxplore._sections import (
 from jaxplore._sections import read_settings as read_settings
 
 Architecture = Literal[
-    "explorer", "portfolio", "two-layer", "parallel", "sequential", "random-walk", "goal"
+    "explorer",
+    "portfolio",
+    "wander",
+    "random-frontier",
+    "nearest-frontier",
+    "gain-per-cost",
+    "next-best-view",
+    "discounted-information",
+    "distance-advantage",
+    "two-layer",
+    "parallel",
+    "sequential",
+    "random-walk",
+    "goal",
 ]
-GROUND = ("explorer", "portfolio")
+BASELINES = (
+    "wander",
+    "random-frontier",
+    "nearest-frontier",
+    "gain-per-cost",
+    "next-best-view",
+    "discounted-information",
+    "distance-advantage",
+)
+"""Explorers that go from target to target by a rule: see `jaxplore.planning.target_rules`."""
+GROUND = ("explorer", "portfolio", *BASELINES)
 """Architectures of ground vehicles; the others are a quadrotor's unless another robot is named."""
 
 OFFICE = "office"

@@ -132,7 +132,7 @@ def compare(
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
     if architectures is None and make_settings(entries).architecture == "portfolio":
-        names: tuple[str, ...] = GROUND
+        names: tuple[str, ...] = ("explorer", "portfolio")
     elif architectures is None:
         names = comparable(make_settings({**entries, "architecture": "two-layer"}))
     else:

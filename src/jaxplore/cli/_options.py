@@ -8,6 +8,7 @@ import click
 import yaml
 
 from jaxplore.settings import (
+    BASELINES,
     OFFICE,
     SCENARIOS,
     ZONES,
@@ -32,7 +33,8 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
         "--architecture",
         "architecture",
         str,
-        "explorer or portfolio; for quadrotors two-layer, parallel, sequential, random-walk, goal.",
+        f"explorer, portfolio, or a baseline: {', '.join(BASELINES)}; for quadrotors two-layer, "
+        "parallel, sequential, random-walk, goal.",
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),

@@ -8,6 +8,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
 from jaxplore.experiment.parts import robot_of
 from jaxplore.experiment.place import Place
+from jaxplore.information.perception import safe_stride
 from jaxplore.information.pose import PoseInformation
 from jaxplore.information.trajectory import TrajectoryInformation
 from jaxplore.information.zones import Zones
@@ -25,6 +26,8 @@ from jaxplore.planning.gradient_reference import GradientReference
 from jaxplore.planning.ground_vehicle import Mission, ground_portfolio
 from jaxplore.planning.portfolio import Portfolio
 from jaxplore.planning.safe_fusion import SafeFusion, fusion_by_name
+from jaxplore.planning.target_explorer import TargetExplorer
+from jaxplore.planning.target_rules import RULES
 from jaxplore.planning.targets import (
     RemainingInformation,
     TargetChoice,
@@ -35,7 +38,7 @@ from jaxplore.planning.targets import (
 from jaxplore.planning.voting import WeightedVote
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
-from jaxplore.settings import Settings
+from jaxplore.settings import BASELINES, Settings
 
 
 def controller_of(
@@ -51,6 +54,8 @@ def controller_of(
         return explorer(robot, **settings.controller.model_dump())
     if settings.architecture == "portfolio":
         return _portfolio(settings, place)
+    if settings.architecture in BASELINES:
+        return _target_explorer(settings, robot, place)
     given = settings.informative.model_dump()
     given["parameterisation"] = _parameterisation(given["parameterisation"], given["horizon"])
     period = 1.0 / settings.rates.control
@@ -136,6 +141,24 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
         common=given.common,
         parameterisation=_parameterisation(given.parameterisation, given.horizon),
         **given.model_dump(include=set(_PORTFOLIO)),
+    )
+
+
+def _target_explorer(settings: Settings, robot: Dynamics, place: Place) -> TargetExplorer:
+    """Return an explorer by a rule, that drives as `explorer` does."""
+    fields, world = settings.fields, place.world
+    given = settings.controller.model_dump(exclude={"information_weight"})
+    # How it drives is the tracker's; what is worth seeing is the rule's alone.
+    tracker = explorer(robot, **given, information_weight=0.0)
+    return TargetExplorer(
+        tracker,
+        RULES[settings.architecture](),
+        world.frame,
+        world.shape,
+        safe_stride(fields.node_spacing, world.resolution, float(robot.radius)),
+        required_clearance=float(robot.radius) + fields.margin,
+        min_information=fields.min_information,
+        every=max(1, round(settings.rates.control / settings.rates.fields)),
     )
 
 

@@ -99,8 +99,8 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     """Return a pose (x, y, yaw) at the west end of the corridor, looking along it [m, m, rad].
 
     On any grid: in the middle of the broadest band of rows that hold the longest free run, the
-    first cell of that run whose distance to what is not free is at least `START_CLEARANCE`; yaw is
-    the grid's.
+    first cell of that run whose distance to what is not free is at least `START_CLEARANCE`; if it
+    has none, the same among the runs that have one. Yaw is the grid's.
 
     Raises:
         ValueError: there is no such cell.
@@ -109,30 +109,36 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     position = np.arange(1, free.shape[1] + 1)
     blocked_at = np.maximum.accumulate(np.where(free, 0, position), axis=1)
     run = position - blocked_at
-    longest = run.max(axis=1)
-    row = _middle_of_broadest_run(longest == longest.max())
+    row, last = _middle_longest(run)
     # Cell faces are half a cell nearer than the centres between which the transform measures.
     distance = (ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5) * grid.resolution
-    last = int(run[row].argmax())
-    first = last - int(run[row, last]) + 1
-    wide = np.flatnonzero(distance[row + 1, first + 1 : last + 2] >= START_CLEARANCE)
-    if wide.size == 0:
+    is_wide = distance[1:-1, 1:-1] >= START_CLEARANCE
+    if not is_wide.any():
         raise ValueError(
-            f"the longest free row of this {free.shape[0]} x {free.shape[1]} map has no cell with "
-            f"{START_CLEARANCE} m of clearance; accepted: a map with a corridor, such as office()"
+            f"this {free.shape[0]} x {free.shape[1]} map has no cell with {START_CLEARANCE} m of "
+            "clearance; accepted: a map with a place for the robot, such as office()"
         )
+    if not is_wide[row, last + 1 - run[row, last] : last + 1].any():
+        wide_at = np.maximum.accumulate(np.where(is_wide, position, 0), axis=1)
+        row, last = _middle_longest(np.where(wide_at > blocked_at, run, 0))
+    first = last - int(run[row, last]) + 1
+    wide = np.flatnonzero(is_wide[row, first : last + 1])
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64).tolist()
     x, y = (first + int(wide[0]) + 0.5) * grid.resolution, (row + 0.5) * grid.resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
     return x0 + cos * x - sin * y, y0 + sin * x + cos * y, yaw
 
 
-def _middle_of_broadest_run(mask: NDArray[np.bool_]) -> int:
+def _middle_longest(run: NDArray[np.int_]) -> tuple[int, int]:
+    """Return the row and the last column of a longest run, from the length of each up to a cell."""
+    longest = run.max(axis=1)
+    mask = longest == longest.max()
     # Doorways in line make rows as long as the corridor's, but only as many as a door is wide.
-    runs = ndimage.label(mask)[0]
-    broadest = np.bincount(runs[mask]).argmax()
-    rows = np.flatnonzero(runs == broadest)
-    return int(rows[rows.size // 2])
+    bands = ndimage.label(mask)[0]
+    broadest = np.bincount(bands[mask]).argmax()
+    rows = np.flatnonzero(bands == broadest)
+    row = int(rows[rows.size // 2])
+    return row, int(run[row].argmax())
 
 
 def _partition(
