@@ -119,6 +119,7 @@ from jaxplore.dynamics.pendulum import Pendulum as Pendulum
 from jaxplore.dynamics.point_mass import PointMass as PointMass
 from jaxplore.dynamics.quadrotor import Quadrotor as Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle as Unicycle
+from jaxplore.experiment.gym_registration import register_environment as register_environment
 from jaxplore.geometry.angles import sin_cos as sin_cos
 from jaxplore.geometry.curves import arc_path as arc_path
 from jaxplore.geometry.curves import clothoid_path as clothoid_path
@@ -244,6 +245,13 @@ from jaxplore.sensing.base import Sighting as Sighting
 from jaxplore.sensing.camera import Camera as Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
 from jaxplore.sensing.lidar import Lidar as Lidar
+from jaxplore.simulation.action_modes import ActionMode as ActionMode
+from jaxplore.simulation.action_modes import ControlMode as ControlMode
+from jaxplore.simulation.action_modes import WaypointMode as WaypointMode
+from jaxplore.simulation.action_modes import waypoint_mppi as waypoint_mppi
+from jaxplore.simulation.environment import Environment as Environment
+from jaxplore.simulation.environment import EnvironmentState as EnvironmentState
+from jaxplore.simulation.environment import Outcome as Outcome
 from jaxplore.simulation.faults import Faults as Faults
 from jaxplore.simulation.follow import PathRecording as PathRecording
 from jaxplore.simulation.movers import Movers as Movers

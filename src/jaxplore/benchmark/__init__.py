@@ -1,0 +1,1 @@
+"""The exploration benchmark: explorers on maps with seeds, over processes or machines."""

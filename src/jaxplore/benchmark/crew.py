@@ -1,0 +1,66 @@
+"""Workers that do a benchmark's runs: what processes and machines have in common."""
+
+import abc
+import os
+from typing import NamedTuple
+
+from jaxplore.benchmark.rows import Result
+from jaxplore.benchmark.tasks import Task
+
+
+class Event(NamedTuple):
+    """Something that a worker reports. Without a result and a death, that it is ready.
+
+    Args:
+        worker: which.
+        result: of the task that it was given.
+        death: why it is no more, in a few words; None while it lives.
+    """
+
+    worker: int
+    result: Result | None = None
+    death: str | None = None
+
+
+class Crew(abc.ABC):
+    """Workers, each of which does one task at a time."""
+
+    @property
+    @abc.abstractmethod
+    def size(self) -> int:
+        """How many workers there are to be."""
+
+    @abc.abstractmethod
+    def start(self) -> None:
+        """Start one more worker, which reports when it is ready."""
+
+    @abc.abstractmethod
+    def give(self, worker: int, task: Task) -> None:
+        """Give a task to a worker that is ready; it reports the result."""
+
+    @abc.abstractmethod
+    def wait(self) -> list[Event]:
+        """Wait until some worker reports something, and return what."""
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """End all workers, whatever they are doing."""
+
+
+def limit_threads(number: int) -> None:
+    """Let JAX compute on so many threads in this process; to be called before it makes an array.
+
+    N processes of which each uses all processors would wait for each other. Results are the same
+    to the bit whatever the number is. What the environment already says stays.
+    """
+    # XLA takes it for the number of processors.
+    os.environ.setdefault("NPROC", str(number))
+    # By default a process takes most of a GPU's memory to itself.
+    os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+
+
+def num_processors() -> int:
+    """Return how many processors this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

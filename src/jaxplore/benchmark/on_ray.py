@@ -1,0 +1,160 @@
+"""Workers of a Ray cluster: on this machine, or on several that need not share a disk."""
+
+import contextlib
+import dataclasses
+import io
+import os
+import socket
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from jaxplore.benchmark.crew import Crew, Event, limit_threads
+from jaxplore.benchmark.maps import image_of
+from jaxplore.benchmark.packages import package
+from jaxplore.benchmark.perform import Perform, result_for
+from jaxplore.benchmark.rows import Result, failed_row, result_of
+from jaxplore.benchmark.tasks import Task
+from jaxplore.maps._files import read_yaml
+
+Files = dict[str, bytes]
+"""A map's files by name, the YAML file under `MAP`."""
+
+MAP = "map.yaml"
+
+_PATIENCE = 10.0
+"""Time for a cluster's head to answer [s]."""
+
+
+class RayWorkers(Crew):
+    """Actors with a processor each. Maps are sent to them, and rows sent back.
+
+    Args:
+        number: of workers; None for as many as the cluster has processors.
+        address: of a cluster to join; a local one is started when absent, unless Ray is in use.
+        make: what makes a run of a task.
+
+    Raises:
+        ValueError: Ray is not installed, or the cluster cannot be reached.
+    """
+
+    def __init__(self, number: int | None, address: str | None, make: Perform) -> None:
+        self._ray = package("ray", "distributed")
+        self._errors = package("ray.exceptions", "distributed")
+        self._is_ours = not self._ray.is_initialized()
+        if self._is_ours:
+            self._join(number, address)
+        self._number = number or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self._make, self._started = make, 0
+        self._actor = self._ray.remote(num_cpus=1, max_restarts=0)(_Worker)
+        self._actors: dict[int, Any] = {}
+        self._tasks: dict[int, Task] = {}
+        self._awaited: dict[Any, int] = {}
+        self._files: dict[str, Any] = {}
+
+    def _join(self, number: int | None, address: str | None) -> None:
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        if address is None:
+            # Nobody has agreed to having a local cluster reported.
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+            options |= {"num_cpus": number, "include_dashboard": False}
+        try:
+            _knock(address)
+            self._ray.init(address="local" if address is None else address, **options)
+        except (OSError, RuntimeError, ValueError) as error:
+            where = "started" if address is None else f"reached at {address!r}"
+            raise ValueError(
+                f"Ray cannot be {where}: {error}; accepted: HOST:PORT of a cluster's head, auto, "
+                "or none to start one"
+            ) from error
+
+    @property
+    def size(self) -> int:
+        """How many workers there are to be."""
+        return self._number
+
+    def start(self) -> None:
+        """Ask the cluster for one more worker."""
+        actor = self._actor.remote(self._make)
+        self._actors[self._started] = actor
+        self._awaited[actor.ready.remote()] = self._started
+        self._started += 1
+
+    def give(self, worker: int, task: Task) -> None:
+        """Send a task, and once for each map its files."""
+        if task.content not in self._files:
+            self._files[task.content] = self._ray.put(_packed(task.path))
+        self._tasks[worker] = task
+        result = self._actors[worker].run.remote(task, self._files[task.content])
+        self._awaited[result] = worker
+
+    def wait(self) -> list[Event]:
+        """Wait for a word, or the end, of some worker."""
+        done, _ = self._ray.wait(list(self._awaited), num_returns=1)
+        return [self._event(self._awaited.pop(each), each) for each in done]
+
+    def _event(self, worker: int, answer: Any) -> Event:
+        task = self._tasks.pop(worker, None)
+        try:
+            return Event(worker, self._ray.get(answer))
+        except self._errors.RayTaskError as error:
+            if task is not None:
+                last = str(error).strip().splitlines()[-1]
+                return Event(worker, result_of(failed_row(task, last)))
+            reason = str(error)
+        except self._errors.RayError as error:
+            reason = f"{type(error).__name__}: {error}"
+        self._kill(self._actors.pop(worker))
+        return Event(worker, death=" ".join(reason.split())[:200])
+
+    def _kill(self, actor: Any) -> None:
+        with contextlib.suppress(self._errors.RayError):
+            self._ray.kill(actor)
+
+    def close(self) -> None:
+        """End all workers, and the cluster or the connection if this made it."""
+        while self._actors:
+            self._kill(self._actors.popitem()[1])
+        if self._is_ours:
+            self._ray.shutdown()
+
+
+class _Worker:
+    """Does tasks, with a processor and a folder of its own."""
+
+    def __init__(self, make: Perform) -> None:
+        limit_threads(1)
+        self._make = make
+        self._folder = tempfile.TemporaryDirectory(prefix="jaxplore-")
+
+    def ready(self) -> None:
+        """Return when the worker can be given something."""
+
+    def run(self, task: Task, files: Files) -> Result:
+        """Return what a task comes to."""
+        folder = Path(self._folder.name) / task.content
+        if not folder.is_dir():
+            folder.mkdir()
+            for name, data in files.items():
+                (folder / name).write_bytes(data)
+        return result_for(dataclasses.replace(task, copy=str(folder / MAP)), self._make)
+
+
+def _knock(address: str | None) -> None:
+    """Find out at once whether anybody listens at HOST:PORT: Ray would try for minutes."""
+    host, separator, port = (address or "").rpartition(":")
+    if separator and "/" not in host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
+
+
+def _packed(path: str) -> Files:
+    """Return the files of a map so that they can lie in any folder."""
+    entries, image = read_yaml(Path(path)), image_of(path)
+    if image is None:
+        return {MAP: Path(path).read_bytes()}
+    name = f"map{image.suffix}"
+    text = io.StringIO()
+    yaml.safe_dump({**entries, "image": name}, text, sort_keys=False, allow_unicode=True)
+    return {MAP: text.getvalue().encode(), name: image.read_bytes()}

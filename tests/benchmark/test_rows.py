@@ -1,0 +1,138 @@
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.benchmark.maps import MapFile
+from jaxplore.benchmark.perform import perform, result_for
+from jaxplore.benchmark.rows import COLUMNS, TIMING, Row, failed_row, result_of, row_of, settings_of
+from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.experiment.assembly import build
+from jaxplore.report.metrics import compute_metrics
+from jaxplore.settings import make_settings
+from jaxplore.simulation.reachability import open_spot
+from jaxplore.simulation.simulate import record_run
+
+
+def read(data: bytes) -> list[Row]:
+    import pyarrow.parquet
+
+    return pyarrow.parquet.read_table(io.BytesIO(data)).to_pylist()
+
+
+def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
+    task = tasks[1]
+    row = perform(task)
+    assert list(row) == list(COLUMNS)
+    settings = make_settings(task.entries)
+    controller, scenario, num_steps, key = build(settings)
+    recording = record_run(controller, scenario, num_steps, key=key)
+    metrics = compute_metrics(recording, seed=task.seed)
+    named = {
+        "format": 1,
+        "id": task.id,
+        "map": "east",
+        "explorer": "explorer",
+        "seed": 1,
+        "error": None,
+        "time_to_50": metrics.time_to["50"],
+        "path_to_50": metrics.path_to["50"],
+        "time_to_99": None,
+        "path_to_99": None,
+        "time_limit": 1.5,
+    }
+    same = ("is_finished", "coverage", "path_length", "duration", "final_entropy", "collisions")
+    same += ("minimum_clearance", "information_per_metre", "command_jerk")
+    assert {name: row[name] for name in named} == named
+    assert {name: row[name] for name in same} == {name: getattr(metrics, name) for name in same}
+    assert 0.2 < row["coverage"] < 0.99
+    assert row["path_length"] > 0.02
+    assert row["collisions_per_100m"] == 100.0 * row["collisions"] / row["path_length"]
+    # What is seen at the beginning of a step counts for that step.
+    assert row["area_under_curve"] == pytest.approx(
+        sum(0.05 * float(each) for each in recording.records.coverage) / 1.5
+    )
+    assert row["curve_time"] == [0.0, 0.5, 1.0, 1.5]
+    for name in ("coverage", "path", "entropy"):
+        assert row[f"curve_{name}"] == metrics.coverage_curve[name]
+    positions = [recording.start, *recording.records.state[[9, 19, 29]]]
+    assert row["positions_x"] == [float(each[0]) for each in positions]
+    assert row["positions_y"] == [float(each[1]) for each in positions]
+    assert settings_of(row) == settings.model_dump(mode="json")
+    assert json.loads(row["versions"]) == metrics.versions
+    again = perform(task)
+    different = {name for name in row if row[name] != again[name]}
+    assert {"loop_step_ms"} <= different <= set(TIMING)
+    assert read(result_of(row).data) == [row]
+    assert perform(tasks[0])["positions_x"] != row["positions_x"]
+
+
+def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(tasks: tuple[Task, ...]) -> None:
+    entries = {**tasks[0].entries, "target_coverage": 0.3, "time_limit": 3.0}
+    settings = make_settings(entries)
+    controller, scenario, num_steps, key = build(settings)
+    recording = record_run(controller, scenario, num_steps, key=key, num_trajectories=0)
+    row = row_of(tasks[0], recording, compute_metrics(recording), settings=settings)
+    assert row["is_finished"]
+    steps = recording.num_steps
+    assert row["duration"] == pytest.approx(0.05 * steps)
+    assert 0 < steps < 59
+    seen = [float(each) for each in recording.records.coverage]
+    seen += [seen[-1]] * (60 - steps)
+    assert row["area_under_curve"] == pytest.approx(np.mean(seen))
+    assert row["curve_time"][-1] == row["duration"]
+    assert len(row["positions_x"]) == len(row["curve_time"])
+    assert row["positions_x"][-1] == float(recording.positions[-1, 0])
+
+
+def test_without_a_start_it_is_the_most_open_spot(tasks: tuple[Task, ...]) -> None:
+    west = tasks[2]
+    row = perform(west)
+    x, y = open_spot(jx.OccupancyGrid.from_ros(west.path), 0.2)
+    assert settings_of(row)["start"] == [x, y, 0.0]
+    assert (row["positions_x"][0], row["positions_y"][0]) == (x, y)
+    assert row["id"] == west.id
+
+
+def test_a_copy_of_the_map_leaves_no_trace(
+    maps: tuple[MapFile, ...], small: dict[str, object], tmp_path: Path
+) -> None:
+    (task,) = make_tasks(maps[1:], ("explorer",), (0,), small)
+    Path(task.path).rename(tmp_path / "copy.yaml")
+    Path(task.path).with_suffix(".pgm").rename(tmp_path / "west.pgm")
+    elsewhere = Task(**{**vars(task), "copy": str(tmp_path / "copy.yaml")})
+    (row,) = read(result_for(elsewhere).data)
+    assert row["error"] is None
+    assert settings_of(row)["map"] == task.path
+    (tmp_path / "west.pgm").unlink()
+    (row,) = read(result_for(elsewhere).data)
+    assert row["error"].startswith(f"{task.path}: image is 'west.pgm', which is not there")
+    assert settings_of(row)["map"] == task.path
+
+
+def test_what_fails_is_a_row_of_one_line(tasks: tuple[Task, ...]) -> None:
+    def wrong(task: Task) -> Row:
+        raise ValueError("this\n  is wrong")
+
+    def broken(task: Task) -> Row:
+        raise TypeError("a bug")
+
+    def stopped(task: Task) -> Row:
+        raise KeyboardInterrupt
+
+    results = [result_for(tasks[0], each) for each in (wrong, broken)]
+    assert [each.error for each in results] == ["this is wrong", "TypeError: a bug"]
+    assert [each[:2] for each in results] == [(tasks[0].id, "east")] * 2
+    (row,) = read(results[0].data)
+    own = {name: row[name] for name in row if row[name] is not None}
+    assert list(own) == [
+        *("format", "id", "map", "explorer", "seed", "error"),
+        *("time_limit", "settings"),
+    ]
+    assert row == failed_row(tasks[0], "this is wrong")
+    assert settings_of(row) == tasks[0].entries
+    with pytest.raises(KeyboardInterrupt):
+        result_for(tasks[0], stopped)
