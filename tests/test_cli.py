@@ -301,7 +301,7 @@ def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[
         (["compare", "ROOM", "--seeds", "two"], "--seeds"),
         (
             ["compare", "ROOM", "--architectures", "two-layer,three-layer"],
-            "setting architecture is 'three-layer'; accepted: 'explorer', 'portfolio', 'two-layer'",
+            "setting architecture is 'three-layer'; accepted: 'explorer', 'portfolio', 'wander'",
         ),
         (["compare", "ROOM", "--architectures", ""], "setting architecture is ''; accepted"),
         (["compare", "ROOM", "--architectures", "goal"], "goal is missing; accepted: a position"),
