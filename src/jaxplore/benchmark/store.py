@@ -12,13 +12,17 @@ from typing import Any, BinaryIO
 
 from jaxplore.benchmark.maps import MapFile
 from jaxplore.benchmark.packages import package
+from jaxplore.benchmark.page import SHOWN, page
 from jaxplore.benchmark.rows import KEYS, Result, Row, schema
 from jaxplore.benchmark.tasks import FORMAT, common_settings
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 MARK = "benchmark.json"
 """The file by which a benchmark is recognised: version of the format, and what was asked."""
 RESULTS = "results.parquet"
 """All rows, by map, explorer and seed."""
+PAGE = "results.html"
+"""The same to look at."""
 RUNS = "runs"
 """Folder with a file for each run, named by its id."""
 
@@ -118,6 +122,20 @@ class Store:
         _write_whole(self.results, write)
         return self.results
 
+    def write_page(self, maps: Mapping[str, OccupancyGrid]) -> Path:
+        """Write the page of all results, whole or not at all, and return where it is.
+
+        Args:
+            maps: by name; see `page`.
+
+        Raises:
+            ValueError: the folder cannot be written.
+        """
+        text = page(self.rows(SHOWN), maps, f"Explorers on {self.folder.name}")
+        target = self.folder / PAGE
+        _write_whole(target, lambda file: file.write(text.encode()))
+        return target
+
     def forget(self, map_: str | None = None) -> None:
         """Remove the files of all runs, or of those on a map."""
         for id_ in [id_ for id_, (name, _) in self._state.items() if map_ in (None, name)]:
@@ -166,7 +184,7 @@ def open_store(
     if overwrite and former is not None:
         with _in_one_line(target):
             shutil.rmtree(target / RUNS, ignore_errors=True)
-            for name in (RESULTS, MARK):
+            for name in (RESULTS, PAGE, MARK):
                 (target / name).unlink(missing_ok=True)
         former = None
     document = asked.document()
