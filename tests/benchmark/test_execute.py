@@ -181,8 +181,12 @@ def test_ctrl_c_keeps_what_is_done_and_the_rest_gives_the_same_table(
     found = timeless(store)
     assert [row["id"] for row in found] == [task.id for task in tasks[:2]]
     again = open_store(store.folder, asked)
-    # Also where a key is pressed between two runs.
-    first = run_tasks(tasks, again, on_done=lambda _: signal.raise_signal(signal.SIGINT))
+    # Also where a key is pressed between two runs. What is started in the background ignores it.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        first = run_tasks(tasks, again, on_done=lambda _: signal.raise_signal(signal.SIGINT))
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert first == (1, 0, 2, True)
     assert run_tasks(tasks, open_store(store.folder, asked)) == (1, 0, 3, False)
     whole = open_store(tmp_path / "whole", asked)

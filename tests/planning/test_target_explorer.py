@@ -231,9 +231,9 @@ def test_guidance_leads_to_the_target(half_known) -> None:
     assert float(state.guidance(position)) == pytest.approx(to_go[tuple(start)], abs=0.4)
 
 
-@pytest.mark.parametrize("name", RULES)
-def test_every_rule_explores_without_contact(name: str) -> None:
-    """All in one compiled loop but for the rule."""
+@pytest.mark.parametrize("name", ["nearest-frontier", "next-best-view", "wander"])
+def test_rules_explore_without_contact(name: str) -> None:
+    """One that asks for frontiers, one for views and one for neither."""
     scenario = Scenario(
         OccupancyGrid(world(), RESOLUTION),
         ROBOT,
@@ -251,7 +251,7 @@ def test_every_rule_explores_without_contact(name: str) -> None:
     steps = int(done)
     assert not np.asarray(records.is_collision)[:steps].any()
     begin, end = records.coverage[0], records.coverage[steps - 1]
-    assert end > (0.6 if name in ("wander", "random-frontier", "distance-advantage") else 0.94)
+    assert end > (0.6 if name == "wander" else 0.94)
     assert end > begin + 0.2
     if name == "nearest-frontier":
         heavier = make(RULES[name](), min_information=2.0, every=5).at_period(0.05)
