@@ -44,6 +44,20 @@ def test_guidance_cost_is_the_cost_to_go_and_of_facing_elsewhere(stage, at) -> N
         assert found == pytest.approx(expected, abs=1e-4)
 
 
+def test_guidance_cost_counts_no_deeper_than_its_reach_below_the_robot(belief, at) -> None:
+    cost, nothing = GuidanceCost(turning=0.0, reach=3.0), (jnp.zeros(2), jnp.asarray(0.0))
+
+    def price(x: float, pose) -> float:
+        return float(cost.stage(at(x, 3.0), *nothing, dataclasses.replace(belief, pose=pose)))
+
+    here = jnp.asarray([4.0, 3.0, 0.0])
+    for x, fall in ((4.0, 0.0), (3.0, 2.0), (2.5, 3.0), (2.0, 3.0), (1.0, 3.0)):
+        assert price(x, here) == pytest.approx(2.0 * 3.5 - 2.5 - fall, abs=1e-4)
+    assert price(5.0, here) == pytest.approx(2.0 * 4.5 - 2.5, abs=1e-4)
+    # A robot off the lattice has nothing to compare with.
+    assert price(1.0, jnp.asarray([-50.0, 3.0, 0.0])) == pytest.approx(2.0 * 0.5 - 2.5, abs=1e-4)
+
+
 @pytest.mark.parametrize("cost", [InformationCost(), GuidanceCost()])
 def test_the_same_cost_serves_another_model(cost: Cost, stage, at, sled, belief) -> None:
     expected = stage(cost, at(4.0, 3.0, v=0.7))
@@ -54,6 +68,8 @@ def test_the_same_cost_serves_another_model(cost: Cost, stage, at, sled, belief)
 def test_bad_input_is_named() -> None:
     with pytest.raises(ValueError, match=r"turning is -0.1; accepted"):
         GuidanceCost(turning=-0.1)
+    with pytest.raises(ValueError, match=r"reach is 0; accepted"):
+        GuidanceCost(reach=0)
 
 
 REFERENCE = [[1.0, 0.0, -9.0], [2.0, 1.0, -9.0], [4.0, 1.0, -7.0]]

@@ -11,7 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore.information.guidance import descent, extend, geodesic
+from jaxplore.information.guidance import downhill as to_go
 from jaxplore.information.perception import safe_stride
+from jaxplore.maps.frame import GridFrame
 
 geodesic_jit = jax.jit(geodesic)
 
@@ -89,6 +91,24 @@ def test_extension_makes_a_ridge_of_an_obstacle_and_leaves_the_rest() -> None:
     np.testing.assert_allclose(far[0], [1.0, 1.5, 2.0, 2.0])
     thin = extend(jnp.asarray([[-4.0, jnp.inf, -12.0]]), 2, jnp.float32(0.5))
     np.testing.assert_allclose(thin[0], [-4.0, -3.5, -12.0])
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_a_field_falls_all_the_way_through_a_diagonal_gap(turn: int) -> None:
+    # Two rooms that touch at a corner, as a doorway between posts looks on a lattice.
+    is_open = np.zeros((12, 12), bool)
+    is_open[1:6, 1:6] = is_open[6:11, 6:11] = True
+    initial = np.full((12, 12), np.inf, np.float32)
+    initial[9, 9] = 0.0
+    way = np.linspace((2.5, 2.5), (9.5, 9.5), 57)  # row, column
+    for _ in range(turn):
+        is_open, initial = np.rot90(is_open).copy(), np.rot90(initial).copy()
+        way = np.stack([12.0 - way[:, 1], way[:, 0]], axis=1)
+    distance = geodesic_jit(initial, np.ones((12, 12), np.float32), is_open)
+    field = to_go(distance, GridFrame(1.0), 4)
+    values = np.asarray(jax.vmap(field)(jnp.asarray(way[:, ::-1], jnp.float32)))
+    assert values[0] > 9.0
+    assert np.diff(values).max() < 0.0
 
 
 downhill = jax.jit(descent, static_argnums=1)

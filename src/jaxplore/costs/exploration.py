@@ -43,25 +43,33 @@ class InformationCost(Cost):
 class GuidanceCost(Cost):
     """Cost to go to the remaining information, and of not facing the way there [m].
 
-        U(x) + turning * (1 - h . g(x))
+        max(U(x), U(x_0) - reach) + turning * (1 - h . g(x))
 
-    with h the heading and g the direction in which U falls, both unit vectors. Where a robot cannot
-    move sideways, position alone does not reward turning. The second term rises all the way from
-    facing the way to facing away from it, so there is no heading to be stuck in; a look-up ahead of
-    the robot would have one in an alcove, where turning leads past walls, and could see the far
-    side of a thin wall.
+    with x_0 the place where the field was made (`Belief.pose`), h the heading and g the direction
+    in which U falls, both unit vectors. Where a robot cannot move sideways, position alone does not
+    reward turning. The second term rises all the way from facing the way to facing away from it, so
+    there is no heading to be stuck in; a look-up ahead of the robot would have one in an alcove,
+    where turning leads past walls, and could see the far side of a thin wall.
+
+    No way that the robot can take within its horizon leads farther down than `reach`: what does is
+    behind a wall, or across a gap into a room where there is something to see while here there is
+    not. Without a bound such a cliff, of up to a kilometre, outweighs a collision.
 
     Args:
         turning: what facing sideways costs [m].
+        reach: of the cost to go that counts [m]; more than twice the way within the horizon, since
+            tight places count double.
 
     Raises:
-        ValueError: a negative value.
+        ValueError: a negative value, no reach.
     """
 
     turning: Scalar
+    reach: Scalar
 
-    def __init__(self, turning: ArrayLike = 0.3) -> None:
+    def __init__(self, turning: ArrayLike = 0.3, reach: ArrayLike = 20.0) -> None:
         self.turning = _checks.scalar("turning", turning, at_least=0.0)
+        self.reach = _checks.scalar("reach", reach, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost to go and of the heading."""
@@ -69,7 +77,10 @@ class GuidanceCost(Cost):
         way = belief.guidance.direction(position)
         sin, cos = sin_cos(heading)
         facing = cos * way[0] + sin * way[1]
-        return belief.guidance(position) + self.turning * (1.0 - facing)
+        here = belief.guidance(belief.pose[:2])
+        # Off the lattice there is nothing to compare with.
+        least = jnp.where(here < belief.guidance.outside, here - self.reach, -jnp.inf)
+        return jnp.maximum(belief.guidance(position), least) + self.turning * (1.0 - facing)
 
 
 class PotentialCost(Cost):

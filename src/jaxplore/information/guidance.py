@@ -180,6 +180,10 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
     a ridge, higher than what is on either side, however thin it is and however low the other side
     lies. What is still infinite gets the greatest finite value plus `step` per layer; a field
     without any finite value becomes 0.
+
+    Where a way leads diagonally between two closed nodes, these get at most the mean of its ends:
+    a saddle. Between ridges, interpolation would rise on the way through a gap, and a robot that
+    only goes down would stand before it.
     """
     height, width = value.shape
     greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
@@ -194,9 +198,27 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
         ridge = jnp.where(jnp.isfinite(around), around + step, jnp.inf)
         return jnp.where(jnp.isfinite(current), current, ridge)
 
-    filled = jax.lax.fori_loop(0, num_layers, layer, value)
+    filled = jnp.minimum(jax.lax.fori_loop(0, num_layers, layer, value), _saddles(value))
     beyond = jnp.where(jnp.isfinite(greatest), greatest + num_layers * step, 0.0)
     return jnp.where(jnp.isfinite(filled), filled, beyond)
+
+
+def _saddles(value: Float[Array, "H W"]) -> Float[Array, "H W"]:
+    """Return the least mean of the ends of a diagonal step that passes each node, if the node and
+    the one across the step are closed; infinite elsewhere."""
+    height, width = value.shape
+    padded = jnp.pad(value, 1, constant_values=jnp.inf)
+
+    def shifted(down: int, right: int) -> Array:
+        return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+    least = jnp.full_like(value, jnp.inf)
+    for down in (-1, 1):
+        for right in (-1, 1):
+            mean = 0.5 * (shifted(down, 0) + shifted(0, right))
+            is_between = jnp.isinf(value) & jnp.isinf(shifted(down, right))
+            least = jnp.minimum(least, jnp.where(is_between, mean, jnp.inf))
+    return least
 
 
 def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"]:
