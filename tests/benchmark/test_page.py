@@ -2,15 +2,32 @@
 
 import base64
 import io
+import json
+import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from jaxplore import OccupancyGrid
-from jaxplore.benchmark.page import curves_figure, page, paths_figure
+from jaxplore.benchmark.page import curves_figure, page, path_figure
+from jaxplore.benchmark.replay import NEVER
 from jaxplore.benchmark.table import map_tables
+
+
+def seen() -> bytes:
+    """Return a picture of a map whose left half was seen at first and whose right half then, all
+    but the uppermost row."""
+    first = np.zeros((16, 30), np.uint8)
+    first[:, 15:] = 1
+    first[0] = NEVER
+    file = io.BytesIO()
+    Image.fromarray(first).save(file, format="PNG")
+    return file.getvalue()
 
 
 def row(map_: str, explorer: str, seed: int, **changes) -> dict:
@@ -34,6 +51,9 @@ def row(map_: str, explorer: str, seed: int, **changes) -> dict:
         "positions_x": (0.5 + 0.1 * time).tolist(),
         "positions_y": np.full_like(time, 0.8).tolist(),
         "time_limit": 60.0,
+        "seen_time": [0.0, 5.0],
+        "seen": seen(),
+        "settings": json.dumps({"robot": {"radius": 0.2}}),
         **changes,
     }
 
@@ -58,7 +78,7 @@ class Reader(HTMLParser):
     def handle_starttag(self, tag, attrs) -> None:
         if tag == "img":
             self.images.append(dict(attrs))
-        elif tag != "meta":
+        elif tag not in ("meta", "input"):
             self.open.append(tag)
             if tag in self.texts:
                 self.texts[tag].append("")
@@ -77,9 +97,10 @@ def read() -> Reader:
     reader = Reader()
     reader.feed(text)
     assert not reader.open
-    # Nothing is loaded from anywhere.
-    assert "http" not in text
-    assert "<script" not in text
+    # Nothing is loaded from anywhere, and the browser would not let it.
+    assert "://" not in text
+    assert "default-src 'none'" in text
+    assert text.count("<script") == 2
     return reader
 
 
@@ -93,8 +114,8 @@ def test_it_has_every_map_and_every_number_of_the_tables(read: Reader) -> None:
 
 
 def test_pictures_are_in_it_and_can_be_read(read: Reader) -> None:
-    # Curves of both maps, paths of the one whose map is there.
-    assert len(read.images) == 3
+    # Curves of both maps, two paths on the one whose map is there.
+    assert len(read.images) == 4
     for image in read.images:
         kind, _, data = image["src"].partition(",")
         assert kind == "data:image/png;base64"
@@ -116,7 +137,67 @@ def test_paths_are_where_the_robot_was_on_a_turned_map() -> None:
     turned = OccupancyGrid(GRID.probability, 0.1, (2.0, -1.0, np.pi / 2))
     # 0.5 m along the map's rows, 0.3 m across them, from its corner.
     moved = row("room", "explorer", 0, positions_x=[1.7, 1.7], positions_y=[-0.5, 0.0])
-    (axes,) = paths_figure([moved], turned).axes
+    (axes,) = path_figure(moved, turned).axes
     across, along = axes.get_lines()[0].get_data()
     np.testing.assert_allclose(across, [4.5, 9.5], atol=1e-6)
     np.testing.assert_allclose(along, [2.5, 2.5], atol=1e-6)
+
+
+PRESS = """
+<script>
+addEventListener("load", async () => {
+  const part = (name) => document.querySelector(`#replay [data-part="${name}"]`);
+  const wait = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
+  const told = [];
+  const tell = (what) => {
+    const canvas = part("map"), scale = canvas.width / 30;
+    const colour = (column, row) => [...canvas.getContext("2d").getImageData(
+      scale * (column + 0.5), scale * (row + 0.5), 1, 1).data.slice(0, 3)].join(" ");
+    told.push([what, document.getElementById("replay").open, part("title").textContent,
+      part("told").textContent, canvas.width, canvas.height,
+      colour(2, 12), colour(27, 12), colour(2, 0), colour(2, 15)].join("|"));
+  };
+  tell("before");
+  document.querySelectorAll("button[data-run]")[1].click();
+  await wait(1);
+  part("toggle").click();
+  for (const instant of [2.0, 7.0]) {
+    part("time").value = instant;
+    part("time").dispatchEvent(new Event("input"));
+    tell(`at ${instant}`);
+  }
+  part("toggle").click();
+  await wait(20);
+  tell("end");
+  document.querySelector("#replay form button:last-child").click();
+  await wait(1);
+  tell("closed");
+  document.body.dataset.told = told.join(";");
+});
+</script>
+"""
+"""Clicks on the second run, looks at two instants, lets it play to its end and closes it."""
+
+
+@pytest.mark.skipif(
+    shutil.which("chromium") is None, reason="no Chromium: apt-get install chromium"
+)
+def test_a_click_replays_a_run_in_a_browser(tmp_path: Path) -> None:
+    text = page(ROWS, {"room": GRID}, "Explorers")
+    file = tmp_path / "page.html"
+    file.write_text(text.replace("</body>", PRESS + "</body>"), encoding="utf-8")
+    command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=60000"]
+    done = subprocess.run(
+        [*command, file.as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
+    (told,) = re.findall(r'data-told="([^"]*)"', done.stdout)
+    looks = dict(look.split("|", 1) for look in told.split(";"))
+    assert looks["before"].startswith("false|")
+    assert looks["closed"].startswith("false|")
+    unknown, free, wall = ("190 195 203", "252 252 250", "43 48 58")
+    opened = "true|nearest-frontier on room, seed 0"
+    size = "900|480"
+    assert looks["at 2"] == f"{opened}|2.0 s, 20.0 %|{size}|{free}|{unknown}|{unknown}|{wall}"
+    assert looks["at 7"] == f"{opened}|7.0 s, 70.0 %|{size}|{free}|{free}|{unknown}|{wall}"
+    assert looks["end"] == f"{opened}|10.0 s, 100.0 %|{size}|{free}|{free}|{unknown}|{wall}"

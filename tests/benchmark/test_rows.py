@@ -4,16 +4,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import jaxplore as jx
 from jaxplore.benchmark.maps import MapFile
 from jaxplore.benchmark.perform import perform, result_for
+from jaxplore.benchmark.replay import NEVER
 from jaxplore.benchmark.rows import COLUMNS, TIMING, Row, failed_row, result_of, row_of, settings_of
 from jaxplore.benchmark.tasks import Task, make_tasks
 from jaxplore.experiment.assembly import build
 from jaxplore.report.metrics import compute_metrics
 from jaxplore.settings import make_settings
 from jaxplore.simulation.reachability import open_spot
+from jaxplore.simulation.recording import Recording
 from jaxplore.simulation.simulate import record_run
 
 
@@ -21,6 +24,22 @@ def read(data: bytes) -> list[Row]:
     import pyarrow.parquet
 
     return pyarrow.parquet.read_table(io.BytesIO(data)).to_pylist()
+
+
+def _check_replay(row: Row, recording: Recording) -> None:
+    """Each cell is there at the instant at which it was first known."""
+    assert row["seen_time"] == [frame.time for frame in recording.frames]
+    assert len(recording.frames) > 2
+    picture = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1]
+    assert picture.shape == recording.world.shape
+    known = [np.abs(frame.probability / 127.5 - 1.0) >= 0.5**0.5 for frame in recording.frames]
+    ever = np.logical_or.accumulate(known)
+    for index, seen in enumerate(ever):
+        np.testing.assert_array_equal(picture <= index, seen)
+    np.testing.assert_array_equal(picture == NEVER, ~ever[-1])
+    assert (picture == 0).any()
+    assert (picture == len(known) - 1).any()
+    assert (picture == NEVER).any()
 
 
 def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
@@ -32,7 +51,7 @@ def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     recording = record_run(controller, scenario, num_steps, key=key)
     metrics = compute_metrics(recording, seed=task.seed)
     named = {
-        "format": 1,
+        "format": 2,
         "id": task.id,
         "map": "east",
         "explorer": "explorer",
@@ -61,6 +80,7 @@ def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     positions = [recording.start, *recording.records.state[[9, 19, 29]]]
     assert row["positions_x"] == [float(each[0]) for each in positions]
     assert row["positions_y"] == [float(each[1]) for each in positions]
+    _check_replay(row, recording)
     assert settings_of(row) == settings.model_dump(mode="json")
     assert json.loads(row["versions"]) == metrics.versions
     again = perform(task)

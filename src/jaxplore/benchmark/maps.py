@@ -1,14 +1,17 @@
 """The maps of a benchmark: ROS maps in a folder, and where a robot starts on them."""
 
+import contextlib
 import dataclasses
 import hashlib
 import math
 import os
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxplore.maps._files import read_yaml
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.settings import read_settings
 
 STARTS = "starts.yaml"
@@ -96,6 +99,30 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
         else each
         for each in maps
     )
+
+
+def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
+    """Return a ROS map as runs have it: a finer one is resampled, a coarser one is kept.
+
+    Args:
+        path: of its YAML file.
+        resolution: side of a cell [m].
+
+    Raises:
+        ValueError: a map that cannot be read.
+    """
+    grid = OccupancyGrid.from_ros(path)
+    is_finer = grid.resolution < resolution * (1.0 - 1e-6)
+    return grid.resample(resolution) if is_finer else grid
+
+
+def grids_of(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
+    """Return the maps that can be read by their names, as runs have them; see `read_grid`."""
+    grids = {}
+    for each in maps:
+        with contextlib.suppress(ValueError):
+            grids[each.name] = read_grid(each.path, resolution)
+    return grids
 
 
 def image_of(path: str | os.PathLike[str]) -> Path | None:

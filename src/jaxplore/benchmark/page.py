@@ -1,17 +1,21 @@
-"""The results of a benchmark as one page that needs nothing else: tables, curves and paths."""
+"""The results of a benchmark as one page that needs nothing else: tables, curves, and the paths of
+runs, each of which is replayed at a click."""
 
 import base64
 import html
+import importlib.resources
 import io
+import json
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from PIL import Image
 
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.table import NEEDED, failures, map_tables
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.report.colours import OUTLINE, SERIES, belief_colours
+from jaxplore.report.colours import OUTLINE, SERIES, UNKNOWN, belief_colours
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +27,9 @@ SHOWN = (
     "duration",
     "positions_x",
     "positions_y",
+    "seen_time",
+    "seen",
+    "settings",
     "time_limit",
 )
 """Columns of the results that the page is made from."""
@@ -40,18 +47,34 @@ td { border-bottom: 1px solid #e4e6ea; } th:first-child, td:first-child { text-a
 td:first-child { font-weight: 600; }
 .wide { overflow-x: auto; } img { max-width: 100%; margin-top: 1em; }
 .failed { color: #b3263f; }
+.runs { display: flex; flex-wrap: wrap; gap: 1em; margin-top: 1em; } .runs figure { margin: 0; }
+.runs button { border: 1px solid #d8dbe0; border-radius: 4px; background: none; padding: 2px;
+  cursor: pointer; display: block; }
+.runs button:hover, .runs button:focus { border-color: #1f6fb2; }
+.runs img { margin: 0; display: block; } figcaption { font-size: .85em; text-align: center; }
+dialog { border: 1px solid #d8dbe0; border-radius: 6px; max-width: 95vw; }
+dialog canvas { max-width: 100%; max-height: 75vh; display: block; margin: auto; }
+dialog h3 { margin: 0 0 .5em; font-weight: 600; } dialog form { display: flex; gap: 1em;
+  align-items: center; margin-top: .5em; } dialog input { flex: 1; }
 """
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+"""What a browser lets the page do: nothing but show what is in it."""
+DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="map"></canvas>
+<form method="dialog"><button type="button" data-part="toggle">Play</button>
+<input type="range" min="0" value="0" step="any" aria-label="time" data-part="time">
+<span data-part="told"></span><button>Close</button></form></dialog>"""
 
 
 def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) -> str:
     """Return an HTML page that loads nothing: pictures are in it.
 
     For each map a table as `map_tables` makes it, coverage over time (median and quartiles over
-    seeds), and the path of each explorer's first seed.
+    seeds), and the path of each explorer's first seed, which a click replays: the map as it was
+    seen, and the robot in it.
 
     Args:
         results: rows with the columns `SHOWN`.
-        maps: by name; one that is missing has no pictures of paths.
+        maps: by name, as the runs had them; one that is missing has no paths.
         title: of the page.
     """
     told = html.escape(title)
@@ -59,6 +82,7 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
         "<!DOCTYPE html>",
         f'<html lang="en"><head><meta charset="utf-8"><title>{told}</title>',
         '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
         f"<style>{STYLE}</style></head><body><h1>{told}</h1>",
         "<p>Medians [quartiles] over seeds; below them the ratio to nearest-frontier's median and "
         "the interval that holds 95 % of it, bootstrapped over paired seeds. A run that does not "
@@ -66,14 +90,29 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
     ]
     for line in failures(results):
         parts.append(f'<p class="failed">{html.escape(line)}</p>')
+    replays: list[dict[str, Any]] = []
     for table in map_tables(results):
         runs = [row for row in results if row["map"] == table.map and row["error"] is None]
         parts.append(f"<h2>{html.escape(table.map)}</h2>")
         parts.append(_table(table.rows))
         parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
         if table.map in maps:
-            drawn = paths_figure(runs, maps[table.map])
-            parts.append(_picture(drawn, f"Paths of the first seeds on {table.map}"))
+            parts.append('<div class="runs">')
+            for name, own in _by_explorer(runs).items():
+                drawn = _picture(
+                    path_figure(own[0], maps[table.map]), f"Path of {name} on {table.map}"
+                )
+                drawn = (
+                    f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
+                    "</button>"
+                )
+                told = f"{html.escape(name)}, seed {own[0]['seed']}"
+                parts.append(f"<figure>{drawn}<figcaption>{told}</figcaption></figure>")
+                replays.append(_replay(own[0], maps[table.map]))
+            parts.append("</div>")
+    if replays:
+        parts.append(DIALOG)
+        parts.append(_script(replays, {name: maps[name] for name in {r["map"] for r in replays}}))
     return "\n".join([*parts, "</body></html>", ""])
 
 
@@ -105,42 +144,78 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     return figure
 
 
-def paths_figure(runs: Sequence[Row], grid: OccupancyGrid) -> "Figure":
-    """Return the path of each explorer's first seed on the true map.
+def path_figure(row: Row, grid: OccupancyGrid) -> "Figure":
+    """Return the path of a run on the true map.
 
     A map that is turned is drawn along its own axes.
 
     Args:
-        runs: rows of one map.
+        row: of the run.
         grid: the map.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    first = {name: own[0] for name, own in _by_explorer(runs).items()}
-    columns = min(4, max(len(first), 1))
-    rows = -(-len(first) // columns)
-    levels = np.round(255.0 * np.asarray(grid.probability)).astype(np.uint8)
-    height, width = levels.shape
+    height, width = grid.shape
     tall = min(max(height / width, 0.4), 1.8)
-    figure = Figure(figsize=(2.6 * columns, (2.6 * tall + 0.35) * rows), layout="constrained")
+    figure = Figure(figsize=(2.6, 2.6 * tall), layout="constrained")
     FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.imshow(_coloured(grid), origin="lower", interpolation="nearest")
+    # Pixels have their centres at whole numbers.
+    across, along = (part - 0.5 for part in _in_cells(row, grid))
+    axes.plot(across, along, color=OUTLINE, linewidth=1.2)
+    axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
+    axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
+    axes.set_axis_off()
+    return figure
+
+
+def _coloured(grid: OccupancyGrid) -> np.ndarray:
+    """Return the colours (H, W, 3) of a map."""
+    colours: np.ndarray = belief_colours()[
+        np.round(255.0 * np.asarray(grid.probability)).astype(np.uint8)
+    ]
+    return colours
+
+
+def _in_cells(row: Row, grid: OccupancyGrid) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robot was along the map's columns and rows [cells]."""
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
-    for number, (name, row) in enumerate(first.items()):
-        axes = figure.add_subplot(rows, columns, number + 1)
-        axes.imshow(belief_colours()[levels], origin="lower", interpolation="nearest")
-        x = np.asarray(row["positions_x"]) - x0
-        y = np.asarray(row["positions_y"]) - y0
-        # Pixels have their centres at whole numbers.
-        across = (cos * x + sin * y) / grid.resolution - 0.5
-        along = (cos * y - sin * x) / grid.resolution - 0.5
-        axes.plot(across, along, color=OUTLINE, linewidth=1.2)
-        axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
-        axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
-        axes.set_title(name, fontsize=9)
-        axes.set_axis_off()
-    return figure
+    x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
+    return (cos * x + sin * y) / grid.resolution, (cos * y - sin * x) / grid.resolution
+
+
+def _replay(row: Row, grid: OccupancyGrid) -> dict[str, Any]:
+    """Return what the page's script needs of a run: pixels count from the upper left."""
+    across, along = _in_cells(row, grid)
+    radius = json.loads(row["settings"])["robot"]["radius"]
+    return {
+        "map": row["map"],
+        "title": f"{row['explorer']} on {row['map']}, seed {row['seed']}",
+        "time": row["curve_time"],
+        "coverage": np.round(row["curve_coverage"], 4).tolist(),
+        "across": np.round(across, 2).tolist(),
+        "down": np.round(grid.shape[0] - along, 2).tolist(),
+        "radius": radius / grid.resolution,
+        "seen_time": row["seen_time"],
+        "seen": _url(row["seen"]),
+    }
+
+
+def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, OccupancyGrid]) -> str:
+    """Return the data of replays and what plays them."""
+    pictures = {}
+    for name in sorted(maps):
+        file = io.BytesIO()
+        Image.fromarray(_coloured(maps[name])[::-1]).save(file, format="PNG", optimize=True)
+        pictures[name] = _url(file.getvalue())
+    data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
+    # Nothing that a map or an explorer is called can end the script.
+    told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    code = (importlib.resources.files("jaxplore") / "benchmark" / "page.js").read_text("utf-8")
+    return f'<script type="application/json" id="runs">{told}</script>\n<script>{code}</script>'
 
 
 def _by_explorer(runs: Sequence[Row]) -> dict[str, list[Row]]:
@@ -164,5 +239,9 @@ def _table(rows: Sequence[Sequence[str]]) -> str:
 def _picture(figure: "Figure", alternative: str) -> str:
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=DOTS_PER_INCH)
-    told = base64.b64encode(data.getvalue()).decode("ascii")
-    return f'<img alt="{html.escape(alternative)}" src="data:image/png;base64,{told}">'
+    return f'<img alt="{html.escape(alternative)}" src="{_url(data.getvalue())}">'
+
+
+def _url(picture: bytes) -> str:
+    """Return a PNG as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import jax
 
+from jaxplore.benchmark.maps import read_grid
 from jaxplore.benchmark.rows import Result, Row, failed_row, result_of, row_of
 from jaxplore.benchmark.tasks import Task
 from jaxplore.experiment.assembly import build
 from jaxplore.experiment.parts import robot_of
-from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.metrics import compute_metrics
 from jaxplore.settings import Settings, make_settings
 from jaxplore.simulation.reachability import open_spot
@@ -69,9 +69,7 @@ def result_for(task: Task, make: Perform = perform) -> Result:
 
 def _open_start(settings: Settings) -> tuple[float, float, float]:
     """Return the most open spot of the map as the run will have it, heading along x."""
-    grid = OccupancyGrid.from_ros(settings.map)
-    if grid.resolution < settings.resolution * (1.0 - 1e-6):
-        grid = grid.resample(settings.resolution)
+    grid = read_grid(settings.map, settings.resolution)
     x, y = open_spot(grid, float(robot_of(settings.robot).radius))
     return x, y, 0.0
 

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxplore.benchmark.packages import package
+from jaxplore.benchmark.replay import replay_of
 from jaxplore.benchmark.tasks import FORMAT, Task, canonical
 from jaxplore.report.metrics import CURVE_PERIOD, LEVELS, Metrics
 from jaxplore.report.progress import progress
@@ -50,16 +51,19 @@ COLUMNS = {
     "curve_entropy": "list",
     "positions_x": "list",
     "positions_y": "list",
+    "seen_time": "list",
+    "seen": "binary",
     "settings": "string",
     "versions": "string",
 }
-"""Type of each column; `list` are numbers, several a run.
+"""Type of each column; `list` are numbers, several a run, and `binary` is a PNG.
 
 `format` is the version of all this. `error` says in one line why there is no run; then nothing
 stands in the columns of results. Times are in s, paths and distances in m, coverage is a share of
 the reachable cells and entropy in nat, as in `Metrics`. `area_under_curve` is the mean coverage
 over the time limit; a run that has ended keeps its last value. Curves and positions are those at
-the start, every half second and at the end. `settings` and `versions` are JSON: all settings of the
+the start, every half second and at the end. `seen` says when each cell was first seen, by the index
+of an instant in `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
 run, the software and the machine.
 """
 
@@ -79,6 +83,7 @@ def row_of(task: Task, recording: Recording, metrics: Metrics, *, settings: Sett
     time, coverage, _, _ = progress(recording)
     stride = max(1, round(CURVE_PERIOD / recording.control_period))
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
+    replay = replay_of(recording)
     compute, curve, path = metrics.compute, metrics.coverage_curve, metrics.path_length
     return {
         **_beginning(task, None),
@@ -103,6 +108,8 @@ def row_of(task: Task, recording: Recording, metrics: Metrics, *, settings: Sett
         **{f"curve_{name}": curve[name] for name in ("time", "coverage", "path", "entropy")},
         "positions_x": recording.positions[kept, 0].tolist(),
         "positions_y": recording.positions[kept, 1].tolist(),
+        "seen_time": replay.times,
+        "seen": replay.picture,
         "settings": canonical(settings.model_dump(mode="json")),
         "versions": canonical(metrics.versions),
     }
@@ -164,6 +171,7 @@ def schema() -> Any:
         "bool": pyarrow.bool_(),
         "double": pyarrow.float64(),
         "list": pyarrow.list_(pyarrow.float64()),
+        "binary": pyarrow.binary(),
     }
     return pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
 

@@ -10,7 +10,7 @@ from typing import Any, get_args
 from jaxplore.benchmark.maps import MapFile
 from jaxplore.settings import OFFICE, Architecture, Settings, make_settings
 
-FORMAT = 1
+FORMAT = 2
 """Version of what a benchmark writes: raised when former results would mean something else."""
 
 

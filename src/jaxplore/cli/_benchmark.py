@@ -1,10 +1,9 @@
 """`jaxplore compare --maps`: the exploration benchmark."""
 
-import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +13,14 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxplore.benchmark.execute import Done, Outcome, run_tasks
-from jaxplore.benchmark.maps import MapFile, maps_in, with_starts
+from jaxplore.benchmark.maps import grids_of, maps_in, with_starts
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.table import NEEDED, MapTable, failures, map_tables
 from jaxplore.benchmark.tasks import make_tasks
 from jaxplore.cli._options import assign, entries_of
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.runs import progress_bar
-from jaxplore.settings import GROUND
+from jaxplore.settings import GROUND, OFFICE, make_settings
 
 PROTOCOL: dict[str, Any] = {
     "rates.control": 20.0,
@@ -140,7 +139,8 @@ def run_benchmark(
         show = _progress(advance)
         advance(0.0, f"{len(tasks)} runs")
         outcome = run_tasks(tasks, store, workers, address, show, on_ray=on_ray)
-    _show(store, outcome, len(tasks), asked.maps)
+    resolution = make_settings({**tasks[0].entries, "map": OFFICE}).resolution
+    _show(store, outcome, len(tasks), grids_of(asked.maps, resolution))
 
 
 def _has(entries: dict[str, Any], name: str) -> bool:
@@ -176,13 +176,13 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"
 
 
-def _show(store: Store, outcome: Outcome, num_tasks: int, maps: Sequence[MapFile]) -> None:
+def _show(store: Store, outcome: Outcome, num_tasks: int, grids: dict[str, OccupancyGrid]) -> None:
     """Print the tables, draw the page, and say where the results are and what is missing."""
     results = store.rows(NEEDED)
     for table in map_tables(results):
         _print(table)
     click.echo(str(store.results))
-    click.echo(str(store.write_page(_drawable(maps))))
+    click.echo(str(store.write_page(grids)))
     failed = failures(results)
     for line in failed:
         click.echo(line, err=True)
@@ -195,18 +195,6 @@ def _show(store: Store, outcome: Outcome, num_tasks: int, maps: Sequence[MapFile
         sys.exit(_INTERRUPTED)
     if failed:
         sys.exit(_FAILED)
-
-
-def _drawable(maps: Sequence[MapFile]) -> dict[str, OccupancyGrid]:
-    """Return the maps that can be read, at the benchmark's resolution or coarser."""
-    grids = {}
-    for each in maps:
-        with contextlib.suppress(ValueError):
-            grid = OccupancyGrid.from_ros(each.path)
-            finest = float(PROTOCOL["resolution"])
-            is_finer = grid.resolution < finest * (1.0 - 1e-6)
-            grids[each.name] = grid.resample(finest) if is_finer else grid
-    return grids
 
 
 def _print(results: MapTable) -> None:
