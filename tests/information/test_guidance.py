@@ -10,7 +10,14 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxplore.information.guidance import descent, extend, geodesic
+from jaxplore.information.guidance import (
+    TILE,
+    _by_tiles,
+    _everywhere,
+    descent,
+    extend,
+    geodesic,
+)
 from jaxplore.information.guidance import downhill as to_go
 from jaxplore.information.perception import safe_stride
 from jaxplore.maps.frame import GridFrame
@@ -57,6 +64,23 @@ def test_equals_dijkstra(seed: int) -> None:
     initial = np.where(rng.random((17, 13)) < 0.03, rng.uniform(1, 9, (17, 13)), np.inf)
     found = geodesic_jit(initial.astype(np.float32), slowness, is_open)
     np.testing.assert_allclose(found, by_dijkstra(initial, slowness, is_open), rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (2 * TILE + 5, 3 * TILE - 1)
+    is_open = rng.random(shape) > 0.35  # ways wind through several tiles and back
+    slowness = rng.uniform(0.1, 2.0, shape).astype(np.float32)
+    initial = np.where(rng.random(shape) < 0.002, rng.uniform(-9, 9, shape), np.inf)
+    start = np.where(is_open, initial, np.inf).astype(np.float32)
+    half = np.where(is_open, 0.5 * slowness, np.inf).astype(np.float32)
+    tiles, whole = (np.asarray(jax.jit(find)(start, half)) for find in (_by_tiles, _everywhere))
+    np.testing.assert_array_equal(tiles, whole)
+    least = initial[np.isfinite(initial)].min()  # Dijkstra's lengths are not negative
+    expected = by_dijkstra(initial - least, slowness, is_open) + least
+    np.testing.assert_allclose(tiles, expected, rtol=1e-4, atol=1e-4)
+    assert np.isfinite(tiles).mean() > 0.3
 
 
 def test_descends_around_a_u_shaped_wall() -> None:

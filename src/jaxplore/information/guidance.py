@@ -16,6 +16,10 @@ from jaxplore.maps.frame import GridFrame
 DIAGONAL = 2.0**0.5
 ROOMY = 3.0
 """Clearance, in units of the required one, beyond which more room makes no path shorter."""
+TILE = 24
+"""Nodes on a side of the pieces that are relaxed at a time: they stay in the cache."""
+SWEEPS = 4
+"""Between checks for the end, one of which costs as much as a sweep."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
@@ -130,32 +134,84 @@ def geodesic(
 
     Paths go between the 8 neighbours of a node; a step of length l into or out of a node costs
     `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
-    by relaxing all nodes at once until none changes (Bellman-Ford), which on a grid is a minimum of
-    shifted arrays. The number of sweeps is that of the steps on the longest shortest path.
+    by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
+    of shifted arrays. On accelerators these are all nodes; the number of sweeps is that of the
+    steps on the longest shortest path. A processor relaxes tile by tile, the one with the least new
+    value at its edge first, and most tiles no more than a few times. Both find the same to the bit:
+    a sum along a path does not depend on when it is made.
 
     Args:
         initial: (H, W) value at the sources [cost]; infinite elsewhere.
         slowness: (H, W) cost per node spacing, > 0.
         is_open: (H, W) nodes that paths may use.
     """
-    height, width = initial.shape
-    cost = jnp.where(is_open, slowness, jnp.inf)
     # Half of each end's slowness: leave with the neighbour's half, arrive with the own half.
-    half = 0.5 * cost
-    padded_half = jnp.pad(half, 1, constant_values=jnp.inf)
+    half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
+    start = jnp.where(is_open, initial, jnp.inf)
+    value: Array = jax.lax.platform_dependent(start, half, cpu=_by_tiles, default=_everywhere)
+    return value
+
+
+def _everywhere(start: Array, half: Array) -> Array:
+    """Relax all nodes until none changes."""
+    padded = [jnp.pad(part, 1, constant_values=jnp.inf) for part in (start, half)]
+    return _settled(*padded)[1:-1, 1:-1]
+
+
+def _by_tiles(start: Array, half: Array) -> Array:
+    """Relax tiles until none has a neighbour that changed since."""
+    height, width = start.shape
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    margins = ((1, 1 + rows * TILE - height), (1, 1 + columns * TILE - width))
+    start, half = (jnp.pad(part, margins, constant_values=jnp.inf) for part in (start, half))
+    tiles = start[1:-1, 1:-1].reshape(rows, TILE, columns, TILE)
+    # The least value that has changed beside each tile, or in it at first; infinite if none has.
+    due = jnp.pad(tiles.min(axis=(1, 3)), 1, constant_values=jnp.inf)
+    is_tile = jnp.pad(jnp.ones((rows, columns), bool), 1)
+
+    def visit(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        value, due = carry
+        first = jnp.argmin(due[1:-1, 1:-1])
+        row, column = first // columns, first % columns
+        corner = (row * TILE, column * TILE)
+        before, own = (
+            jax.lax.dynamic_slice(part, corner, (TILE + 2, TILE + 2)) for part in (value, half)
+        )
+        after = _settled(before, own)[1:-1, 1:-1]
+        fallen = jnp.where(after < before[1:-1, 1:-1], after, jnp.inf)
+        above, below = fallen[0], fallen[-1]
+        left, right = fallen[:, 0].min(), fallen[:, -1].min()
+        around = [
+            [above[0], above.min(), above[-1]],
+            [left, jnp.inf, right],
+            [below[0], below.min(), below[-1]],
+        ]
+        due = due.at[row + 1, column + 1].set(jnp.inf)
+        others = jnp.minimum(jax.lax.dynamic_slice(due, (row, column), (3, 3)), jnp.asarray(around))
+        due = jax.lax.dynamic_update_slice(due, others, (row, column))
+        value = jax.lax.dynamic_update_slice(value, after, (corner[0] + 1, corner[1] + 1))
+        return value, jnp.where(is_tile, due, jnp.inf)
+
+    value, _ = jax.lax.while_loop(lambda carry: jnp.isfinite(carry[1]).any(), visit, (start, due))
+    return value[1 : 1 + height, 1 : 1 + width]
+
+
+def _settled(start: Array, half: Array) -> Array:
+    """Relax all nodes but the outermost until none changes."""
+    height, width = start.shape[0] - 2, start.shape[1] - 2
 
     def shifted(values: Array, down: int, right: int) -> Array:
         return values[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
+    own = shifted(half, 0, 0)
+
     def relax(value: Array) -> Array:
-        leaving, leaving_diagonally = value + padded_half, value + DIAGONAL * padded_half
-        along = [shifted(leaving, *step) for step in ((0, 1), (0, -1), (1, 0), (-1, 0))]
-        across = [
-            shifted(leaving_diagonally, *step) for step in ((1, 1), (1, -1), (-1, 1), (-1, -1))
-        ]
+        leaving, leaving_diagonally = value + half, value + DIAGONAL * half
+        along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
+        across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
         nearest = jnp.minimum(
-            functools.reduce(jnp.minimum, along) + half,
-            functools.reduce(jnp.minimum, across) + DIAGONAL * half,
+            functools.reduce(jnp.minimum, along) + own,
+            functools.reduce(jnp.minimum, across) + DIAGONAL * own,
         )
         return jax.lax.dynamic_update_slice(
             value, jnp.minimum(shifted(value, 0, 0), nearest), (1, 1)
@@ -164,13 +220,12 @@ def geodesic(
     def sweep(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         before, _ = carry
         after = before
-        for _ in range(8):  # checking for the end costs as much as relaxing
+        for _ in range(SWEEPS):
             after = relax(after)
         return after, jnp.any(after < before)
 
-    start = jnp.pad(jnp.where(is_open, initial, jnp.inf), 1, constant_values=jnp.inf)
     value, _ = jax.lax.while_loop(lambda carry: carry[1], sweep, (start, jnp.array(True)))
-    return shifted(value, 0, 0)
+    return value
 
 
 def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:
