@@ -144,6 +144,17 @@ def test_a_benchmark_has_settings_of_its_own(
     main(["compare", "--maps", "maps", "--starts", "other.yaml", "--time-limit", "60"])
     assert [made[1][at].settings["start"] for at in (0, -1)] == [[1.0, 1.5, 0.5], [1.0, 2.0, 3.0]]
     assert made[1][0].settings["time_limit"] == 60.0
+    # A quadrotor sees ahead; its own architectures and those of ground vehicles compare.
+    flight = ["--robot", "quadrotor", "--explorers", "explorer,nearest-frontier,two-layer"]
+    main(["compare", "--maps", "maps", *flight, "--out", "flight", "--set", "robot.radius=0.25"])
+    settings = made[2][0].settings
+    assert settings["robot"] == {"model": "quadrotor", "radius": 0.25, "max_speed": 2.0}
+    assert settings["lidar"] == {
+        "num_beams": 46,
+        "max_range": 5.0,
+        "field_of_view_degrees": 90.0,
+        "range_noise": 0.02,
+    }
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Frontiers, rules and explorers by targets: against definitions on small maps, in double
 precision with scipy, and in the closed loop."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -194,6 +196,12 @@ def test_a_target_is_kept_until_it_is_seen_reached_or_cut_off(half_known) -> Non
     near = first.guidance.frame.cell_centre(first.node)
     other = choose(controller, first, belief, near, jax.random.key(9))
     assert not np.array_equal(other.node, first.node)
+    # One that does not see all around looks first, as long as it is worth it.
+    looking = make(RandomFrontier(), every=1, stays=True)
+    same = choose(looking, first, belief, near, jax.random.key(9))
+    np.testing.assert_array_equal(same.node, first.node)
+    dwelt = dataclasses.replace(belief, dwell=jnp.full_like(belief.dwell, 100.0))
+    assert not choose(looking, first, dwelt, near).has_target
     seen = belief_of(np.where(world() > 0.5, 0.99, 0.01))
     # Nothing that is left over is worth as much.
     sure = make(RandomFrontier(), every=1, leftover_share=1.0, min_information=100.0)

@@ -33,6 +33,16 @@ PROTOCOL: dict[str, Any] = {
     "time_limit": 900.0,
 }
 """Settings of a benchmark where none are given."""
+QUADROTOR: dict[str, Any] = {
+    "lidar.field_of_view_degrees": 90.0,
+    "lidar.num_beams": 46,
+    "lidar.range_noise": 0.02,
+    "sensor_model.kind": "log_odds",
+    "robot.radius": 0.3,
+    "robot.max_speed": 2.0,
+}
+"""Those that are a quadrotor's: it sees ahead, with beams as far apart. Its own architectures have
+other defaults than those of ground vehicles; here they are the same for all."""
 
 _OWN = ("explorers", "starts", "workers", "ray", "address")
 """Options that only a benchmark takes."""
@@ -113,7 +123,9 @@ def run_benchmark(
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
     given = {name: options.pop(name) for name in ("maps", *_OWN)}
     entries = entries_of(options)
-    for name, value in PROTOCOL.items():
+    robot = entries.get("robot")
+    flies = isinstance(robot, dict) and robot.get("model") == "quadrotor"
+    for name, value in {**PROTOCOL, **(QUADROTOR if flies else {})}.items():
         if not _has(entries, name):
             assign(entries, name, value)
     maps = maps_in(given["maps"])

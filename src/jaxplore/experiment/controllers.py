@@ -147,9 +147,13 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
 def _target_explorer(settings: Settings, robot: Dynamics, place: Place) -> TargetExplorer:
     """Return an explorer by a rule, that drives as `explorer` does."""
     fields, world = settings.fields, place.world
-    given = settings.controller.model_dump(exclude={"information_weight"})
-    # How it drives is the tracker's; what is worth seeing is the rule's alone.
-    tracker = explorer(robot, **given, information_weight=0.0)
+    given = settings.controller.model_dump()
+    looks_around = settings.camera is None and settings.lidar.field_of_view_degrees >= 360.0
+    if looks_around:
+        # How it drives is the tracker's; what is worth seeing is the rule's alone. A robot that
+        # does not see all around has to turn to what it came for, and stays until it did.
+        given["information_weight"] = 0.0
+    tracker = explorer(robot, **given)
     return TargetExplorer(
         tracker,
         RULES[settings.architecture](),
@@ -158,6 +162,7 @@ def _target_explorer(settings: Settings, robot: Dynamics, place: Place) -> Targe
         safe_stride(fields.node_spacing, world.resolution, float(robot.radius)),
         required_clearance=float(robot.radius) + fields.margin,
         min_information=fields.min_information,
+        stays=not looks_around,
         every=max(1, round(settings.rates.control / settings.rates.fields)),
     )
 

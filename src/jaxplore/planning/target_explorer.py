@@ -67,6 +67,8 @@ class TargetExplorer(Controller):
         min_frontier: length of a frontier at least [m].
         near: way to a target that counts as there [m].
         every: commands between choices.
+        stays: whether a robot that is there stays until it has seen what there is, or it has faded;
+            for one that does not see all around, whose tracker turns it to what there is; static.
 
     Raises:
         ValueError: a number out of its range.
@@ -84,6 +86,7 @@ class TargetExplorer(Controller):
     shape: tuple[int, int] = eqx.field(static=True)
     stride: int = eqx.field(static=True)
     nodes_to_unknown: int = eqx.field(static=True)
+    stays: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -99,6 +102,7 @@ class TargetExplorer(Controller):
         min_frontier: ArrayLike = 0.75,
         near: ArrayLike = 0.4,
         every: int = 4,
+        stays: bool = False,
     ) -> None:
         self.tracker, self.rule, self.frame = tracker, rule, frame
         rows, columns = (_checks.positive_int("shape", side) for side in shape)
@@ -115,6 +119,7 @@ class TargetExplorer(Controller):
         )
         self.min_frontier = _checks.scalar("min_frontier", min_frontier, at_least=0.0)
         self.near = _checks.scalar("near", near, above=0.0)
+        self.stays = stays
         self.every = jnp.asarray(_checks.positive_int("every", every), jnp.int32)
 
     def init(self) -> TargetState:
@@ -196,6 +201,8 @@ class TargetExplorer(Controller):
     def _target(self, state: TargetState, found: Prospects, key: Key) -> TargetState:
         candidates = self.rule.candidates(found)
         away = found.distance > self.near
+        if self.stays:
+            away |= found.is_view
         row, column = state.node
         keeps = state.has_target & (candidates & away)[row, column]
         shape = candidates.shape
