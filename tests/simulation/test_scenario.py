@@ -20,6 +20,8 @@ from jaxplore import (
     Quadrotor,
     Scenario,
     TerrainMap,
+    generate_map,
+    start_pose,
 )
 from jaxplore.simulation.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.reachability import open_spot, reachable_cells
@@ -373,3 +375,28 @@ def test_a_goal_apart_is_reached_when_the_robot_is_there() -> None:
         scenario(goal=goal, perception=apart, goal_radius=0.7, max_unknown=0.3),
     )]  # fmt: skip
     np.testing.assert_allclose(numbers, [(1.5, 0.05), (0.25, 1.0), (0.7, 0.3)], rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["rooms", "cave", "hall"])
+def test_every_reachable_cell_can_be_seen_from_the_one_beside_it(kind: str) -> None:
+    """So coverage of what is reachable is coverage of what is reachable and observable."""
+    grid = generate_map(kind, 1)
+    reachable = reachable_cells(grid, np.asarray(start_pose(grid)), 0.2)
+    beside = {
+        (row + down, column + right): (row, column)
+        for row, column in np.argwhere(reachable)
+        for down in (-1, 0, 1)
+        for right in (-1, 0, 1)
+        if down or right
+    }
+    cells = np.argwhere(reachable)
+    assert all(tuple(cell) in beside for cell in cells)
+    chosen = cells[:: max(1, len(cells) // 300)]
+    targets = grid.frame.cell_centre(jnp.asarray(chosen))
+    places = grid.frame.cell_centre(jnp.asarray([beside[tuple(cell)] for cell in chosen]))
+    offset = targets - places
+    yaw = jnp.arctan2(offset[:, 1], offset[:, 0])
+    camera = Lidar(9, 5.0, field_of_view=math.pi / 2)
+    poses = jnp.concatenate([places, yaw[:, None]], axis=1)
+    seen = jax.jit(jax.vmap(lambda pose, point: camera.sees(grid, pose, point[None])))
+    assert bool(seen(poses, targets).all())
