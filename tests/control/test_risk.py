@@ -463,8 +463,13 @@ OBSTACLES = Obstacles(
 )
 
 
-@pytest.mark.parametrize("risk", [MeanVariance(2.0), ConditionalValueAtRisk(0.7), WorstCase()])
-@pytest.mark.parametrize("robot", [None, StateNoise([0.2, 0.2, 0.1, 0.1])])
+NOISE = StateNoise([0.2, 0.2, 0.1, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("risk", "robot"),
+    [(MeanVariance(2.0), None), (ConditionalValueAtRisk(0.7), NOISE), (WorstCase(), NOISE)],
+)
 def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> None:
     """Against each outcome on its own, with the obstacles of its draw as what is believed."""
     model, dt, count = PointMass(), jnp.asarray(0.1), 5

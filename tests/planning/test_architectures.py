@@ -202,12 +202,10 @@ def control_by_parts(controller, known: StrategicBelief, memory, state, age: flo
     return plan(mppi, memory, state, known, key=key)
 
 
-@every
-def test_the_compiled_loop_is_a_plain_loop_over_the_parts(
-    architecture: str, controllers, scenario
-) -> None:
-    """Step by step from the same state: what rounding does to a run would grow."""
-    controller, perception = hot(controllers[architecture]), scenario.perception
+def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario) -> None:
+    """Step by step from the same state: what rounding does to a run would grow. Of two-layer: the
+    parts of parallel are among its own."""
+    controller, perception = hot(controllers["two-layer"]), scenario.perception
     world, period, key = WORLD.truth(), jnp.asarray(PERIOD), jax.random.key(3)
     after, robots = start_of(controller, scenario), []
     for step in range(CHUNK):
