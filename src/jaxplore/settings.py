@@ -64,6 +64,7 @@ FLIGHT: dict[str, Any] = {
         "range_noise": 0.0,
     },
     "sensor_model": {"kind": "line_of_sight"},
+    "fields": {"min_information": 3.0},
     "rates": {"sensing": 50.0},
 }
 """What differs by default if the architecture is not `explorer`: a quadrotor with a camera."""
@@ -163,7 +164,7 @@ class FieldSettings(Section):
     max_clearance: Positive = 1.0
     margin: NonNegative = 0.05
     decay_length: Positive = 8.0
-    min_information: Positive = 3.0
+    min_information: Positive = 10.0
     patience: Positive = 3.0
     memory: Positive = 60.0
 

@@ -39,7 +39,7 @@ GOAL_DETOUR = 5e2
 """How much farther away the goal counts while there is more to see [m]; leftovers come later."""
 LAYERS = 4
 """How many nodes deep into what is closed the guidance is continued."""
-LEFTOVER_SHARE = 0.1
+LEFTOVER_SHARE = 0.03
 """Share of the least worthwhile information below which a place is ignored."""
 MAX_UNKNOWN = 0.05
 """Share of unknown cells below which a map counts as explored, unless another is given."""
@@ -83,7 +83,8 @@ class Perception(eqx.Module):
         max_clearance: bound of the clearance field [m]; raised for robots that need more.
         margin: room beyond the radius that a path needs [m].
         decay_length: how far the robot goes for e times the information [m].
-        min_information: places with less are left for last [nat]; with less than a tenth, for good.
+        min_information: places with less are left for last [nat]; with less than 3 % of it, for
+            good.
         patience: time near a place after which its pull has faded to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
         goal: (x, y) to go to in the end [m]; none when absent.
@@ -129,7 +130,7 @@ class Perception(eqx.Module):
         max_clearance: float = 1.0,
         margin: ArrayLike = 0.05,
         decay_length: ArrayLike = 8.0,
-        min_information: ArrayLike = 3.0,
+        min_information: ArrayLike = 10.0,
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,

@@ -16,6 +16,7 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
 from jaxplore.information.belief import Belief
 from jaxplore.information.guidance import GuidanceField, downhill, geodesic
+from jaxplore.information.perception import LEFTOVER_SHARE
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.prospects import Prospects, prospects
 from jaxplore.planning.target_rules import TargetRule
@@ -97,8 +98,8 @@ class TargetExplorer(Controller):
         stride: int,
         *,
         required_clearance: ArrayLike,
-        min_information: ArrayLike = 3.0,
-        leftover_share: ArrayLike = 0.1,
+        min_information: ArrayLike = 10.0,
+        leftover_share: ArrayLike = LEFTOVER_SHARE,
         min_frontier: ArrayLike = 0.75,
         near: ArrayLike = 0.4,
         every: int = 4,
