@@ -43,7 +43,8 @@ h1, h2 { font-weight: 600; } h2 { margin-top: 2.5em; border-top: 1px solid #d8db
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { text-align: right; vertical-align: top; padding: .35em .9em; white-space: pre-line; }
 th { font-weight: 600; border-bottom: 2px solid #2b303a; }
-td { border-bottom: 1px solid #e4e6ea; } th:first-child, td:first-child { text-align: left; }
+td { border-bottom: 1px solid #e4e6ea; white-space: pre; }
+th:first-child, td:first-child { text-align: left; }
 td:first-child { font-weight: 600; }
 .wide { overflow-x: auto; } img { max-width: 100%; margin-top: 1em; }
 .failed { color: #b3263f; }
