@@ -103,7 +103,7 @@ def test_no_more_workers_than_tasks(
 def test_a_death_costs_one_run_that_is_made_again(
     many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fatal = [many[0], many[5]]
+    fatal = [many[0], many[5], many[5]]
 
     def die(_: int, task: Task | None) -> bool:
         is_fatal = task in fatal
@@ -114,20 +114,20 @@ def test_a_death_costs_one_run_that_is_made_again(
     crew, outcome = spread(many, store, pretend, monkeypatch, die)
     assert outcome == (16, 0, 0, False)
     times = [sum(task == each for _, task in crew.given) for each in many]
-    assert times == [2, 1, 1, 1, 1, 2, *[1] * 10]
-    assert crew.started == 4
+    assert times == [2, 1, 1, 1, 1, 3, *[1] * 10]
+    assert crew.started == 5
     assert store.rows() == [pretend(task) for task in many]
 
 
-def test_a_task_of_which_two_workers_die_has_failed(
+def test_a_task_of_which_three_workers_die_has_failed(
     many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     crew, outcome = spread(many, store, pretend, monkeypatch, lambda _, task: task == many[6])
     assert outcome == (16, 1, 0, False)
     died = [worker for worker, task in crew.given if task == many[6]]
-    assert len(died) == len(set(died)) == 2
+    assert len(died) == len(set(died)) == 3
     failed = {row["id"]: row["error"] for row in store.rows(["id", "error"]) if row["error"]}
-    assert failed == {many[6].id: "2 workers died of it: killed by SIGKILL"}
+    assert failed == {many[6].id: "3 workers died of it: killed by SIGKILL"}
 
 
 def test_workers_that_never_start_are_not_started_for_ever(

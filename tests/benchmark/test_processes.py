@@ -83,7 +83,7 @@ def test_processes_that_are_killed_change_nothing(
     assert not any((tmp_path / task.id).exists() for task in tasks)
     found = timeless(store)
     assert [row["error"] for row in found if row["seed"] == 9] == [
-        "2 workers died of it: killed by SIGKILL"
+        "3 workers died of it: killed by SIGKILL"
     ]
     assert [row for row in found if row["seed"] != 9] == whole[1]
 

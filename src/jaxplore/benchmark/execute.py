@@ -13,7 +13,7 @@ from jaxplore.benchmark.rows import Result, failed_row, result_of
 from jaxplore.benchmark.store import Store
 from jaxplore.benchmark.tasks import Task
 
-MOST_DEATHS = 2
+MOST_DEATHS = 3
 """Workers that may die of one task before it counts as failed."""
 MOST_FALSE_STARTS = 3
 """Workers that may die before they are ready, one after the other."""
@@ -65,7 +65,7 @@ def run_tasks(
 
     Tasks that failed before are tried again. Those of one map and explorer run one after the other
     where that is possible, because they share a compiled loop. A worker that dies loses no more
-    than the run that it was at, which is done again by another one; a task of which two workers
+    than the run that it was at, which is done again by another one; a task of which three workers
     died has failed. Ctrl-C keeps what is done.
 
     Args:
