@@ -6,7 +6,6 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -16,6 +15,7 @@ from jaxplore.benchmark.page import SHOWN, page
 from jaxplore.benchmark.rows import KEYS, Result, Row, schema
 from jaxplore.benchmark.tasks import FORMAT, common_settings
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.report.folder import in_one_line
 
 MARK = "benchmark.json"
 """The file by which a benchmark is recognised: version of the format, and what was asked."""
@@ -182,13 +182,13 @@ def open_store(
             raise ValueError(f"{where} holds no {MARK}; accepted: the folder of a benchmark")
         return Store(target)
     if overwrite and former is not None:
-        with _in_one_line(target):
+        with in_one_line("benchmark folder:", target):
             shutil.rmtree(target / RUNS, ignore_errors=True)
             for name in (RESULTS, PAGE, MARK):
                 (target / name).unlink(missing_ok=True)
         former = None
     document = asked.document()
-    with _in_one_line(target):
+    with in_one_line("benchmark folder:", target):
         (target / RUNS).mkdir(parents=True, exist_ok=True)
     store = Store(target)
     if former is not None:
@@ -289,7 +289,7 @@ def _place(item: tuple[Path, Row]) -> tuple[Any, ...]:
 def _write_whole(target: Path, write: Callable[[BinaryIO], object]) -> None:
     """Write a file: it is there complete or not at all, also after a power cut."""
     temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    with _in_one_line(target):
+    with in_one_line("benchmark folder:", target):
         try:
             with temporary.open("xb") as file:
                 write(file)
@@ -298,15 +298,3 @@ def _write_whole(target: Path, write: Callable[[BinaryIO], object]) -> None:
             os.replace(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
-
-
-@contextmanager
-def _in_one_line(target: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        reason = " ".join(str(error.strerror or error).split())
-        raise ValueError(
-            f"benchmark folder: {str(target)!r} cannot be written: {reason}; accepted: a folder on "
-            "a writable disk with space left"
-        ) from error

@@ -12,6 +12,7 @@ from jaxplore.experiment.gym_spaces import (
     Observed,
     action_space,
     begin,
+    begun,
     checked_action,
     draw,
     facts,
@@ -72,9 +73,7 @@ class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        if self._state is None:
-            raise gymnasium.error.ResetNeeded("the environment has no state; accepted: reset first")
-        return self._state
+        return begun(self._state)
 
     @property
     def belief(self) -> Belief:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from gymnasium import spaces
+from gymnasium import error, spaces
 from jax import Array
 
 from jaxplore._types import Count, Key
@@ -32,6 +32,17 @@ def step(
 ) -> tuple[EnvironmentState, Outcome]:
     """Return what `Environment.step` does."""
     return environment.step(state, action, num_steps)
+
+
+def begun(state: EnvironmentState | None) -> EnvironmentState:
+    """Return the state of an environment that was reset.
+
+    Raises:
+        gymnasium.error.ResetNeeded: it was not.
+    """
+    if state is None:
+        raise error.ResetNeeded("the environment has no state; accepted: reset first")
+    return state
 
 
 def action_space(environment: Environment) -> spaces.Box:

@@ -21,6 +21,7 @@ from jaxplore.experiment.gym_spaces import (
     Observed,
     action_space,
     begin,
+    begun,
     checked_action,
     draw,
     facts,
@@ -87,9 +88,7 @@ class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
         """
-        if self._states is None:
-            raise gymnasium.error.ResetNeeded("the environment has no state; accepted: reset first")
-        return self._states
+        return begun(self._states)
 
     def reset(
         self,

@@ -28,7 +28,7 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
     """
     target = _target(path)
     _check_vacant(target, overwrite)
-    with _in_one_line(target):
+    with in_one_line("run folder", target):
         created = _make_parents(target.parent)
         trial = _hidden(target)
         try:
@@ -55,7 +55,7 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
     """
     target = _target(path)
     _check_vacant(target, overwrite)
-    with _in_one_line(target):
+    with in_one_line("run folder", target):
         created = _make_parents(target.parent)
         folder = _hidden(target)
         try:
@@ -145,12 +145,21 @@ def _put(folder: Path, target: Path) -> None:
 
 
 @contextmanager
-def _in_one_line(target: Path) -> Iterator[None]:
+def in_one_line(what: str, target: Path) -> Iterator[None]:
+    """Turn what the operating system says about a place into one line.
+
+    Args:
+        what: is to be written.
+        target: where.
+
+    Raises:
+        ValueError: an error of the operating system in the body.
+    """
     try:
         yield
     except OSError as error:
         reason = " ".join(str(error.strerror or error).split())
         raise ValueError(
-            f"run folder {str(target)!r} cannot be written: {reason}; accepted: a folder on a "
-            f"writable disk with space left"
+            f"{what} {str(target)!r} cannot be written: {reason}; accepted: a folder on a writable "
+            "disk with space left"
         ) from error
