@@ -64,7 +64,7 @@ FLIGHT: dict[str, Any] = {
         "range_noise": 0.0,
     },
     "sensor_model": {"kind": "line_of_sight"},
-    "fields": {"min_information": 3.0},
+    "fields": {"min_information": 3.0, "occupancy_prior": 0.5},
     "rates": {"sensing": 50.0},
 }
 """What differs by default if the architecture is not `explorer`: a quadrotor with a camera."""
@@ -165,6 +165,7 @@ class FieldSettings(Section):
     margin: NonNegative = 0.05
     decay_length: Positive = 8.0
     min_information: Positive = 10.0
+    occupancy_prior: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
     patience: Positive = 3.0
     memory: Positive = 60.0
 

@@ -150,6 +150,36 @@ def test_little_information_comes_last_however_near() -> None:
     assert float(belief.guidance.values.min()) < 900.0
 
 
+def test_a_dark_hall_is_worth_more_than_a_slit() -> None:
+    """Beams that take what is not known for mostly free see how much of it there is."""
+    world = room()
+    world[1:15, 40:55] = 0.5  # 1.5 m deep
+    world[15:29, 40:43] = 0.5  # 0.3 m deep
+    world[15:29, 43] = 0.993
+    even, free = (
+        Perception(LIDAR, 0.1, 0.2, num_directions=16, occupancy_prior=prior)
+        for prior in (0.5, 0.1)
+    )
+    ratios = []
+    for perception in (even, free):
+        total = fields(world, (1.0, 1.5, 0.0), perception).information.total
+        ratios.append(float(total[3, 19] / total[10, 19]))
+    assert 0.9 < ratios[0] < 1.2
+    assert ratios[1] > 1.8
+
+
+def test_the_prior_is_for_what_was_never_measured_and_for_information_alone() -> None:
+    world = room()
+    world[:, 40:50], world[5, 30] = 0.5, 0.7
+    belief = fields(world, (1.0, 1.5, 0.0))
+    expected = np.where(world == 0.5, np.float32(0.1), world)
+    np.testing.assert_array_equal(belief.grid.probability, world)
+    field = eqx.filter_jit(PERCEPTION.field_sensor.field)(
+        OccupancyGrid(expected, 0.1), PERCEPTION.sensor_model
+    )
+    np.testing.assert_allclose(belief.information.total, field.total, rtol=1e-6)
+
+
 def test_when_everything_is_known_guidance_is_flat() -> None:
     belief = fields(room(), (2.0, 1.5, 0.0))
     np.testing.assert_array_equal(belief.guidance.values, 0.0)
@@ -186,6 +216,8 @@ def test_numbers_are_leaves_and_do_not_recompile() -> None:
         ("margin", -0.1),
         ("decay_length", 0.0),
         ("min_information", math.nan),
+        ("occupancy_prior", 0.0),
+        ("occupancy_prior", 1.0),
         ("patience", 0.0),
         ("memory", -2.0),
     ],

@@ -81,6 +81,13 @@ def test_maps_one_cell_wide(shape: tuple[int, int]) -> None:
     assert float(grid.interpolate(jnp.asarray([6.0, 6.0]))) == 1.0
 
 
+def test_a_prior_takes_the_place_of_not_knowing_and_of_nothing_else() -> None:
+    grid = OccupancyGrid(np.array([[0.5, 0.4999, 0.49, 0.0, 1.0, 0.6]], np.float32), 0.1)
+    expected = [[0.2, 0.2, 0.49, 0.0, 1.0, 0.6]]
+    np.testing.assert_allclose(grid.with_prior(jnp.float32(0.2)).probability, expected, rtol=1e-6)
+    np.testing.assert_array_equal(grid.probability[0, 0], 0.5)
+
+
 def test_entropy_in_nats() -> None:
     p = np.array([[0.0, 0.5, 1.0, 0.1]])
     expected = [0.0, math.log(2), 0.0, -0.1 * math.log(0.1) - 0.9 * math.log(0.9)]

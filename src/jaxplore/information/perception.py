@@ -68,6 +68,12 @@ class Perception(eqx.Module):
 
     Where the ground is known, cells that may not be entered are closed, whatever stands on them.
 
+    A cell that was never measured has the probability 1/2 in the map, which stands for not knowing.
+    Were beams to take it for a chance, every other unknown cell would stop them: all that is
+    unknown would be a rim of two cells, and a slit behind a shelf worth as much as a dark hall. So
+    for information such cells are occupied with the probability `occupancy_prior`, about the share
+    of occupied cells in buildings.
+
     With a `watch` it also keeps how long ago each cell was seen, and what that makes a look worth
     is added to the information field, so that guidance leads there as well.
 
@@ -85,6 +91,8 @@ class Perception(eqx.Module):
         decay_length: how far the robot goes for e times the information [m].
         min_information: places with less are left for last [nat]; with less than 3 % of it, for
             good.
+        occupancy_prior: probability with which beams are expected to meet something in a cell that
+            was never measured, in (0, 1).
         patience: time near a place after which its pull has faded to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
         goal: (x, y) to go to in the end [m]; none when absent.
@@ -109,6 +117,7 @@ class Perception(eqx.Module):
     required_clearance: Scalar
     decay_length: Scalar
     min_information: Scalar
+    occupancy_prior: Scalar
     patience: Scalar
     memory: Scalar
     goal: Position | None
@@ -131,6 +140,7 @@ class Perception(eqx.Module):
         margin: ArrayLike = 0.05,
         decay_length: ArrayLike = 8.0,
         min_information: ArrayLike = 10.0,
+        occupancy_prior: ArrayLike = 0.1,
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
         goal: Vector | None = None,
@@ -160,6 +170,9 @@ class Perception(eqx.Module):
         )
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
+        self.occupancy_prior = _checks.scalar(
+            "occupancy_prior", occupancy_prior, above=0.0, below=1.0
+        )
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
@@ -268,6 +281,7 @@ class Perception(eqx.Module):
         self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
     ) -> InformationField:
         """Return the information field, brought up to date where that is enough."""
+        grid = grid.with_prior(self.occupancy_prior)
         if self.watch is not None and idleness is not None:
             # Time changes every cell's worth.
             interest = self.watch.interest(idleness)

@@ -101,6 +101,12 @@ class OccupancyGrid(eqx.Module):
         """Cells known to be occupied."""
         return self.probability > OCCUPIED_THRESHOLD
 
+    def with_prior(self, prior: Scalar) -> "OccupancyGrid":
+        """Return the grid with the probability `prior` where nothing is known, 0.5 within 1e-3."""
+        is_unknown = jnp.abs(self.probability - 0.5) < 1e-3
+        probability = jnp.where(is_unknown, prior, self.probability)
+        return OccupancyGrid(probability, self.resolution, self.frame.origin)
+
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Say whether each cell (row, column) is on the map."""
         height, width = self.shape
