@@ -12,7 +12,7 @@ import jaxplore as jx
 from jaxplore.benchmark.maps import MapFile, maps_in
 from jaxplore.benchmark.rows import TIMING, Row, failed_row
 from jaxplore.benchmark.store import Asked, Store, open_store
-from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 
 pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'jaxplore[benchmark]'")
 
@@ -83,9 +83,12 @@ def timeless() -> Callable[[Store], list[Row]]:
 
 
 @pytest.fixture
-def pretend() -> Callable[[Task], Row]:
-    def make(task: Task) -> Row:
-        """Return a row that says how it was made, without a run."""
-        return {**failed_row(task, "none"), "error": None, "coverage": task.seed / 100.0}
+def pretend() -> Callable[[Batch], list[Row]]:
+    def make(batch: Batch) -> list[Row]:
+        """Return rows that say how they were made, without a run."""
+        return [
+            {**failed_row(task, "none"), "error": None, "coverage": task.seed / 100.0}
+            for task in batch
+        ]
 
     return make

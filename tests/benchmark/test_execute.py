@@ -12,22 +12,23 @@ from jaxplore.benchmark import execute
 from jaxplore.benchmark import perform as performing
 from jaxplore.benchmark.crew import Crew, Event
 from jaxplore.benchmark.execute import Done, run_tasks
-from jaxplore.benchmark.perform import perform, result_for
+from jaxplore.benchmark.perform import perform, results_for
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.store import Asked, Store, open_store
-from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 
-Pretend = Callable[[Task], Row]
+Pretend = Callable[[Batch], list[Row]]
+Die = Callable[[int, Task | None], bool]
 Timeless = Callable[[Store], list[Row]]
 
 
 class Workers(Crew):
     """Workers that do what they are told in turns, and die when the script says so."""
 
-    def __init__(self, number: int, make: Pretend, die: Callable[[int, Task | None], bool]) -> None:
+    def __init__(self, number: int, make: Pretend, die: Die) -> None:
         self._number, self._make, self._die = number, make, die
         self._news: deque[Event] = deque()
-        self.started, self.given, self.closed = 0, list[tuple[int, Task]](), False
+        self.started, self.given, self.closed = 0, list[tuple[int, Batch]](), False
 
     @property
     def size(self) -> int:
@@ -37,13 +38,13 @@ class Workers(Crew):
         worker, self.started = self.started, self.started + 1
         self._news.append(Event(worker, death="never ready" if self._die(worker, None) else None))
 
-    def give(self, worker: int, task: Task) -> None:
-        self.given.append((worker, task))
-        dies = self._die(worker, task)
+    def give(self, worker: int, batch: Batch) -> None:
+        self.given.append((worker, batch))
+        dies = self._die(worker, batch[0])
         self._news.append(
             Event(worker, death="killed by SIGKILL")
             if dies
-            else Event(worker, result_for(task, self._make))
+            else Event(worker, results_for(batch, self._make))
         )
 
     def wait(self) -> list[Event]:
@@ -63,7 +64,7 @@ def spread(
     store: Store,
     pretend: Pretend,
     monkeypatch: pytest.MonkeyPatch,
-    die: Callable[[int, Task | None], bool] = lambda *_: False,
+    die: Die = lambda *_: False,
     number: int = 2,
 ) -> tuple[Workers, execute.Outcome]:
     made: list[Workers] = []
@@ -85,7 +86,7 @@ def test_workers_keep_to_a_map_and_explorer(
     assert outcome == (16, 0, 0, False)
     assert crew.started == 2
     for worker in range(2):
-        groups = [task.group for each, task in crew.given if each == worker]
+        groups = [task.group for each, (task,) in crew.given if each == worker]
         assert len(set(groups)) == 2
         assert groups == sorted(groups)
         # The same explorer on the next map: of the same shape, its loop is there.
@@ -113,10 +114,10 @@ def test_a_death_costs_one_run_that_is_made_again(
 
     crew, outcome = spread(many, store, pretend, monkeypatch, die)
     assert outcome == (16, 0, 0, False)
-    times = [sum(task == each for _, task in crew.given) for each in many]
+    times = [sum(task == each for _, (task,) in crew.given) for each in many]
     assert times == [2, 1, 1, 1, 1, 3, *[1] * 10]
     assert crew.started == 5
-    assert store.rows() == [pretend(task) for task in many]
+    assert store.rows() == pretend(many)
 
 
 def test_a_task_of_which_three_workers_die_has_failed(
@@ -124,7 +125,7 @@ def test_a_task_of_which_three_workers_die_has_failed(
 ) -> None:
     crew, outcome = spread(many, store, pretend, monkeypatch, lambda _, task: task == many[6])
     assert outcome == (16, 1, 0, False)
-    died = [worker for worker, task in crew.given if task == many[6]]
+    died = [worker for worker, (task,) in crew.given if task == many[6]]
     assert len(died) == len(set(died)) == 3
     failed = {row["id"]: row["error"] for row in store.rows(["id", "error"]) if row["error"]}
     assert failed == {many[6].id: "3 workers died of it: killed by SIGKILL"}
@@ -148,11 +149,11 @@ def test_it_goes_on_where_it_was_and_tries_again_what_failed(
     calls: list[Task] = []
     shown: list[Done] = []
 
-    def fragile(task: Task) -> Row:
-        calls.append(task)
-        if task == many[2] and len(calls) < 5:
+    def fragile(batch: Batch) -> list[Row]:
+        calls.extend(batch)
+        if batch == (many[2],) and len(calls) < 5:
             raise ValueError("not now")
-        return pretend(task)
+        return pretend(batch)
 
     assert run_tasks(many[:4], store, on_done=shown.append, make=fragile) == (4, 1, 0, False)
     assert calls == list(many[:4])
@@ -166,16 +167,16 @@ def test_it_goes_on_where_it_was_and_tries_again_what_failed(
     assert run_tasks(many[:6], again, make=fragile) == (3, 0, 3, False)
     assert calls[4:] == [many[2], *many[4:6]]
     assert run_tasks(many[:6], again, make=fragile) == (0, 0, 6, False)
-    assert store.rows() == [pretend(task) for task in many[:6]]
+    assert store.rows() == pretend(many[:6])
 
 
 def test_ctrl_c_keeps_what_is_done_and_the_rest_gives_the_same_table(
     tasks: tuple[Task, ...], store: Store, asked: Asked, timeless: Timeless, tmp_path: Path
 ) -> None:
-    def third(task: Task) -> Row:
-        if task == tasks[2]:
+    def third(batch: Batch) -> tuple[Row, ...]:
+        if batch == (tasks[2],):
             raise KeyboardInterrupt
-        return perform(task)
+        return perform(batch)
 
     assert run_tasks(tasks, store, make=third) == (2, 0, 0, True)
     found = timeless(store)
@@ -223,6 +224,33 @@ def test_maps_that_cannot_be_read_fail_alone(
     errors = [row["error"] for row in store.rows(["error"])]
     assert errors[2:] == [None, None]
     assert all("image is 'east.pgm', which is not there" in each for each in errors[:2])
+
+
+def test_what_is_left_of_a_batch_is_done_together(
+    asked: Asked, store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tasks = make_tasks(asked.maps[:1], asked.explorers, range(1, 8), asked.settings, 3)
+    run_tasks(tasks[3:4], store, make=pretend)
+    fatal = [tasks[2]]
+
+    def die(_: int, task: Task | None) -> bool:
+        is_fatal = task in fatal
+        if is_fatal:
+            fatal.clear()
+        return is_fatal
+
+    shown: list[Done] = []
+    crew, outcome = spread(tasks, store, pretend, monkeypatch, die)
+    assert outcome == (6, 0, 1, False)
+    given = [[task.seed for task in batch] for _, batch in crew.given]
+    assert sorted(given) == [[1, 2], [3, 5], [3, 5], [6, 7]]
+    assert store.rows() == pretend(tasks)
+    again = make_tasks(asked.maps[1:], asked.explorers, range(2), asked.settings, 2)
+    run_tasks(again, store, on_done=shown.append, make=pretend)
+    assert [(each.task, each.num_done, each.num_left) for each in shown] == [
+        (again[0], 1, 2),
+        (again[1], 2, 2),
+    ]
 
 
 @pytest.mark.parametrize("number", [0, -1])

@@ -18,7 +18,7 @@ import pytest
 from jaxplore.benchmark.execute import Outcome, run_tasks
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.store import Asked, Store, open_store
-from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 
 Timeless = Callable[[Store], list[Row]]
 
@@ -29,8 +29,8 @@ FATAL = """
 
     original = performing.record_run
 
-    def make(folder, task):
-        marker = Path(folder) / task.id
+    def make(folder, batch):
+        marker = Path(folder) / batch[0].id
 
         def die(_):
             if marker.read_text() == "once":
@@ -39,13 +39,13 @@ FATAL = """
 
         options = {"on_progress": die} if marker.exists() else {}
         performing.record_run = lambda *some, **more: original(*some, **more, **options)
-        return performing.perform(task)
+        return performing.perform(batch)
 """
 """Runs of which some kill their process, in the middle, once or always."""
 
 
 @pytest.fixture
-def fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Task], Row]:
+def fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], tuple[Row, ...]]:
     """Return what makes such runs; where it is, the other processes look for modules too."""
     (tmp_path / "fatal_runs.py").write_text(textwrap.dedent(FATAL))
     monkeypatch.syspath_prepend(tmp_path)
@@ -67,7 +67,7 @@ def test_processes_that_are_killed_change_nothing(
     asked: Asked,
     tasks: tuple[Task, ...],
     store: Store,
-    fatal: Callable[[Task], Row],
+    fatal: Callable[[Batch], tuple[Row, ...]],
     whole: tuple[Outcome, list[Row]],
     timeless: Timeless,
     monkeypatch: pytest.MonkeyPatch,

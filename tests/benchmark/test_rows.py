@@ -8,10 +8,10 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.benchmark.maps import MapFile
-from jaxplore.benchmark.perform import perform, result_for
+from jaxplore.benchmark.perform import perform, results_for
 from jaxplore.benchmark.replay import NEVER
 from jaxplore.benchmark.rows import COLUMNS, TIMING, Row, failed_row, result_of, row_of, settings_of
-from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 from jaxplore.experiment.assembly import build
 from jaxplore.report.metrics import compute_metrics
 from jaxplore.settings import make_settings
@@ -44,7 +44,7 @@ def _check_replay(row: Row, recording: Recording) -> None:
 
 def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     task = tasks[1]
-    row = perform(task)
+    (row,) = perform((task,))
     assert list(row) == list(COLUMNS)
     settings = make_settings(task.entries)
     controller, scenario, num_steps, key = build(settings)
@@ -83,11 +83,11 @@ def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     _check_replay(row, recording)
     assert settings_of(row) == settings.model_dump(mode="json")
     assert json.loads(row["versions"]) == metrics.versions
-    again = perform(task)
+    (again,) = perform((task,))
     different = {name for name in row if row[name] != again[name]}
     assert {"loop_step_ms"} <= different <= set(TIMING)
     assert read(result_of(row).data) == [row]
-    assert perform(tasks[0])["positions_x"] != row["positions_x"]
+    assert perform(tasks[:1])[0]["positions_x"] != row["positions_x"]
 
 
 def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(tasks: tuple[Task, ...]) -> None:
@@ -110,7 +110,7 @@ def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(tasks: tuple[Task,
 
 def test_without_a_start_it_is_the_most_open_spot(tasks: tuple[Task, ...]) -> None:
     west = tasks[2]
-    row = perform(west)
+    (row,) = perform((west,))
     x, y = open_spot(jx.OccupancyGrid.from_ros(west.path), 0.2)
     assert settings_of(row)["start"] == [x, y, 0.0]
     assert (row["positions_x"][0], row["positions_y"][0]) == (x, y)
@@ -124,26 +124,28 @@ def test_a_copy_of_the_map_leaves_no_trace(
     Path(task.path).rename(tmp_path / "copy.yaml")
     Path(task.path).with_suffix(".pgm").rename(tmp_path / "west.pgm")
     elsewhere = Task(**{**vars(task), "copy": str(tmp_path / "copy.yaml")})
-    (row,) = read(result_for(elsewhere).data)
+    (result,) = results_for((elsewhere,))
+    (row,) = read(result.data)
     assert row["error"] is None
     assert settings_of(row)["map"] == task.path
     (tmp_path / "west.pgm").unlink()
-    (row,) = read(result_for(elsewhere).data)
+    (result,) = results_for((elsewhere,))
+    (row,) = read(result.data)
     assert row["error"].startswith(f"{task.path}: image is 'west.pgm', which is not there")
     assert settings_of(row)["map"] == task.path
 
 
 def test_what_fails_is_a_row_of_one_line(tasks: tuple[Task, ...]) -> None:
-    def wrong(task: Task) -> Row:
+    def wrong(batch: Batch) -> list[Row]:
         raise ValueError("this\n  is wrong")
 
-    def broken(task: Task) -> Row:
+    def broken(batch: Batch) -> list[Row]:
         raise TypeError("a bug")
 
-    def stopped(task: Task) -> Row:
+    def stopped(batch: Batch) -> list[Row]:
         raise KeyboardInterrupt
 
-    results = [result_for(tasks[0], each) for each in (wrong, broken)]
+    results = [result for each in (wrong, broken) for result in results_for(tasks[:1], each)]
     assert [each.error for each in results] == ["this is wrong", "TypeError: a bug"]
     assert [each[:2] for each in results] == [(tasks[0].id, "east")] * 2
     (row,) = read(results[0].data)
@@ -155,4 +157,24 @@ def test_what_fails_is_a_row_of_one_line(tasks: tuple[Task, ...]) -> None:
     assert row == failed_row(tasks[0], "this is wrong")
     assert settings_of(row) == tasks[0].entries
     with pytest.raises(KeyboardInterrupt):
-        result_for(tasks[0], stopped)
+        results_for(tasks[:1], stopped)
+    assert [each.id for each in results_for(tasks[:2], wrong)] == [each.id for each in tasks[:2]]
+
+
+def test_runs_side_by_side_are_the_same_whichever_are_asked_for(
+    maps: tuple[MapFile, ...], small: dict[str, object]
+) -> None:
+    tasks = make_tasks(maps[:1], ("explorer",), range(4), small, 2)
+    (alone,) = perform(make_tasks(maps[:1], ("explorer",), (1,), small))
+    both = perform(tasks[:2])
+    (second,) = perform((tasks[1],))
+    assert [row["id"] for row in both] == [task.id for task in tasks[:2]]
+    assert [row["seed"] for row in both] == [0, 1]
+    assert [settings_of(row)["seed"] for row in both] == [0, 1]
+    assert {name for name in second if second[name] != both[1][name]} <= set(TIMING)
+    assert both[0]["positions_x"] != both[1]["positions_x"]
+    # As if it were alone, but for rounding: so it is another run by name.
+    assert second["id"] != alone["id"]
+    np.testing.assert_allclose(second["positions_x"], alone["positions_x"], atol=1e-3)
+    assert second["coverage"] == pytest.approx(alone["coverage"], abs=0.02)
+    assert second["seen_time"] == alone["seen_time"]

@@ -10,21 +10,21 @@ import pytest
 from jaxplore.benchmark.maps import maps_in
 from jaxplore.benchmark.rows import COLUMNS, Row, failed_row, result_of
 from jaxplore.benchmark.store import Asked, Store, open_store
-from jaxplore.benchmark.tasks import Task, make_tasks
+from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 
-Pretend = Callable[[Task], Row]
+Pretend = Callable[[Batch], list[Row]]
 
 
 def test_what_is_put_there_is_done_and_what_failed_is_not(
     store: Store, asked: Asked, tasks: tuple[Task, ...], pretend: Pretend
 ) -> None:
     assert not any(store.is_done(task.id) for task in tasks)
-    store.put(result_of(pretend(tasks[0])))
+    store.put(result_of(*pretend((tasks[0],))))
     store.put(result_of(failed_row(tasks[1], "no")))
     for each in (store, open_store(store.folder, asked), open_store(store.folder)):
         assert [each.is_done(task.id) for task in tasks] == [True, False, False, False]
         assert [row["error"] for row in each.rows(["error"])] == [None, "no"]
-    store.put(result_of(pretend(tasks[1])))
+    store.put(result_of(*pretend((tasks[1],))))
     assert store.is_done(tasks[1].id)
     names = sorted(path.name for path in (store.folder / "runs").iterdir())
     assert names == sorted(f"{task.id}.parquet" for task in tasks[:2])
@@ -36,12 +36,12 @@ def test_results_are_sorted_whatever_order_they_come_in(
     import pyarrow.parquet
 
     for task in tasks[::-1]:
-        store.put(result_of(pretend(task)))
+        store.put(result_of(*pretend((task,))))
         before = store.write_results().read_bytes()
     table = pyarrow.parquet.read_table(store.results)
     assert table.column_names == list(COLUMNS)
     rows = table.to_pylist()
-    assert rows == [pretend(task) for task in tasks] == store.rows()
+    assert rows == pretend(tasks) == store.rows()
     assert store.write_results().read_bytes() == before
     assert sorted(os.listdir(store.folder)) == ["benchmark.json", "results.parquet", "runs"]
 
@@ -53,7 +53,7 @@ def test_many_rows_are_written_a_few_at_a_time(
 
     many = [dataclasses.replace(tasks[0], seed=seed) for seed in range(230)]
     for task in many:
-        store.put(result_of(pretend(task)))
+        store.put(result_of(*pretend((task,))))
     store.write_results()
     file = pyarrow.parquet.ParquetFile(store.results)
     assert file.num_row_groups == 3
@@ -74,7 +74,7 @@ def test_files_that_are_no_runs_are_not_there(
     import pyarrow
     import pyarrow.parquet
 
-    store.put(result_of(pretend(tasks[0])))
+    store.put(result_of(*pretend((tasks[0],))))
     path = store.folder / "runs" / f"{tasks[0].id}.parquet"
     if isinstance(content, str):
         pyarrow.parquet.write_table(pyarrow.table({"id": [content]}), path)
@@ -90,7 +90,7 @@ def test_files_that_are_no_runs_are_not_there(
 def test_a_former_benchmark_goes_on_with_more(
     store: Store, asked: Asked, tasks: tuple[Task, ...], pretend: Pretend
 ) -> None:
-    store.put(result_of(pretend(tasks[0])))
+    store.put(result_of(*pretend((tasks[0],))))
     more = Asked(asked.maps[:1], ("portfolio", "explorer"), (7, 1), asked.settings)
     again = open_store(store.folder, more)
     assert again.is_done(tasks[0].id)
@@ -117,7 +117,7 @@ def test_settings_under_which_everything_failed_may_change(
 def test_other_settings_are_refused(
     store: Store, asked: Asked, tasks: tuple[Task, ...], pretend: Pretend
 ) -> None:
-    store.put(result_of(pretend(tasks[0])))
+    store.put(result_of(*pretend((tasks[0],))))
     before = (store.folder / "benchmark.json").read_text()
     for settings, reason in (
         ({**asked.settings, "time_limit": 2.0}, r"with time_limit 1\.5, asked is 2\.0; accepted"),
@@ -129,6 +129,8 @@ def test_other_settings_are_refused(
     ):
         with pytest.raises(ValueError, match=reason):
             open_store(store.folder, dataclasses.replace(asked, settings=settings))
+    with pytest.raises(ValueError, match="with batch 1, asked is 4; accepted"):
+        open_store(store.folder, dataclasses.replace(asked, batch=4))
     assert (store.folder / "benchmark.json").read_text() == before
 
 
@@ -141,7 +143,7 @@ def test_a_map_may_change_until_a_run_was_made_on_it(
     write_map: Callable[..., Path],
 ) -> None:
     east, west = tasks[0], tasks[2]
-    store.put(result_of(pretend(east)))
+    store.put(result_of(*pretend((east,))))
     store.put(result_of(failed_row(west, "no")))
     write_map(tmp_path / "maps" / "west.yaml", 13)
     changed = dataclasses.replace(asked, maps=maps_in(tmp_path / "maps"))
@@ -193,7 +195,7 @@ def test_reading_needs_a_benchmark(tmp_path: Path) -> None:
 def test_overwriting_begins_again(
     store: Store, asked: Asked, tasks: tuple[Task, ...], pretend: Pretend, small: dict[str, Any]
 ) -> None:
-    store.put(result_of(pretend(tasks[0])))
+    store.put(result_of(*pretend((tasks[0],))))
     store.write_results()
     other = dataclasses.replace(asked, settings={**small, "time_limit": 3.0}, seeds=(4,))
     again = open_store(store.folder, other, overwrite=True)
@@ -221,6 +223,6 @@ def test_a_folder_that_cannot_be_written_is_named(
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ValueError, match="No space left on device; accepted"):
-        store.put(result_of(pretend(tasks[0])))
+        store.put(result_of(*pretend((tasks[0],))))
     assert list((store.folder / "runs").iterdir()) == []
     assert not store.is_done(tasks[0].id)

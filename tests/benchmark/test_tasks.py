@@ -6,7 +6,7 @@ from typing import Any, get_args
 import pytest
 
 from jaxplore.benchmark.maps import MapFile, maps_in
-from jaxplore.benchmark.tasks import Task, common_settings, make_tasks
+from jaxplore.benchmark.tasks import Task, batches_of, common_settings, make_tasks
 from jaxplore.settings import Architecture
 
 TASK = Task("hall", "/a/hall.yaml", "c0ffee", "explorer", 3, {"time_limit": 9.0, "seed": 1})
@@ -28,6 +28,7 @@ def test_the_id_is_the_same_wherever_and_whenever_it_is_made() -> None:
         {"seed": 4},
         {"settings": {"time_limit": 8.0, "seed": 1}},
         {"settings": {}},
+        {"batch": 2},
     ],
 )
 def test_the_id_tells_runs_apart(other: dict[str, Any]) -> None:
@@ -94,6 +95,20 @@ def test_what_cannot_be_asked_is_named(
 ) -> None:
     with pytest.raises(ValueError, match=re.escape(reason)):
         make_tasks(maps, explorers, seeds, settings)
+
+
+def test_a_batch_is_of_consecutive_seeds(maps: tuple[MapFile, ...], small: dict[str, Any]) -> None:
+    tasks = make_tasks(maps, ("portfolio", "explorer"), (7, 2, 3, 4, 0), small, 3)
+    batches = batches_of(tasks)
+    assert [[task.seed for task in batch] for batch in batches] == [[0, 2], [3, 4], [7]] * 4
+    assert [batch[0].group for batch in batches[::3]] == sorted({task.group for task in tasks})
+    assert {tuple(batch[0].seeds) for batch in batches} == {(0, 1, 2), (3, 4, 5), (6, 7, 8)}
+    assert all(task.seeds == batch[0].seeds for batch in batches for task in batch)
+    assert [len(batch) for batch in batches_of(make_tasks(maps, ("explorer",), (1, 0), small))] == [
+        *[1] * 4
+    ]
+    with pytest.raises(ValueError, match="batch is 0; accepted: a whole number >= 1"):
+        make_tasks(maps, ("explorer",), (0,), small, 0)
 
 
 def test_no_maps_are_named(tmp_path: Path) -> None:

@@ -5,25 +5,25 @@ import os
 from typing import NamedTuple
 
 from jaxplore.benchmark.rows import Result
-from jaxplore.benchmark.tasks import Task
+from jaxplore.benchmark.tasks import Batch
 
 
 class Event(NamedTuple):
-    """Something that a worker reports. Without a result and a death, that it is ready.
+    """Something that a worker reports. Without results and a death, that it is ready.
 
     Args:
         worker: which.
-        result: of the task that it was given.
+        results: of the tasks that it was given.
         death: why it is no more, in a few words; None while it lives.
     """
 
     worker: int
-    result: Result | None = None
+    results: tuple[Result, ...] = ()
     death: str | None = None
 
 
 class Crew(abc.ABC):
-    """Workers, each of which does one task at a time."""
+    """Workers, each of which does one batch of tasks at a time."""
 
     @property
     @abc.abstractmethod
@@ -35,8 +35,8 @@ class Crew(abc.ABC):
         """Start one more worker, which reports when it is ready."""
 
     @abc.abstractmethod
-    def give(self, worker: int, task: Task) -> None:
-        """Give a task to a worker that is ready; it reports the result."""
+    def give(self, worker: int, batch: Batch) -> None:
+        """Give tasks to a worker that is ready; it reports the results."""
 
     @abc.abstractmethod
     def wait(self) -> list[Event]:

@@ -14,9 +14,9 @@ import yaml
 from jaxplore.benchmark.crew import Crew, Event, limit_threads
 from jaxplore.benchmark.maps import image_of
 from jaxplore.benchmark.packages import package
-from jaxplore.benchmark.perform import Perform, result_for
+from jaxplore.benchmark.perform import Perform, results_for
 from jaxplore.benchmark.rows import Result, failed_row, result_of
-from jaxplore.benchmark.tasks import Task
+from jaxplore.benchmark.tasks import Batch
 from jaxplore.maps._files import read_yaml
 
 Files = dict[str, bytes]
@@ -34,7 +34,7 @@ class RayWorkers(Crew):
     Args:
         number: of workers; None for as many as the cluster has processors.
         address: of a cluster to join; a local one is started when absent, unless Ray is in use.
-        make: what makes a run of a task.
+        make: what makes the runs of a batch.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -50,7 +50,7 @@ class RayWorkers(Crew):
         self._make, self._started = make, 0
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0)(_Worker)
         self._actors: dict[int, Any] = {}
-        self._tasks: dict[int, Task] = {}
+        self._batches: dict[int, Batch] = {}
         self._awaited: dict[Any, int] = {}
         self._files: dict[str, Any] = {}
 
@@ -82,13 +82,14 @@ class RayWorkers(Crew):
         self._awaited[actor.ready.remote()] = self._started
         self._started += 1
 
-    def give(self, worker: int, task: Task) -> None:
-        """Send a task, and once for each map its files."""
-        if task.content not in self._files:
-            self._files[task.content] = self._ray.put(_packed(task.path))
-        self._tasks[worker] = task
-        result = self._actors[worker].run.remote(task, self._files[task.content])
-        self._awaited[result] = worker
+    def give(self, worker: int, batch: Batch) -> None:
+        """Send tasks, and once for each map its files."""
+        first = batch[0]
+        if first.content not in self._files:
+            self._files[first.content] = self._ray.put(_packed(first.path))
+        self._batches[worker] = batch
+        results = self._actors[worker].run.remote(batch, self._files[first.content])
+        self._awaited[results] = worker
 
     def wait(self) -> list[Event]:
         """Wait for a word, or the end, of some worker."""
@@ -96,13 +97,13 @@ class RayWorkers(Crew):
         return [self._event(self._awaited.pop(each), each) for each in done]
 
     def _event(self, worker: int, answer: Any) -> Event:
-        task = self._tasks.pop(worker, None)
+        batch = self._batches.pop(worker, ())
         try:
             return Event(worker, self._ray.get(answer))
         except self._errors.RayTaskError as error:
-            if task is not None:
+            if batch:
                 last = str(error).strip().splitlines()[-1]
-                return Event(worker, result_of(failed_row(task, last)))
+                return Event(worker, tuple(result_of(failed_row(task, last)) for task in batch))
             reason = str(error)
         except self._errors.RayError as error:
             reason = f"{type(error).__name__}: {error}"
@@ -129,17 +130,19 @@ class _Worker:
         self._make = make
         self._folder = tempfile.TemporaryDirectory(prefix="jaxplore-")
 
-    def ready(self) -> None:
-        """Return when the worker can be given something."""
+    def ready(self) -> tuple[Result, ...]:
+        """Return, without results, when the worker can be given something."""
+        return ()
 
-    def run(self, task: Task, files: Files) -> Result:
-        """Return what a task comes to."""
-        folder = Path(self._folder.name) / task.content
+    def run(self, batch: Batch, files: Files) -> tuple[Result, ...]:
+        """Return what tasks come to."""
+        folder = Path(self._folder.name) / batch[0].content
         if not folder.is_dir():
             folder.mkdir()
             for name, data in files.items():
                 (folder / name).write_bytes(data)
-        return result_for(dataclasses.replace(task, copy=str(folder / MAP)), self._make)
+        here = tuple(dataclasses.replace(task, copy=str(folder / MAP)) for task in batch)
+        return results_for(here, self._make)
 
 
 def _knock(address: str | None) -> None:

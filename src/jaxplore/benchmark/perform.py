@@ -1,70 +1,83 @@
-"""One run of a benchmark, from its task to its row."""
+"""Runs of a benchmark, from their tasks to their rows."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 
 from jaxplore.benchmark.maps import read_grid
 from jaxplore.benchmark.rows import Result, Row, failed_row, result_of, row_of
-from jaxplore.benchmark.tasks import Task
+from jaxplore.benchmark.tasks import Batch, Task
 from jaxplore.experiment.assembly import build
 from jaxplore.experiment.parts import robot_of
 from jaxplore.report.metrics import compute_metrics
 from jaxplore.settings import Settings, make_settings
+from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.reachability import open_spot
 from jaxplore.simulation.simulate import record_run
 
-Perform = Callable[[Task], Row]
-"""Makes a run and returns its row. Another process finds it by its module and name."""
+Perform = Callable[[Batch], Sequence[Row]]
+"""Makes the runs of a batch and returns their rows. Another process finds it by its module and
+name."""
 
 MOST_MAPPINGS = 20_000
 """Pieces of memory that a process may map before compiled loops are forgotten: Linux gives it
 65530, each loop takes hundreds, and without any left the next compilation crashes."""
 
 
-def perform(task: Task) -> Row:
-    """Make a run and return its row.
+def perform(batch: Batch) -> tuple[Row, ...]:
+    """Make the runs of a batch, side by side if there are several, and return their rows.
 
     Raises:
         ValueError: settings, a map or a start that are not accepted.
-        KeyboardInterrupt: the user stopped the run.
+        KeyboardInterrupt: the user stopped the runs.
     """
-    settings = make_settings(task.entries)
+    first = batch[0]
+    settings = make_settings(first.entries)
     if settings.start is None:
-        settings = make_settings({**task.entries, "start": _open_start(settings)})
-    experiment = build(settings)
-    recording = record_run(
-        experiment.controller,
-        experiment.scenario,
-        experiment.num_steps,
-        key=experiment.key,
-        num_trajectories=0,
-    )
-    if recording.is_interrupted:
+        settings = make_settings({**first.entries, "start": _open_start(settings)})
+    controller, scenario, num_steps, key = build(settings)
+    if first.batch == 1:
+        recordings = {
+            first.seed: record_run(controller, scenario, num_steps, key=key, num_trajectories=0)
+        }
+    else:
+        # A map is what it is: of an experiment only the key depends on the seed.
+        keys = jnp.stack([jax.random.key(seed) for seed in first.seeds])
+        together = record_runs(controller, scenario, num_steps, keys=keys)
+        recordings = dict(zip(first.seeds, together, strict=True))
+    if any(recording.is_interrupted for recording in recordings.values()):
         raise KeyboardInterrupt
-    metrics = compute_metrics(recording, seed=task.seed)
-    where = settings.model_copy(update={"map": task.path})
-    return row_of(task, recording, metrics, settings=where)
+    return tuple(
+        row_of(
+            task,
+            recordings[task.seed],
+            compute_metrics(recordings[task.seed], seed=task.seed),
+            settings=settings.model_copy(update={"map": task.path, "seed": task.seed}),
+        )
+        for task in batch
+    )
 
 
-def result_for(task: Task, make: Perform = perform) -> Result:
-    """Return what a task comes to; a row with the error where it comes to nothing.
+def results_for(batch: Batch, make: Perform = perform) -> tuple[Result, ...]:
+    """Return what tasks come to; rows with the error where they come to nothing.
 
     Raises:
-        KeyboardInterrupt: the user stopped the run.
+        KeyboardInterrupt: the user stopped the runs.
     """
     _forget_loops()
     try:
-        row = make(task)
+        rows = make(batch)
     except Exception as error:
         kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
-        reason = str(error)
-        if task.copy is not None:
-            # A copy of the map is nothing that anybody could look at afterwards.
-            reason = reason.replace(task.copy, task.path)
-        row = failed_row(task, kind + reason)
-    return result_of(row)
+        rows = [failed_row(task, _reason(task, kind + str(error))) for task in batch]
+    return tuple(map(result_of, rows))
+
+
+def _reason(task: Task, error: str) -> str:
+    """Return an error as the user is told it: a copy of the map is nothing to look at later."""
+    return error if task.copy is None else error.replace(task.copy, task.path)
 
 
 def _open_start(settings: Settings) -> tuple[float, float, float]:

@@ -11,8 +11,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
 from jaxplore.benchmark.crew import Crew, Event, limit_threads, num_processors
-from jaxplore.benchmark.perform import Perform, result_for
-from jaxplore.benchmark.tasks import Task
+from jaxplore.benchmark.perform import Perform, results_for
+from jaxplore.benchmark.tasks import Batch
 
 _PATIENCE = 10.0
 """Time for a process to end after its last word [s]."""
@@ -23,7 +23,7 @@ class Processes(Crew):
 
     Args:
         number: of processes.
-        make: what makes a run of a task.
+        make: what makes the runs of a batch.
     """
 
     def __init__(self, number: int, make: Perform) -> None:
@@ -50,10 +50,10 @@ class Processes(Crew):
         self._workers[self._started] = (ours, process)
         self._started += 1
 
-    def give(self, worker: int, task: Task) -> None:
-        """Send a task; that nobody is there any more is for `wait` to find out."""
+    def give(self, worker: int, batch: Batch) -> None:
+        """Send tasks; that nobody is there any more is for `wait` to find out."""
         with contextlib.suppress(OSError):
-            self._workers[worker][0].send(task)
+            self._workers[worker][0].send(batch)
 
     def wait(self) -> list[Event]:
         """Wait for a word, or the end, of some process."""
@@ -111,9 +111,9 @@ def _serve(theirs: Connection, threads: int, make: Perform) -> None:
     limit_threads(threads)
     # Nobody to talk to: the run is over.
     with contextlib.suppress(EOFError, BrokenPipeError):
-        theirs.send(None)
+        theirs.send(())
         while True:
-            theirs.send(result_for(theirs.recv(), make))
+            theirs.send(results_for(theirs.recv(), make))
 
 
 def _end_with_parent() -> None:

@@ -13,7 +13,7 @@ from jaxplore.benchmark.maps import MapFile
 from jaxplore.benchmark.packages import package
 from jaxplore.benchmark.page import SHOWN, page
 from jaxplore.benchmark.rows import KEYS, Result, Row, schema
-from jaxplore.benchmark.tasks import FORMAT, common_settings
+from jaxplore.benchmark.tasks import FORMAT, Task, common_settings, make_tasks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.folder import in_one_line
 
@@ -39,12 +39,18 @@ class Asked:
         explorers: settings `architecture`.
         seeds: of the runs of each.
         settings: entries that all runs share.
+        batch: runs computed side by side.
     """
 
     maps: tuple[MapFile, ...]
     explorers: tuple[str, ...]
     seeds: tuple[int, ...]
     settings: Mapping[str, Any]
+    batch: int = 1
+
+    def tasks(self) -> tuple[Task, ...]:
+        """Return the runs that are asked for; see `make_tasks`."""
+        return make_tasks(self.maps, self.explorers, self.seeds, self.settings, self.batch)
 
     def document(self) -> dict[str, Any]:
         """Return it as plain values that JSON can hold."""
@@ -61,6 +67,7 @@ class Asked:
             },
             "explorers": list(self.explorers),
             "seeds": list(self.seeds),
+            "batch": self.batch,
         }
 
 
@@ -161,9 +168,9 @@ def open_store(
 ) -> Store:
     """Return the store in a folder; made if need be.
 
-    A former benchmark goes on: with more maps, explorers or seeds, but with the same settings, on
-    maps with the same content and starts. What only failed may change: settings while there is no
-    run at all, a map while there is none on it.
+    A former benchmark goes on: with more maps, explorers or seeds, but with the same settings and
+    batch, on maps with the same content and starts. What only failed may change: settings while
+    there is no run at all, a map while there is none on it.
 
     Args:
         folder: missing parents are made.
@@ -231,7 +238,9 @@ def _together(
     if not store.has_run():
         store.forget()
         return asked
-    before, now = _flat(former["settings"]), _flat(asked["settings"])
+    before, now = (
+        {**_flat(each["settings"]), "batch": each.get("batch", 1)} for each in (former, asked)
+    )
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
             raise ValueError(
@@ -253,6 +262,7 @@ def _together(
         "maps": dict(sorted({**former["maps"], **asked["maps"]}.items())),
         "explorers": list(dict.fromkeys([*former["explorers"], *asked["explorers"]])),
         "seeds": sorted({*former["seeds"], *asked["seeds"]}),
+        "batch": asked["batch"],
     }
 
 

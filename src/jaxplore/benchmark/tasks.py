@@ -3,8 +3,9 @@
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, get_args
 
 from jaxplore.benchmark.maps import MapFile
@@ -26,6 +27,8 @@ class Task:
         seed: the setting `seed`.
         settings: the entries of all other settings, plain values that JSON can hold. Without a
             `start` the robot begins at the most open spot, heading along x.
+        batch: runs of consecutive seeds that are computed side by side, by `jax.vmap`: those whose
+            `seed // batch` is the same. Rounding depends on it.
         copy: where the YAML file is on this machine; at `path` when absent.
     """
 
@@ -35,16 +38,20 @@ class Task:
     explorer: str
     seed: int
     settings: Mapping[str, Any]
+    batch: int = 1
     copy: str | None = None
 
     @functools.cached_property
     def id(self) -> str:
         """What this run is known by: 20 hexadecimal digits.
 
-        A hash of all but where the map is, so that results outlast a folder that moves.
+        A hash of all but where the map is, so that results outlast a folder that moves. That a run
+        is computed alone need not be said.
         """
         told = {"format": FORMAT, **dataclasses.asdict(self)}
         del told["path"], told["copy"]
+        if self.batch == 1:
+            del told["batch"]
         return hashlib.sha256(canonical(told).encode()).hexdigest()[:20]
 
     @property
@@ -58,12 +65,34 @@ class Task:
         """Map and explorer: tasks of one group run the same compiled loop."""
         return self.map, self.explorer
 
+    @property
+    def seeds(self) -> range:
+        """The seeds of its batch. All of them are run, whichever are asked for: what a run comes to
+        must not depend on which others are still to be done."""
+        first = self.seed - self.seed % self.batch
+        return range(first, first + self.batch)
+
+
+Batch = tuple[Task, ...]
+"""Tasks that are done together: of the same map and explorer, and with the same `seeds`."""
+
+
+def batches_of(tasks: Iterable[Task]) -> tuple[Batch, ...]:
+    """Return tasks by what is done together, sorted by map, explorer and seed."""
+
+    def together(task: Task) -> tuple[str, str, int]:
+        return (*task.group, task.seeds.start)
+
+    in_order = sorted(tasks, key=lambda task: (*task.group, task.seed))
+    return tuple(tuple(each) for _, each in itertools.groupby(in_order, together))
+
 
 def make_tasks(
     maps: Sequence[MapFile],
     explorers: Sequence[str],
     seeds: Sequence[int],
     settings: Mapping[str, Any],
+    batch: int = 1,
 ) -> tuple[Task, ...]:
     """Return a task for each map, explorer and seed, in this order.
 
@@ -72,11 +101,14 @@ def make_tasks(
         explorers: settings `architecture`, at least one.
         seeds: whole numbers >= 0, at least one.
         settings: entries that all of them share; see `common_settings`.
+        batch: runs computed side by side.
 
     Raises:
-        ValueError: nothing of a kind, or something twice; an explorer that there is not; settings
-            that are not accepted; explorers that do not drive the same robot.
+        ValueError: a batch < 1; nothing of a kind, or something twice; an explorer that there is
+            not; settings that are not accepted; explorers that do not drive the same robot.
     """
+    if batch < 1:
+        raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
     kinds: dict[str, list[Any]] = {
         "maps": [each.name for each in maps],
         "explorers": list(explorers),
@@ -103,6 +135,7 @@ def make_tasks(
             explorer,
             seed,
             {**common, **({} if each.start is None else {"start": list(each.start)})},
+            batch,
         )
         for each in maps
         for explorer in explorers

@@ -16,7 +16,6 @@ from jaxplore.benchmark.execute import Done, Outcome, run_tasks
 from jaxplore.benchmark.maps import grids_of, maps_in, with_starts
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.table import NEEDED, MapTable, failures, map_tables
-from jaxplore.benchmark.tasks import make_tasks
 from jaxplore.cli._options import assign, entries_of
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.runs import progress_bar
@@ -44,7 +43,7 @@ QUADROTOR: dict[str, Any] = {
 """Those that are a quadrotor's: it sees ahead, with beams as far apart. Its own architectures have
 other defaults than those of ground vehicles; here they are the same for all."""
 
-_OWN = ("explorers", "starts", "workers", "ray", "address")
+_OWN = ("explorers", "starts", "workers", "batch", "ray", "address")
 """Options that only a benchmark takes."""
 _OTHERS = {"map_": "the map", "start": "--start", "goal": "--goal"}
 """Options of a comparison on one map that say nothing about several."""
@@ -59,6 +58,11 @@ def benchmark_options(command: Any) -> Any:
         click.option("--address", metavar="HOST:PORT", help="With --maps: a Ray cluster to join."),
         click.option(
             "--ray", is_flag=True, default=None, help="With --maps: run on a local Ray cluster."
+        ),
+        click.option(
+            "--batch",
+            type=int,
+            help="With --maps: runs side by side in one program, for accelerators.  [default: 1]",
         ),
         click.option(
             "--workers",
@@ -136,8 +140,9 @@ def run_benchmark(
     first = entries.get("seed", 0)
     if not isinstance(first, int):
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
-    asked = Asked(maps, explorers, tuple(range(first, first + seeds)), entries)
-    tasks = make_tasks(asked.maps, asked.explorers, asked.seeds, asked.settings)
+    batch = 1 if given["batch"] is None else given["batch"]
+    asked = Asked(maps, explorers, tuple(range(first, first + seeds)), entries, batch)
+    tasks = asked.tasks()
     workers, address, on_ray = given["workers"], given["address"], given["ray"]
     if workers is not None and workers < 1:
         raise ValueError(f"--workers is {workers}; accepted: a whole number >= 1")

@@ -148,7 +148,9 @@ def geodesic(
     # Half of each end's slowness: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
     start = jnp.where(is_open, initial, jnp.inf)
-    value: Array = jax.lax.platform_dependent(start, half, cpu=_by_tiles, default=_everywhere)
+    # Of a batch, tiles go one map after the other: each has its own order.
+    by_tiles = jax.custom_batching.sequential_vmap(_by_tiles)  # type: ignore[no-untyped-call]
+    value: Array = jax.lax.platform_dependent(start, half, cpu=by_tiles, default=_everywhere)
     return value
 
 

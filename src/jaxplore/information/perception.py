@@ -1,5 +1,6 @@
 """From scans to a belief: the map at the sensor's rate, the fields derived from it at theirs."""
 
+import copy
 import dataclasses
 import math
 from collections.abc import Sequence
@@ -126,6 +127,7 @@ class Perception(eqx.Module):
     watch: Watch | None
     unknown_factor: Scalar
     is_goal_apart: bool = eqx.field(static=True)
+    is_batched: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -182,6 +184,17 @@ class Perception(eqx.Module):
         if is_goal_apart and goal is None:
             raise ValueError("goal is None; accepted: a position, for a goal apart")
         self.is_goal_apart = is_goal_apart
+        self.is_batched = False
+
+    def for_batches(self) -> "Perception":
+        """Return this perception to be mapped over by `jax.vmap`: it evaluates fields anew.
+
+        The maps of a batch change in different places; a loop over those of any of them would copy
+        the fields of all in each pass. Beliefs are the same.
+        """
+        same = copy.copy(self)
+        object.__setattr__(same, "is_batched", True)
+        return same
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief of a robot that has seen nothing: free where it stands.
@@ -286,7 +299,7 @@ class Perception(eqx.Module):
             # Time changes every cell's worth.
             interest = self.watch.interest(idleness)
             return self.field_sensor.field(grid, self.sensor_model, interest)
-        if before is None:
+        if before is None or self.is_batched:
             return self.field_sensor.field(grid, self.sensor_model)
         return self.field_sensor.update(before, grid, self.sensor_model)
 

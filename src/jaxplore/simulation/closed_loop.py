@@ -123,10 +123,12 @@ def closed_loop_step(
     belief = state.belief
     if belief.tracks is not None:
         belief = dataclasses.replace(belief, tracks=_unmeasured(belief.tracks, period))
+    # The clock decides first, alone: it is the same for all runs of a batch, which so sense and
+    # derive no more often than one does.
     belief, progress, is_seen = jax.lax.cond(
-        (state.step % scenario.steps_per_scan == 0) & ~is_blind & is_placed,
-        sense,
-        lambda *unchanged: unchanged,
+        state.step % scenario.steps_per_scan == 0,
+        lambda *known: jax.lax.cond(~is_blind & is_placed, sense, _same, *known),
+        _same,
         belief,
         state.progress,
         state.is_seen,
@@ -135,10 +137,14 @@ def closed_loop_step(
     # fresh fields, and no single step has to pay for both.
     every = scenario.steps_per_field
     elapsed = scenario.control_period * every.astype(jnp.float32)
-    belief = jax.lax.cond(
-        ((state.step % every == every - 1) | (state.step == 0)) & is_placed,
-        lambda current: perception.update_fields(current, pose, elapsed),
-        lambda current: current,
+
+    def derive(current: Belief) -> tuple[Belief]:
+        return (perception.update_fields(current, pose, elapsed),)
+
+    (belief,) = jax.lax.cond(
+        (state.step % every == every - 1) | (state.step == 0),
+        lambda current: jax.lax.cond(is_placed, derive, _same, current),
+        _same,
         belief,
     )
     control, controller_state, info = controller.step(
@@ -205,6 +211,10 @@ def closed_loop_step(
         movers=state.movers,
     )
     return after, record
+
+
+def _same[*T](*unchanged: *T) -> tuple[*T]:
+    return unchanged
 
 
 def _is_finished(

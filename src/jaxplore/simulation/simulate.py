@@ -15,7 +15,7 @@ from jaxplore import _checks
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller, SampledPlan
 from jaxplore.geometry.footprint import Footprint, Rectangle
-from jaxplore.simulation.chunks import CHUNK_SECONDS, watch
+from jaxplore.simulation.chunks import CHUNK_SECONDS, Watched, watch
 from jaxplore.simulation.closed_loop import (
     LoopState,
     initial_loop_state,
@@ -71,19 +71,18 @@ def record_run(
     limit = _checks.positive_int("num_steps", num_steps)
     if num_trajectories < 0:
         raise ValueError(f"num_trajectories is {num_trajectories}; accepted: a whole number >= 0")
-    period = round(float(scenario.control_period), 7)  # 0.02, not the nearest float32
+    period = period_of(scenario)
     controller = controller.at_period(scenario.control_period)
     began = time.perf_counter()
     state = initial_loop_state(controller, scenario, key)
-    beginning = state.progress
     chunk = max(1, round(CHUNK_SECONDS / period))
 
     def run(current: LoopState, steps: Count) -> tuple[LoopState, Record, Count]:
         return run_chunk(controller, scenario, current, key, steps, chunk)
 
     def look(current: LoopState, step: int) -> Frame:
-        seen = _look(controller, scenario, current, key, num_trajectories)
-        return _frame(seen, step, step * period)
+        seen = look_at(controller, scenario, current, key, num_trajectories)
+        return frame_of(seen, step, step * period)
 
     def report(current: LoopState, total: int, seconds: float) -> None:
         coverage = float(current.progress.coverage)
@@ -99,13 +98,29 @@ def record_run(
         chunk=chunk,
         on_chunk=report,
     )
-    state = done.state
-    belief = state.belief
+    return recording_of(controller, scenario, state, done)
+
+
+def recording_of(
+    controller: Controller,
+    scenario: Scenario,
+    before: LoopState,
+    done: Watched[LoopState, Record, Frame],
+) -> Recording:
+    """Return a run as NumPy arrays, with what is needed to judge and draw it.
+
+    Args:
+        controller: that decided.
+        scenario: where and how.
+        before: the state before the first step.
+        done: the loop that was run.
+    """
+    state, belief = done.state, done.state.belief
     return Recording(
         records=done.records,
         frames=done.frames,
         timing=done.timing,
-        control_period=period,
+        control_period=period_of(scenario),
         world=np.asarray(scenario.world.probability),
         belief=np.asarray(belief.grid.probability),
         reachable=np.asarray(scenario.reachable),
@@ -114,9 +129,9 @@ def record_run(
         field_origin=np.asarray(belief.information.frame.origin),
         field_resolution=belief.information.frame.resolution,
         start=np.asarray(scenario.start),
-        initial_coverage=float(beginning.coverage),
-        initial_entropy=float(beginning.entropy),
-        initial_unknown=float(beginning.unknown),
+        initial_coverage=float(before.progress.coverage),
+        initial_entropy=float(before.progress.entropy),
+        initial_unknown=float(before.progress.unknown),
         goal=None if scenario.goal is None else np.asarray(scenario.goal),
         control_half_range=np.asarray(
             0.5 * (scenario.robot.control_max - scenario.robot.control_min)
@@ -142,7 +157,12 @@ def record_run(
     )
 
 
-class _Look(NamedTuple):
+def period_of(scenario: Scenario) -> float:
+    """Return the control period [s]: 0.02, not the nearest float32."""
+    return round(float(scenario.control_period), 7)
+
+
+class Look(NamedTuple):
     """A frame's arrays while they are still on the device."""
 
     state: Array
@@ -159,9 +179,10 @@ class _Look(NamedTuple):
 
 
 @eqx.filter_jit
-def _look(
+def look_at(
     controller: Controller, scenario: Scenario, state: LoopState, key: Key, num_trajectories: int
-) -> _Look:
+) -> Look:
+    """Return what is to be seen of a run after a step; see `record_run`."""
     scan_key, plan_key = jax.random.split(jax.random.fold_in(key, state.step))
     pose = robot_pose(scenario.robot, state.robot)
     time = scenario.control_period * state.step.astype(jnp.float32)
@@ -170,7 +191,7 @@ def _look(
     scan, *_ = scan_all(scenario, world, pose, state.movers, time, scan_key)
     angles = pose[2] + jnp.asarray(scenario.sensors[0].beam_angles)
     ends = pose[:2] + scan.ranges[:, None] * jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
-    look = _Look(
+    look = Look(
         state=state.robot,
         probability=jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
         information=state.belief.information.total,
@@ -202,7 +223,8 @@ def _look(
     )
 
 
-def _frame(look: _Look, step: int, seconds: float) -> Frame:
+def frame_of(look: Look, step: int, seconds: float) -> Frame:
+    """Return a look as NumPy arrays, after so many steps and seconds."""
     arrays = look._asdict()
     terms = {name: float(value) for name, value in arrays.pop("terms").items()}
     heading = float(arrays.pop("heading"))
