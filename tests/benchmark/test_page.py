@@ -14,19 +14,18 @@ import pytest
 from PIL import Image
 
 from jaxplore import OccupancyGrid
-from jaxplore.benchmark.page import curves_figure, page, path_figure
+from jaxplore.benchmark.page import RIM, curves_figure, known_part, page, path_figure
 from jaxplore.benchmark.replay import NEVER
 from jaxplore.benchmark.table import map_tables
 
+SEEN = np.repeat(np.arange(2, dtype=np.uint8), 15) * np.ones((16, 1), np.uint8)
+SEEN[0] = NEVER
+"""Of a map whose left half was seen at first, its right half then, its uppermost row never."""
 
-def seen() -> bytes:
-    """Return a picture of a map whose left half was seen at first and whose right half then, all
-    but the uppermost row."""
-    first = np.zeros((16, 30), np.uint8)
-    first[:, 15:] = 1
-    first[0] = NEVER
+
+def png(picture: np.ndarray) -> bytes:
     file = io.BytesIO()
-    Image.fromarray(first).save(file, format="PNG")
+    Image.fromarray(picture).save(file, format="PNG")
     return file.getvalue()
 
 
@@ -52,7 +51,7 @@ def row(map_: str, explorer: str, seed: int, **changes) -> dict:
         "positions_y": np.full_like(time, 0.8).tolist(),
         "time_limit": 60.0,
         "seen_time": [0.0, 5.0],
-        "seen": seen(),
+        "seen": png(SEEN),
         "settings": json.dumps({"robot": {"radius": 0.2}}),
         **changes,
     }
@@ -137,10 +136,37 @@ def test_paths_are_where_the_robot_was_on_a_turned_map() -> None:
     turned = OccupancyGrid(GRID.probability, 0.1, (2.0, -1.0, np.pi / 2))
     # 0.5 m along the map's rows, 0.3 m across them, from its corner.
     moved = row("room", "explorer", 0, positions_x=[1.7, 1.7], positions_y=[-0.5, 0.0])
-    (axes,) = path_figure(moved, turned).axes
+    (axes,) = path_figure(moved, turned, known_part(turned)).axes
     across, along = axes.get_lines()[0].get_data()
     np.testing.assert_allclose(across, [4.5, 9.5], atol=1e-6)
     np.testing.assert_allclose(along, [2.5, 2.5], atol=1e-6)
+
+
+def in_the_unknown(grid: OccupancyGrid, margin: int = 5) -> OccupancyGrid:
+    """Return a map with unknown cells all around."""
+    corner = -margin * grid.resolution
+    probability = np.pad(np.asarray(grid.probability), margin, constant_values=0.5)
+    return OccupancyGrid(probability, grid.resolution, (corner, corner, 0.0))
+
+
+def test_only_what_is_known_of_a_map_is_drawn() -> None:
+    assert known_part(GRID) == (slice(0, 16), slice(0, 30))
+    roomy = in_the_unknown(GRID)
+    part = known_part(roomy)
+    assert roomy.probability[part].shape == (16 + 2 * RIM, 30 + 2 * RIM)
+    (axes,) = path_figure(ROWS[0], roomy, part).axes
+    assert axes.get_images()[0].get_array().shape[:2] == (16 + 2 * RIM, 30 + 2 * RIM)
+    across, along = axes.get_lines()[0].get_data()
+    assert (across[0], along[0]) == (pytest.approx(4.5 + RIM), pytest.approx(7.5 + RIM))
+    nothing = OccupancyGrid.unknown((4, 6), GRID.frame)
+    assert nothing.probability[known_part(nothing)].shape == (4, 6)
+
+
+def test_curves_end_when_most_runs_have() -> None:
+    late = row("room", "wander", 0, duration=400.0, curve_time=[0.0, 400.0], curve_coverage=[0, 1])
+    figure = curves_figure([*ROWS[:4], late])
+    assert figure.axes[0].get_xlim() == (0.0, 11.0)
+    assert curves_figure(ROWS[:1]).axes[0].get_xlim() == (0.0, 10.0)
 
 
 PRESS = """
@@ -150,9 +176,9 @@ addEventListener("load", async () => {
   const wait = (seconds) => new Promise((done) => setTimeout(done, 1000 * seconds));
   const told = [];
   const tell = (what) => {
-    const canvas = part("map"), scale = canvas.width / 30;
+    const canvas = part("map"), scale = canvas.width / 34;
     const colour = (column, row) => [...canvas.getContext("2d").getImageData(
-      scale * (column + 0.5), scale * (row + 0.5), 1, 1).data.slice(0, 3)].join(" ");
+      scale * (column + 2.5), scale * (row + 2.5), 1, 1).data.slice(0, 3)].join(" ");
     told.push([what, document.getElementById("replay").open, part("title").textContent,
       part("told").textContent, canvas.width, canvas.height,
       colour(2, 12), colour(27, 12), colour(2, 0), colour(2, 15)].join("|"));
@@ -183,7 +209,12 @@ addEventListener("load", async () => {
     shutil.which("chromium") is None, reason="no Chromium: apt-get install chromium"
 )
 def test_a_click_replays_a_run_in_a_browser(tmp_path: Path) -> None:
-    text = page(ROWS, {"room": GRID}, "Explorers")
+    roomy = [
+        {**each, "seen": png(np.pad(SEEN, 5, constant_values=NEVER))}
+        for each in ROWS
+        if each["map"] == "room"
+    ]
+    text = page(roomy, {"room": in_the_unknown(GRID)}, "Explorers")
     file = tmp_path / "page.html"
     file.write_text(text.replace("</body>", PRESS + "</body>"), encoding="utf-8")
     command = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", "--dump-dom"]
@@ -197,7 +228,7 @@ def test_a_click_replays_a_run_in_a_browser(tmp_path: Path) -> None:
     assert looks["closed"].startswith("false|")
     unknown, free, wall = ("190 195 203", "252 252 250", "43 48 58")
     opened = "true|nearest-frontier on room, seed 0"
-    size = "900|480"
+    size = "884|520"
     assert looks["at 2"] == f"{opened}|2.0 s, 20.0 %|{size}|{free}|{unknown}|{unknown}|{wall}"
     assert looks["at 7"] == f"{opened}|7.0 s, 70.0 %|{size}|{free}|{free}|{unknown}|{wall}"
     assert looks["end"] == f"{opened}|10.0 s, 100.0 %|{size}|{free}|{free}|{unknown}|{wall}"

@@ -33,6 +33,11 @@ SHOWN = (
     "time_limit",
 )
 """Columns of the results that the page is made from."""
+Part = tuple[slice, slice]
+"""Rows and columns of a map."""
+
+RIM = 2
+"""Unknown cells that are drawn around what is known of a map."""
 CURVE_POINTS = 200
 DOTS_PER_INCH = 110
 STYLE = """
@@ -92,35 +97,40 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
     for line in failures(results):
         parts.append(f'<p class="failed">{html.escape(line)}</p>')
     replays: list[dict[str, Any]] = []
+    parts_shown = {name: known_part(grid) for name, grid in maps.items()}
     for table in map_tables(results):
         runs = [row for row in results if row["map"] == table.map and row["error"] is None]
         parts.append(f"<h2>{html.escape(table.map)}</h2>")
         parts.append(_table(table.rows))
         parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
         if table.map in maps:
+            grid, part = maps[table.map], parts_shown[table.map]
             parts.append('<div class="runs">')
             for name, own in _by_explorer(runs).items():
-                drawn = _picture(
-                    path_figure(own[0], maps[table.map]), f"Path of {name} on {table.map}"
-                )
+                drawn = _picture(path_figure(own[0], grid, part), f"Path of {name} on {table.map}")
                 drawn = (
                     f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
                     "</button>"
                 )
                 told = f"{html.escape(name)}, seed {own[0]['seed']}"
                 parts.append(f"<figure>{drawn}<figcaption>{told}</figcaption></figure>")
-                replays.append(_replay(own[0], maps[table.map]))
+                replays.append(_replay(own[0], grid, part))
             parts.append("</div>")
     if replays:
         parts.append(DIALOG)
-        parts.append(_script(replays, {name: maps[name] for name in {r["map"] for r in replays}}))
+        pictures = {
+            name: _coloured(maps[name], parts_shown[name])
+            for name in sorted({each["map"] for each in replays})
+        }
+        parts.append(_script(replays, pictures))
     return "\n".join([*parts, "</body></html>", ""])
 
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
     """Return coverage over time by explorer: medians, and bands between the quartiles.
 
-    A run that has ended keeps its last value.
+    A run that has ended keeps its last value. The axis ends when three of four runs have ended: the
+    last of those that walk at random would leave no room for the others.
 
     Args:
         runs: rows of one map.
@@ -131,8 +141,8 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    longest = max((row["duration"] for row in runs), default=1.0)
-    time = np.linspace(0.0, max(longest, 1e-3), CURVE_POINTS)
+    most = np.percentile([row["duration"] for row in runs], 75, method="higher") if runs else 1.0
+    time = np.linspace(0.0, max(float(most), 1e-3), CURVE_POINTS)
     for number, (name, own) in enumerate(_by_explorer(runs).items()):
         curves = [np.interp(time, row["curve_time"], row["curve_coverage"]) for row in own]
         low, median, high = np.percentile(100.0 * np.asarray(curves), [25, 50, 75], axis=0)
@@ -145,7 +155,23 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     return figure
 
 
-def path_figure(row: Row, grid: OccupancyGrid) -> "Figure":
+def known_part(grid: OccupancyGrid) -> Part:
+    """Return the rows and columns of a map in which anything is known, with a rim of two cells."""
+    is_known = np.asarray(grid.is_free | grid.is_occupied)
+    rows, columns = (
+        _around(np.flatnonzero(is_known.any(axis=axis)), size)
+        for axis, size in zip((1, 0), grid.shape, strict=True)
+    )
+    return rows, columns
+
+
+def _around(places: np.ndarray, size: int) -> slice:
+    if not len(places):
+        return slice(0, size)
+    return slice(max(0, int(places[0]) - RIM), min(size, int(places[-1]) + 1 + RIM))
+
+
+def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     """Return the path of a run on the true map.
 
     A map that is turned is drawn along its own axes.
@@ -153,18 +179,20 @@ def path_figure(row: Row, grid: OccupancyGrid) -> "Figure":
     Args:
         row: of the run.
         grid: the map.
+        part: what is drawn of it.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    height, width = grid.shape
+    coloured = _coloured(grid, part)
+    height, width, _ = coloured.shape
     tall = min(max(height / width, 0.4), 1.8)
     figure = Figure(figsize=(2.6, 2.6 * tall), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
-    axes.imshow(_coloured(grid), origin="lower", interpolation="nearest")
+    axes.imshow(coloured, origin="lower", interpolation="nearest")
     # Pixels have their centres at whole numbers.
-    across, along = (part - 0.5 for part in _in_cells(row, grid))
+    across, along = (place - 0.5 for place in _in_cells(row, grid, part))
     axes.plot(across, along, color=OUTLINE, linewidth=1.2)
     axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
     axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
@@ -172,25 +200,32 @@ def path_figure(row: Row, grid: OccupancyGrid) -> "Figure":
     return figure
 
 
-def _coloured(grid: OccupancyGrid) -> np.ndarray:
-    """Return the colours (H, W, 3) of a map."""
+def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
+    """Return the colours (rows, columns, 3) of a part of a map."""
     colours: np.ndarray = belief_colours()[
-        np.round(255.0 * np.asarray(grid.probability)).astype(np.uint8)
+        np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
     ]
     return colours
 
 
-def _in_cells(row: Row, grid: OccupancyGrid) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the robot was along the map's columns and rows [cells]."""
+def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robot was along the columns and rows of a part of a map [cells]."""
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
-    return (cos * x + sin * y) / grid.resolution, (cos * y - sin * x) / grid.resolution
+    across, along = (
+        (cos * x + sin * y) / grid.resolution,
+        (cos * y - sin * x) / grid.resolution,
+    )
+    rows, columns = part
+    return across - columns.start, along - rows.start
 
 
-def _replay(row: Row, grid: OccupancyGrid) -> dict[str, Any]:
+def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
     """Return what the page's script needs of a run: pixels count from the upper left."""
-    across, along = _in_cells(row, grid)
+    across, along = _in_cells(row, grid, part)
+    # The row's picture has its first row above; a part counts from below.
+    seen = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1][part][::-1]
     radius = json.loads(row["settings"])["robot"]["radius"]
     return {
         "map": row["map"],
@@ -198,20 +233,16 @@ def _replay(row: Row, grid: OccupancyGrid) -> dict[str, Any]:
         "time": row["curve_time"],
         "coverage": np.round(row["curve_coverage"], 4).tolist(),
         "across": np.round(across, 2).tolist(),
-        "down": np.round(grid.shape[0] - along, 2).tolist(),
+        "down": np.round(len(seen) - along, 2).tolist(),
         "radius": radius / grid.resolution,
         "seen_time": row["seen_time"],
-        "seen": _url(row["seen"]),
+        "seen": _png(seen),
     }
 
 
-def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, OccupancyGrid]) -> str:
-    """Return the data of replays and what plays them."""
-    pictures = {}
-    for name in sorted(maps):
-        file = io.BytesIO()
-        Image.fromarray(_coloured(maps[name])[::-1]).save(file, format="PNG", optimize=True)
-        pictures[name] = _url(file.getvalue())
+def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, np.ndarray]) -> str:
+    """Return the data of replays, on pictures of maps, and what plays them."""
+    pictures = {name: _png(coloured[::-1]) for name, coloured in maps.items()}
     data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
     # Nothing that a map or an explorer is called can end the script.
     told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
@@ -241,6 +272,12 @@ def _picture(figure: "Figure", alternative: str) -> str:
     data = io.BytesIO()
     figure.savefig(data, format="png", dpi=DOTS_PER_INCH)
     return f'<img alt="{html.escape(alternative)}" src="{_url(data.getvalue())}">'
+
+
+def _png(picture: np.ndarray) -> str:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, format="PNG", optimize=True)
+    return _url(file.getvalue())
 
 
 def _url(picture: bytes) -> str:
