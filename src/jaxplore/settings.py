@@ -67,7 +67,7 @@ FLIGHT: dict[str, Any] = {
     "fields": {"min_information": 3.0, "occupancy_prior": 0.5},
     "rates": {"sensing": 50.0},
 }
-"""What differs by default if the architecture is not `explorer`: a quadrotor with a camera."""
+"""What differs by default for architectures that are not in `GROUND`: a quadrotor with a camera."""
 
 
 class OfficeSettings(Section):
@@ -277,7 +277,9 @@ class Settings(Section):
         map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; with a
             `world`, a name for it.
         world: the entries of a world, instead of its file.
-        architecture: what decides: the ground robots' `explorer` or `portfolio`; informative MPPI,
+        architecture: what decides: the ground robots' `explorer` or `portfolio`, or an explorer to
+            compare with, by its rule for the next target, such as `nearest-frontier` or `wander`;
+            informative MPPI,
             `two-layer`, `parallel`, or `sequential`, which is two-layer from zone to zone of a
             world; or a baseline: a random walk, MPPI that only goes to the goal.
         start: pose (x, y, yaw) [m, m, rad]; office and worlds have one of their own.

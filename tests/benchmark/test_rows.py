@@ -51,7 +51,7 @@ def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     recording = record_run(controller, scenario, num_steps, key=key)
     metrics = compute_metrics(recording, seed=task.seed)
     named = {
-        "format": 2,
+        "format": 3,
         "id": task.id,
         "map": "east",
         "explorer": "explorer",

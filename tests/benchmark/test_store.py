@@ -99,7 +99,7 @@ def test_a_former_benchmark_goes_on_with_more(
     assert document["seeds"] == [0, 1, 7]
     assert list(document["maps"]) == ["east", "west"]
     assert document["maps"]["east"]["start"] == [1.0, 1.5, 0.5]
-    assert document["format"] == 2
+    assert document["format"] == 3
     assert document["settings"] == asked.settings
 
 
@@ -160,12 +160,12 @@ def test_a_map_may_change_until_a_run_was_made_on_it(
 @pytest.mark.parametrize(
     ("mark", "reason"),
     [
-        ('{"format": 1}', "has format 1; accepted: format 2"),
-        ('{"format": "2"}', "has format '2'; accepted: format 2"),
+        ('{"format": 1}', "has format 1; accepted: format 3"),
+        ('{"format": "2"}', "has format '2'; accepted: format 3"),
         ("{}", "its benchmark.json cannot be read: 'format'"),
         ("[1]", "its benchmark.json cannot be read"),
         ("{", "its benchmark.json cannot be read"),
-        ('{"format": 2}', "its benchmark.json has no settings"),
+        ('{"format": 3}', "its benchmark.json has no settings"),
         (None, "exists and holds no benchmark.json; accepted: a new folder"),
     ],
 )

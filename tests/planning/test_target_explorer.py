@@ -166,8 +166,8 @@ def test_distance_advantage_is_by_dijkstra(half_known) -> None:
     rule = DistanceAdvantage(count + 5)  # all of them, and what is asked for beyond
     scores = np.asarray(rule.scores(found, key=KEY))
     between = [ways(found, node) for node in np.argwhere(frontier)]
-    remote = np.mean([np.where(frontier, each, 0.0) for each in between], axis=0)
-    expected = remote - np.where(frontier, found.distance, 0.0)
+    total = np.sum([np.where(frontier, each, 0.0) for each in between], axis=0)
+    expected = total / (count - 1) - np.where(frontier, found.distance, 0.0)
     np.testing.assert_allclose(scores[frontier], expected[frontier], atol=2e-3)
     # The corner lies apart from the door's frontiers, which are more.
     assert chosen(rule, found)[0] >= 16

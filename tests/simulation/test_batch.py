@@ -63,12 +63,9 @@ def test_a_run_does_not_depend_on_the_others_and_nothing_compiles_again(
 
 
 def test_runs_of_a_batch_stop_at_the_limit(experiment) -> None:
-    progress = []
-    runs = record_runs(*experiment, 30, keys=KEYS, on_progress=progress.append)
+    runs = record_runs(*experiment, 30, keys=KEYS)
     assert [run.num_steps for run in runs] == [30, 30, 30]
     assert [run.finished_step for run in runs] == [None] * 3
-    assert [round(one.time, 2) for one in progress] == [0.5, 0.6]
-    assert 0.0 < progress[-1].coverage == min(run.records.coverage[-1] for run in runs)
 
 
 @pytest.mark.parametrize("keys", [KEYS[0], KEYS[:0]])

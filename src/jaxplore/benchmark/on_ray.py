@@ -53,12 +53,15 @@ class RayWorkers(Crew):
         self._batches: dict[int, Batch] = {}
         self._awaited: dict[Any, int] = {}
         self._files: dict[str, Any] = {}
+        self._failed: list[Event] = []
 
     def _join(self, number: int | None, address: str | None) -> None:
         options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
         if address is None:
             # Nobody has agreed to having a local cluster reported.
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+            # It serves nobody but this machine.
+            options |= {"_node_ip_address": "127.0.0.1"}
             options |= {"num_cpus": number, "include_dashboard": False}
         try:
             _knock(address)
@@ -85,14 +88,21 @@ class RayWorkers(Crew):
     def give(self, worker: int, batch: Batch) -> None:
         """Send tasks, and once for each map its files."""
         first = batch[0]
-        if first.content not in self._files:
-            self._files[first.content] = self._ray.put(_packed(first.path))
         self._batches[worker] = batch
+        try:
+            if first.content not in self._files:
+                self._files[first.content] = self._ray.put(_packed(first.path))
+        except (OSError, ValueError) as error:
+            # A map that is gone meanwhile: its runs fail, the others go on.
+            self._failed.append(_failure(worker, batch, str(error)))
+            return
         results = self._actors[worker].run.remote(batch, self._files[first.content])
         self._awaited[results] = worker
 
     def wait(self) -> list[Event]:
         """Wait for a word, or the end, of some worker."""
+        if self._failed:
+            return [self._failed.pop()]
         done, _ = self._ray.wait(list(self._awaited), num_returns=1)
         return [self._event(self._awaited.pop(each), each) for each in done]
 
@@ -102,8 +112,7 @@ class RayWorkers(Crew):
             return Event(worker, self._ray.get(answer))
         except self._errors.RayTaskError as error:
             if batch:
-                last = str(error).strip().splitlines()[-1]
-                return Event(worker, tuple(result_of(failed_row(task, last)) for task in batch))
+                return _failure(worker, batch, str(error).strip().splitlines()[-1])
             reason = str(error)
         except self._errors.RayError as error:
             reason = f"{type(error).__name__}: {error}"
@@ -138,11 +147,18 @@ class _Worker:
         """Return what tasks come to."""
         folder = Path(self._folder.name) / batch[0].content
         if not folder.is_dir():
-            folder.mkdir()
+            # Whole or not at all: the next run would take what is there for the map.
+            unfinished = Path(tempfile.mkdtemp(dir=self._folder.name))
             for name, data in files.items():
-                (folder / name).write_bytes(data)
+                (unfinished / name).write_bytes(data)
+            unfinished.rename(folder)
         here = tuple(dataclasses.replace(task, copy=str(folder / MAP)) for task in batch)
         return results_for(here, self._make)
+
+
+def _failure(worker: int, batch: Batch, error: str) -> Event:
+    """Return the event that the tasks of a worker have failed."""
+    return Event(worker, tuple(result_of(failed_row(task, error)) for task in batch))
 
 
 def _knock(address: str | None) -> None:

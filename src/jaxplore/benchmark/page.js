@@ -63,6 +63,7 @@
   const end = () => run.time[run.time.length - 1];
   const stop = () => { clearInterval(timer); timer = null; toggle.textContent = "Play"; };
   const play = () => {
+    stop();
     if (time >= end()) time = 0;
     toggle.textContent = "Pause";
     const speed = end() / PLAY_SECONDS, started = performance.now(), before = time;

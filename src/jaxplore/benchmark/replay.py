@@ -26,8 +26,8 @@ class Replay(NamedTuple):
 
 
 def replay_of(recording: Recording) -> Replay:
-    """Return how a run's map grew: at the run's looks, about every half second at first, two
-    hundred of them at least in a long run."""
+    """Return how a run's map grew: at the run's looks, every half second, or in a long run (in a
+    batch the longest) at 120 instants at least."""
     first = np.full(recording.world.shape, NEVER, np.uint8)
     for index, frame in enumerate(recording.frames[:NEVER]):
         p = frame.probability / 255.0

@@ -11,8 +11,9 @@ from typing import Any, get_args
 from jaxplore.benchmark.maps import MapFile
 from jaxplore.settings import OFFICE, Architecture, Settings, make_settings
 
-FORMAT = 2
-"""Version of what a benchmark writes: raised when former results would mean something else."""
+FORMAT = 3
+"""Version of what a benchmark writes: raised when former results would mean something else, also
+because a default or an explorer is another one."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -40,8 +40,9 @@ QUADROTOR: dict[str, Any] = {
     "robot.radius": 0.3,
     "robot.max_speed": 2.0,
 }
-"""Those that are a quadrotor's: it sees ahead, with beams as far apart. Its own architectures have
-other defaults than those of ground vehicles; here they are the same for all."""
+"""Those that are a quadrotor's: it sees ahead, with beams as far apart. `two-layer` and `parallel`
+have other defaults for these than the ground vehicles' explorers; here they are the same for all.
+What they take for worth a look, `fields`, remains their own."""
 
 _OWN = ("explorers", "starts", "workers", "batch", "ray", "address")
 """Options that only a benchmark takes."""
@@ -210,7 +211,7 @@ def _show(store: Store, outcome: Outcome, num_tasks: int, grids: dict[str, Occup
             err=True,
         )
         sys.exit(_INTERRUPTED)
-    if failed:
+    if outcome.num_failed:
         sys.exit(_FAILED)
 
 

@@ -115,7 +115,6 @@ class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         if self._states is None and not mask.all():
             raise gymnasium.error.ResetNeeded("some environments have no state; accepted: all")
         self._begin(mask, seeds, chosen.get("scenario"))
-        self._has_ended &= ~mask
         nothing = jnp.zeros(self.action_space.shape or (), jnp.float32)
         observation, _, _, info = self._advance(nothing, np.ones(self.num_envs, bool))
         return observation, info

@@ -16,13 +16,10 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
 from jaxplore.information.belief import Belief
 from jaxplore.information.guidance import GuidanceField, downhill, geodesic
-from jaxplore.information.perception import LEFTOVER_SHARE
+from jaxplore.information.perception import LAYERS, LEFTOVER_SHARE
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.prospects import Prospects, prospects
 from jaxplore.planning.target_rules import TargetRule
-
-LAYERS = 4
-"""Nodes deep into what is closed that the cost to go is continued, as that of `Perception`."""
 
 
 class TargetState(NamedTuple):
@@ -33,7 +30,7 @@ class TargetState(NamedTuple):
         node: (row, column) of the target on the guidance's lattice.
         has_target: whether there is one.
         guidance: cost to go to it [m].
-        since: commands since the last choice.
+        since: commands since the first choice.
     """
 
     tracker: Any

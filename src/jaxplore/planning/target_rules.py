@@ -165,14 +165,15 @@ class DistanceAdvantage(TargetRule):
         roads, is_frontier = prospects.roads, prospects.is_frontier
         # The greatest of uniform numbers: so many different ones, or all there are.
         drawn = jnp.where(is_frontier, jax.random.uniform(key, is_frontier.shape), -1.0)
-        value, index = jax.lax.top_k(drawn.reshape(-1), self.num_others)
+        value, index = jax.lax.top_k(drawn.reshape(-1), min(self.num_others, drawn.size))
 
         def way(node: Array) -> Array:
             source = jnp.full(is_frontier.size, jnp.inf).at[node].set(0.0)
             return geodesic(source.reshape(is_frontier.shape), roads.slowness, roads.is_open)
 
         ways = jax.lax.map(way, index)
-        counts = ((value >= 0.0)[:, None, None]) & jnp.isfinite(ways)
+        # The way to itself is none to another.
+        counts = ((value >= 0.0)[:, None, None]) & jnp.isfinite(ways) & (ways > 0.0)
         total = jnp.sum(jnp.where(counts, ways, 0.0), axis=0)
         remoteness = total / jnp.maximum(jnp.sum(counts, axis=0, dtype=jnp.float32), 1.0)
         return remoteness - prospects.distance

@@ -2,7 +2,6 @@
 
 import functools
 import time
-from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,7 +25,6 @@ from jaxplore.simulation.recording import Frame, Recording
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.simulate import (
     Look,
-    Progress,
     frame_of,
     look_at,
     period_of,
@@ -53,7 +51,6 @@ def record_runs(
     num_steps: int,
     *,
     keys: PRNGKeyArray,
-    on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> tuple[Recording, ...]:
     """Simulate several runs by `jax.vmap`, each until it is finished or the steps are done.
 
@@ -69,7 +66,6 @@ def record_runs(
         scenario: where and how.
         num_steps: at most, in control periods.
         keys: (B,) one for each run.
-        on_progress: called after each chunk, with the least coverage.
 
     Raises:
         ValueError: a number of steps < 1; no keys.
@@ -94,10 +90,6 @@ def record_runs(
             frame_of(_of_run(seen, i), done, done * period) for i, done in enumerate(steps)
         )
 
-    def report(batch: Batch, total: int, seconds: float) -> None:
-        coverage = float(batch.states.progress.coverage.min())
-        on_progress(Progress(total * period, limit * period, coverage, seconds))
-
     together = watch(
         run,
         lambda batch: jnp.any(_going_on(scenario, batch.states)),
@@ -106,7 +98,7 @@ def record_runs(
         began=began,
         limit=limit,
         chunk=chunk,
-        on_chunk=report,
+        on_chunk=lambda *_: None,
     )
     return tuple(
         recording_of(controller, scenario, _of_run(before.states, i), _alone(together, i))
