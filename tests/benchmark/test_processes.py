@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from jaxplore.benchmark.execute import Outcome, run_tasks
+from jaxplore.benchmark.on_ray import RayWorkers
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.tasks import Batch, Task, make_tasks
@@ -104,6 +105,17 @@ def test_a_cluster_that_is_not_there_is_named_at_once(
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(ValueError, match=f"Ray cannot be reached at '{address}'.*accepted"):
             run_tasks(tasks, store, address=address)
+
+
+def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(tasks: tuple[Task, ...]) -> None:
+    workers = object.__new__(RayWorkers)  # without a cluster: nothing is sent
+    workers._files, workers._failed = {}, []
+    Path(tasks[0].path).unlink()
+    workers.give(3, tasks[:2])
+    ((worker, results, death),) = workers.wait()
+    assert (worker, death) == (3, None)
+    assert [each.id for each in results] == [task.id for task in tasks[:2]]
+    assert all(each.error and "east.yaml" in each.error for each in results)
 
 
 @needs_ray

@@ -88,14 +88,15 @@ class RayWorkers(Crew):
     def give(self, worker: int, batch: Batch) -> None:
         """Send tasks, and once for each map its files."""
         first = batch[0]
-        self._batches[worker] = batch
         try:
             if first.content not in self._files:
-                self._files[first.content] = self._ray.put(_packed(first.path))
+                files = _packed(first.path)
+                self._files[first.content] = self._ray.put(files)
         except (OSError, ValueError) as error:
             # A map that is gone meanwhile: its runs fail, the others go on.
             self._failed.append(_failure(worker, batch, str(error)))
             return
+        self._batches[worker] = batch
         results = self._actors[worker].run.remote(batch, self._files[first.content])
         self._awaited[results] = worker
 
