@@ -147,7 +147,7 @@ def test_each_run_is_the_one_that_simulate_makes(
 
 
 def test_seeds_do_not_compile_again(experiments: Experiments, compared: Comparison) -> None:
-    programs = (run_chunk, initial_loop_state, simulation._look)
+    programs = (run_chunk, initial_loop_state, simulation.look_at)
     before = [each._cached._cache_size() for each in programs]
     again = compare(experiments, [*SEEDS, 7])
     assert [each._cached._cache_size() for each in programs] == before

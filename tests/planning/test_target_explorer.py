@@ -239,7 +239,7 @@ def test_guidance_leads_to_the_target(half_known) -> None:
     assert float(state.guidance(position)) == pytest.approx(to_go[tuple(start)], abs=0.4)
 
 
-@pytest.mark.parametrize("name", ["nearest-frontier", "next-best-view", "wander"])
+@pytest.mark.parametrize("name", ["nearest-frontier", "wander"])
 def test_rules_explore_without_contact(name: str) -> None:
     """One that asks for frontiers, one for views and one for neither."""
     scenario = Scenario(
