@@ -50,3 +50,20 @@ def make():
         return explorer(robot, horizon=30, num_samples=128, **costs), scenario
 
     return make
+
+
+@pytest.fixture(scope="session")
+def check_frames():
+    """Return a check that the looks at a run are in order, and that the last one is its end."""
+
+    def check(recording) -> None:
+        steps = [frame.step for frame in recording.frames]
+        assert steps[0] == 0
+        assert steps[-1] == recording.num_steps
+        assert steps == sorted(set(steps))
+        last = recording.frames[-1]
+        np.testing.assert_array_equal(last.state, recording.records.state[-1])
+        expected = np.round(255 * recording.belief).astype(np.uint8)
+        np.testing.assert_array_equal(last.probability, expected)
+
+    return check

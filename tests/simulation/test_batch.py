@@ -32,7 +32,7 @@ def test_each_run_is_that_of_its_key_alone(experiment, together) -> None:
         assert run.num_steps == pytest.approx(alone.num_steps, rel=0.1)
 
 
-def test_each_run_ends_when_it_is_finished(experiment, together) -> None:
+def test_each_run_ends_when_it_is_finished(together, check_frames) -> None:
     lengths = [run.num_steps for run in together]
     assert len(set(lengths)) > 1
     for run in together:
@@ -41,13 +41,7 @@ def test_each_run_ends_when_it_is_finished(experiment, together) -> None:
         assert covered[-1]
         assert not covered[:-1].any()
         assert all(len(rows) == run.num_steps for rows in jax.tree.leaves(run.records))
-        steps = [frame.step for frame in run.frames]
-        assert steps[0] == 0
-        assert steps[-1] == run.num_steps
-        assert steps == sorted(set(steps))
-        last = run.frames[-1]
-        np.testing.assert_array_equal(last.state, run.records.state[-1])
-        np.testing.assert_array_equal(last.probability, np.round(255 * run.belief))
+        check_frames(run)
 
 
 def test_a_run_does_not_depend_on_the_others_and_nothing_compiles_again(
