@@ -1,6 +1,8 @@
 """What tests share."""
 
 import os
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 
 import equinox as eqx
@@ -10,6 +12,8 @@ import pytest
 
 import jaxplore
 from jaxplore.cli import main
+from jaxplore.workers.crew import Crew, Event
+from jaxplore.workers.job import Job
 
 # No test depends on a duration: the machine is shared, and the first call compiles.
 hypothesis.settings.register_profile(
@@ -55,3 +59,44 @@ def empty_belief():
     perception = jaxplore.Perception(lidar, 0.5, 0.2, num_directions=4)
     grid = jaxplore.OccupancyGrid(jnp.zeros((8, 8)), 0.5)
     return eqx.filter_jit(perception.init)(grid, jnp.asarray([2.0, 2.0, 0.0]))
+
+
+class Scripted(Crew):
+    """Workers that do what they are told in turns, and die when the script says so: of a job, or,
+    told None, when they are started or asked."""
+
+    def __init__(self, number: int, die: Callable[[int, Job | None], bool]) -> None:
+        self._number, self._die = number, die
+        self._news: deque[Event] = deque()
+        self.started, self.given, self.closed = 0, list[tuple[int, Job]](), False
+
+    @property
+    def size(self) -> int:
+        return self._number
+
+    def start(self, example: Job) -> None:
+        worker, self.started = self.started, self.started + 1
+        self.ask(worker)
+
+    def ask(self, worker: int) -> None:
+        death = "never ready" if self._die(worker, None) else None
+        self._news.append(Event(worker, death=death))
+
+    def give(self, worker: int, job: Job) -> None:
+        self.given.append((worker, job))
+        is_fatal = self._die(worker, job)
+        self._news.append(
+            Event(worker, death="killed by SIGKILL") if is_fatal else Event(worker, job.run())
+        )
+
+    def wait(self) -> list[Event]:
+        return [self._news.popleft()]
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def scripted() -> type[Scripted]:
+    """Return workers without processes."""
+    return Scripted

@@ -1,57 +1,27 @@
-"""How tasks are spread over workers, with workers that are none, and runs here."""
+"""What becomes of tasks, with workers that are none, and of runs here."""
 
 import signal
 import sys
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from jaxplore.benchmark import execute
 from jaxplore.benchmark import perform as performing
-from jaxplore.benchmark.crew import Crew, Event
 from jaxplore.benchmark.execute import Done, run_tasks
-from jaxplore.benchmark.perform import perform, results_for
+from jaxplore.benchmark.job import Runs
+from jaxplore.benchmark.perform import perform
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.tasks import Batch, Task, make_tasks
+from jaxplore.workers import pool
 
 Pretend = Callable[[Batch], list[Row]]
 Die = Callable[[int, Task | None], bool]
+Spread = Callable[..., tuple[list[tuple[int, Runs]], execute.Outcome]]
 Timeless = Callable[[Store], list[Row]]
-
-
-class Workers(Crew):
-    """Workers that do what they are told in turns, and die when the script says so."""
-
-    def __init__(self, number: int, make: Pretend, die: Die) -> None:
-        self._number, self._make, self._die = number, make, die
-        self._news: deque[Event] = deque()
-        self.started, self.given, self.closed = 0, list[tuple[int, Batch]](), False
-
-    @property
-    def size(self) -> int:
-        return self._number
-
-    def start(self) -> None:
-        worker, self.started = self.started, self.started + 1
-        self._news.append(Event(worker, death="never ready" if self._die(worker, None) else None))
-
-    def give(self, worker: int, batch: Batch) -> None:
-        self.given.append((worker, batch))
-        dies = self._die(worker, batch[0])
-        self._news.append(
-            Event(worker, death="killed by SIGKILL")
-            if dies
-            else Event(worker, results_for(batch, self._make))
-        )
-
-    def wait(self) -> list[Event]:
-        return [self._news.popleft()]
-
-    def close(self) -> None:
-        self.closed = True
 
 
 @pytest.fixture
@@ -59,88 +29,40 @@ def many(asked: Asked) -> tuple[Task, ...]:
     return make_tasks(asked.maps, ("explorer", "portfolio"), range(4), asked.settings)
 
 
-def spread(
-    tasks: tuple[Task, ...],
-    store: Store,
-    pretend: Pretend,
-    monkeypatch: pytest.MonkeyPatch,
-    die: Die = lambda *_: False,
-    number: int = 2,
-) -> tuple[Workers, execute.Outcome]:
-    made: list[Workers] = []
+@pytest.fixture
+def spread(scripted: Callable[..., Any], monkeypatch: pytest.MonkeyPatch) -> Spread:
+    def run(
+        tasks: tuple[Task, ...], store: Store, make: Pretend, die: Die
+    ) -> tuple[list[tuple[int, Runs]], execute.Outcome]:
+        """Run tasks on two workers and return who was given what; they are closed in any case."""
+        crew = scripted(2, lambda worker, runs: die(worker, runs and runs.batch[0]))
+        monkeypatch.setattr(pool, "Processes", lambda _: crew)
+        try:
+            outcome = run_tasks(tasks, store, workers=2, make=make)
+        finally:
+            assert crew.closed
+        return crew.given, outcome
 
-    def crew(number: int, make: Pretend) -> Workers:
-        made.append(Workers(number, make, die))
-        return made[-1]
-
-    monkeypatch.setattr(execute, "Processes", crew)
-    outcome = run_tasks(tasks, store, workers=number, make=pretend)
-    assert made[-1].closed
-    return made[-1], outcome
-
-
-def test_workers_keep_to_a_map_and_explorer(
-    many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    crew, outcome = spread(many, store, pretend, monkeypatch)
-    assert outcome == (16, 0, 0, False)
-    assert crew.started == 2
-    for worker in range(2):
-        groups = [task.group for each, (task,) in crew.given if each == worker]
-        assert len(set(groups)) == 2
-        assert groups == sorted(groups)
-        # The same explorer on the next map: of the same shape, its loop is there.
-        assert len({explorer for _, explorer in groups}) == 1
-    assert [row["id"] for row in store.rows(["id"])] == [task.id for task in many]
-
-
-def test_no_more_workers_than_tasks(
-    many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    crew, _ = spread(many[:3], store, pretend, monkeypatch, number=8)
-    assert crew.started == 3
-
-
-def test_a_death_costs_one_run_that_is_made_again(
-    many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fatal = [many[0], many[5], many[5]]
-
-    def die(_: int, task: Task | None) -> bool:
-        is_fatal = task in fatal
-        if task is not None and is_fatal:
-            fatal.remove(task)
-        return is_fatal
-
-    crew, outcome = spread(many, store, pretend, monkeypatch, die)
-    assert outcome == (16, 0, 0, False)
-    times = [sum(task == each for _, (task,) in crew.given) for each in many]
-    assert times == [2, 1, 1, 1, 1, 3, *[1] * 10]
-    assert crew.started == 5
-    assert store.rows() == pretend(many)
+    return run
 
 
 def test_a_task_of_which_three_workers_die_has_failed(
-    many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
+    many: tuple[Task, ...], store: Store, pretend: Pretend, spread: Spread
 ) -> None:
-    crew, outcome = spread(many, store, pretend, monkeypatch, lambda _, task: task == many[6])
+    given, outcome = spread(many, store, pretend, lambda _, task: task == many[6])
     assert outcome == (16, 1, 0, False)
-    died = [worker for worker, (task,) in crew.given if task == many[6]]
+    died = [worker for worker, runs in given if runs.batch == (many[6],)]
     assert len(died) == len(set(died)) == 3
     failed = {row["id"]: row["error"] for row in store.rows(["id", "error"]) if row["error"]}
     assert failed == {many[6].id: "3 workers died of it: killed by SIGKILL"}
 
 
 def test_workers_that_never_start_are_not_started_for_ever(
-    many: tuple[Task, ...], store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
+    many: tuple[Task, ...], store: Store, pretend: Pretend, spread: Spread
 ) -> None:
     with pytest.raises(ChildProcessError, match="workers do not start: never ready"):
-        spread(many, store, pretend, monkeypatch, lambda _, task: task is None)
+        spread(many, store, pretend, lambda _, task: task is None)
     assert store.results.exists()
-    # One that does not does no harm.
-    crew, outcome = spread(many, store, pretend, monkeypatch, lambda worker, task: worker == 0)
-    assert outcome == (16, 0, 0, False)
-    assert crew.started == 3
 
 
 def test_it_goes_on_where_it_was_and_tries_again_what_failed(
@@ -227,7 +149,7 @@ def test_maps_that_cannot_be_read_fail_alone(
 
 
 def test_what_is_left_of_a_batch_is_done_together(
-    asked: Asked, store: Store, pretend: Pretend, monkeypatch: pytest.MonkeyPatch
+    asked: Asked, store: Store, pretend: Pretend, spread: Spread
 ) -> None:
     tasks = make_tasks(asked.maps[:1], asked.explorers, range(1, 8), asked.settings, 3)
     run_tasks(tasks[3:4], store, make=pretend)
@@ -240,10 +162,10 @@ def test_what_is_left_of_a_batch_is_done_together(
         return is_fatal
 
     shown: list[Done] = []
-    crew, outcome = spread(tasks, store, pretend, monkeypatch, die)
+    given, outcome = spread(tasks, store, pretend, die)
     assert outcome == (6, 0, 1, False)
-    given = [[task.seed for task in batch] for _, batch in crew.given]
-    assert sorted(given) == [[1, 2], [3, 5], [3, 5], [6, 7]]
+    seeds = [[task.seed for task in runs.batch] for _, runs in given]
+    assert sorted(seeds) == [[1, 2], [3, 5], [3, 5], [6, 7]]
     assert store.rows() == pretend(tasks)
     again = make_tasks(asked.maps[1:], asked.explorers, range(2), asked.settings, 2)
     run_tasks(again, store, on_done=shown.append, make=pretend)

@@ -16,10 +16,12 @@ from typing import Any
 import pytest
 
 from jaxplore.benchmark.execute import Outcome, run_tasks
-from jaxplore.benchmark.on_ray import RayWorkers
+from jaxplore.benchmark.job import Runs
+from jaxplore.benchmark.perform import perform
 from jaxplore.benchmark.rows import Row
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.tasks import Batch, Task, make_tasks
+from jaxplore.workers.on_ray import RayWorkers
 
 Timeless = Callable[[Store], list[Row]]
 
@@ -111,7 +113,7 @@ def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(tasks: tuple[Task, ...]
     workers = object.__new__(RayWorkers)  # without a cluster: nothing is sent
     workers._files, workers._failed = {}, []
     Path(tasks[0].path).unlink()
-    workers.give(3, tasks[:2])
+    workers.give(3, Runs(tasks[:2], perform))
     ((worker, results, death),) = workers.wait()
     assert (worker, death) == (3, None)
     assert [each.id for each in results] == [task.id for task in tasks[:2]]

@@ -1,7 +1,6 @@
 """Runs of a benchmark, from their tasks to their rows."""
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -20,10 +19,6 @@ from jaxplore.simulation.simulate import record_run
 Perform = Callable[[Batch], Sequence[Row]]
 """Makes the runs of a batch and returns their rows. Another process finds it by its module and
 name."""
-
-MOST_MAPPINGS = 20_000
-"""Pieces of memory that a process may map before compiled loops are forgotten: Linux gives it
-65530, each loop takes hundreds, and without any left the next compilation crashes."""
 
 
 def perform(batch: Batch) -> tuple[Row, ...]:
@@ -66,7 +61,6 @@ def results_for(batch: Batch, make: Perform = perform) -> tuple[Result, ...]:
     Raises:
         KeyboardInterrupt: the user stopped the runs.
     """
-    _forget_loops()
     try:
         rows = make(batch)
     except Exception as error:
@@ -85,9 +79,3 @@ def _open_start(settings: Settings) -> tuple[float, float, float]:
     grid = read_grid(settings.map, settings.resolution)
     x, y = open_spot(grid, float(robot_of(settings.robot).radius))
     return x, y, 0.0
-
-
-def _forget_loops() -> None:
-    mappings = Path("/proc/self/maps")
-    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
-        jax.clear_caches()  # type: ignore[no-untyped-call]

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxplore.benchmark.packages import package
 from jaxplore.benchmark.replay import replay_of
 from jaxplore.benchmark.tasks import FORMAT, Task, canonical
 from jaxplore.report.metrics import CURVE_PERIOD, LEVELS, Metrics
 from jaxplore.report.progress import progress
 from jaxplore.settings import Settings
 from jaxplore.simulation.recording import Recording
+from jaxplore.workers.packages import package
 
 Row = dict[str, Any]
 """A run by the names of the columns; None where there is no value."""

@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from jaxplore.benchmark.maps import MapFile
-from jaxplore.benchmark.packages import package
 from jaxplore.benchmark.page import SHOWN, page
 from jaxplore.benchmark.rows import KEYS, Result, Row, schema
 from jaxplore.benchmark.tasks import FORMAT, Task, common_settings, make_tasks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.folder import in_one_line
+from jaxplore.workers.packages import package
 
 MARK = "benchmark.json"
 """The file by which a benchmark is recognised: version of the format, and what was asked."""

@@ -1,29 +1,28 @@
-"""Workers that do a benchmark's runs: what processes and machines have in common."""
+"""Workers: what processes and machines have in common."""
 
 import abc
 import os
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from jaxplore.benchmark.rows import Result
-from jaxplore.benchmark.tasks import Batch
+from jaxplore.workers.job import Job
 
 
 class Event(NamedTuple):
-    """Something that a worker reports. Without results and a death, that it is ready.
+    """Something that a worker reports.
 
     Args:
         worker: which.
-        results: of the tasks that it was given.
+        answer: to the job that it was given; None from one that had none and is ready.
         death: why it is no more, in a few words; None while it lives.
     """
 
     worker: int
-    results: tuple[Result, ...] = ()
+    answer: Any = None
     death: str | None = None
 
 
 class Crew(abc.ABC):
-    """Workers, each of which does one batch of tasks at a time."""
+    """Workers, each of which does one job at a time."""
 
     @property
     @abc.abstractmethod
@@ -31,12 +30,21 @@ class Crew(abc.ABC):
         """How many workers there are to be."""
 
     @abc.abstractmethod
-    def start(self) -> None:
-        """Start one more worker, which reports when it is ready."""
+    def start(self, example: Job) -> None:
+        """Start one more worker, which reports when it is ready.
+
+        Args:
+            example: a job like those that it will be given: what they need is imported before. It
+                is not done.
+        """
 
     @abc.abstractmethod
-    def give(self, worker: int, batch: Batch) -> None:
-        """Give tasks to a worker that is ready; it reports the results."""
+    def ask(self, worker: int) -> None:
+        """Ask a worker that has nothing to do whether it is there; it reports that it is ready."""
+
+    @abc.abstractmethod
+    def give(self, worker: int, job: Job) -> None:
+        """Give a job to a worker that is ready; it reports the answer."""
 
     @abc.abstractmethod
     def wait(self) -> list[Event]:

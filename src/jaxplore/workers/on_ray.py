@@ -1,56 +1,45 @@
 """Workers of a Ray cluster: on this machine, or on several that need not share a disk."""
 
 import contextlib
-import dataclasses
-import io
 import os
+import pickle
 import socket
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from jaxplore.benchmark.crew import Crew, Event, limit_threads
-from jaxplore.benchmark.maps import image_of
-from jaxplore.benchmark.packages import package
-from jaxplore.benchmark.perform import Perform, results_for
-from jaxplore.benchmark.rows import Result, failed_row, result_of
-from jaxplore.benchmark.tasks import Batch
-from jaxplore.maps._files import read_yaml
-
-Files = dict[str, bytes]
-"""A map's files by name, the YAML file under `MAP`."""
-
-MAP = "map.yaml"
+from jaxplore.workers.answer import answer_to
+from jaxplore.workers.crew import Crew, Event, limit_threads
+from jaxplore.workers.job import Files, Job
+from jaxplore.workers.packages import package
 
 _PATIENCE = 10.0
 """Time for a cluster's head to answer [s]."""
 
 
 class RayWorkers(Crew):
-    """Actors with a processor each. Maps are sent to them, and rows sent back.
+    """Actors with a processor each. Files are sent to them with their jobs, and answers back.
 
     Args:
         number: of workers; None for as many as the cluster has processors.
         address: of a cluster to join; a local one is started when absent, unless Ray is in use.
-        make: what makes the runs of a batch.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
     """
 
-    def __init__(self, number: int | None, address: str | None, make: Perform) -> None:
+    def __init__(self, number: int | None, address: str | None) -> None:
         self._ray = package("ray", "distributed")
         self._errors = package("ray.exceptions", "distributed")
         self._is_ours = not self._ray.is_initialized()
         if self._is_ours:
             self._join(number, address)
         self._number = number or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
-        self._make, self._started = make, 0
+        self._started = 0
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0)(_Worker)
         self._actors: dict[int, Any] = {}
-        self._batches: dict[int, Batch] = {}
+        self._jobs: dict[int, Job] = {}
         self._awaited: dict[Any, int] = {}
         self._files: dict[str, Any] = {}
         self._failed: list[Event] = []
@@ -78,27 +67,34 @@ class RayWorkers(Crew):
         """How many workers there are to be."""
         return self._number
 
-    def start(self) -> None:
+    def start(self, example: Job) -> None:
         """Ask the cluster for one more worker."""
-        actor = self._actor.remote(self._make)
-        self._actors[self._started] = actor
-        self._awaited[actor.ready.remote()] = self._started
+        # Packed: no array is made of it before the number of threads is set.
+        packed = package("ray.cloudpickle", "distributed").dumps(example)
+        self._actors[self._started] = self._actor.remote(packed)
+        self.ask(self._started)
         self._started += 1
 
-    def give(self, worker: int, batch: Batch) -> None:
-        """Send tasks, and once for each map its files."""
-        first = batch[0]
+    def ask(self, worker: int) -> None:
+        """Ask a worker whether it is there."""
+        self._awaited[self._actors[worker].ready.remote()] = worker
+
+    def give(self, worker: int, job: Job) -> None:
+        """Send a job, and each of its files that was not sent before."""
         try:
-            if first.content not in self._files:
-                files = _packed(first.path)
-                self._files[first.content] = self._ray.put(files)
+            files = job.files()
+            for key, read in files.items():
+                if key not in self._files:
+                    content = read()
+                    self._files[key] = self._ray.put(content)
         except (OSError, ValueError) as error:
-            # A map that is gone meanwhile: its runs fail, the others go on.
-            self._failed.append(_failure(worker, batch, str(error)))
+            # Files that are gone meanwhile: the jobs that need them fail, the others go on.
+            self._failed.append(Event(worker, job.failed(str(error))))
             return
-        self._batches[worker] = batch
-        results = self._actors[worker].run.remote(batch, self._files[first.content])
-        self._awaited[results] = worker
+        self._jobs[worker] = job
+        # Only what is an argument by itself is fetched for the worker.
+        stored = [self._files[key] for key in files]
+        self._awaited[self._actors[worker].run.remote(job, list(files), *stored)] = worker
 
     def wait(self) -> list[Event]:
         """Wait for a word, or the end, of some worker."""
@@ -108,12 +104,12 @@ class RayWorkers(Crew):
         return [self._event(self._awaited.pop(each), each) for each in done]
 
     def _event(self, worker: int, answer: Any) -> Event:
-        batch = self._batches.pop(worker, ())
+        job = self._jobs.pop(worker, None)
         try:
             return Event(worker, self._ray.get(answer))
         except self._errors.RayTaskError as error:
-            if batch:
-                return _failure(worker, batch, str(error).strip().splitlines()[-1])
+            if job is not None:
+                return Event(worker, job.failed(str(error).strip().splitlines()[-1]))
             reason = str(error)
         except self._errors.RayError as error:
             reason = f"{type(error).__name__}: {error}"
@@ -130,36 +126,37 @@ class RayWorkers(Crew):
             self._kill(self._actors.popitem()[1])
         if self._is_ours:
             self._ray.shutdown()
+            self._is_ours = False
 
 
 class _Worker:
-    """Does tasks, with a processor and a folder of its own."""
+    """Does jobs, with a processor and a folder of its own."""
 
-    def __init__(self, make: Perform) -> None:
+    def __init__(self, example: bytes) -> None:
         limit_threads(1)
-        self._make = make
-        self._folder = tempfile.TemporaryDirectory(prefix="jaxplore-")
+        pickle.loads(example)
+        self._top = tempfile.TemporaryDirectory(prefix="jaxplore-")
+        self._folders: dict[str, Path] = {}
 
-    def ready(self) -> tuple[Result, ...]:
-        """Return, without results, when the worker can be given something."""
-        return ()
+    def ready(self) -> None:
+        """Return when the worker can be given something."""
 
-    def run(self, batch: Batch, files: Files) -> tuple[Result, ...]:
-        """Return what tasks come to."""
-        folder = Path(self._folder.name) / batch[0].content
-        if not folder.is_dir():
-            # Whole or not at all: the next run would take what is there for the map.
-            unfinished = Path(tempfile.mkdtemp(dir=self._folder.name))
-            for name, data in files.items():
-                (unfinished / name).write_bytes(data)
-            unfinished.rename(folder)
-        here = tuple(dataclasses.replace(task, copy=str(folder / MAP)) for task in batch)
-        return results_for(here, self._make)
+    def run(self, job: Job, keys: Sequence[str], *files: Files) -> Any:
+        """Return the answer to a job.
 
-
-def _failure(worker: int, batch: Batch, error: str) -> Event:
-    """Return the event that the tasks of a worker have failed."""
-    return Event(worker, tuple(result_of(failed_row(task, error)) for task in batch))
+        Args:
+            job: what is to be done.
+            keys: of its files.
+            files: for each key.
+        """
+        for key, each in zip(keys, files, strict=True):
+            if key not in self._folders:
+                folder = Path(tempfile.mkdtemp(dir=self._top.name))
+                for name, data in each.items():
+                    (folder / name).write_bytes(data)
+                # Whole or not at all: the next job takes what is there.
+                self._folders[key] = folder
+        return answer_to(job.located({key: self._folders[key] for key in keys}))
 
 
 def _knock(address: str | None) -> None:
@@ -167,14 +164,3 @@ def _knock(address: str | None) -> None:
     host, separator, port = (address or "").rpartition(":")
     if separator and "/" not in host and port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), _PATIENCE).close()
-
-
-def _packed(path: str) -> Files:
-    """Return the files of a map so that they can lie in any folder."""
-    entries, image = read_yaml(Path(path)), image_of(path)
-    if image is None:
-        return {MAP: Path(path).read_bytes()}
-    name = f"map{image.suffix}"
-    text = io.StringIO()
-    yaml.safe_dump({**entries, "image": name}, text, sort_keys=False, allow_unicode=True)
-    return {MAP: text.getvalue().encode(), name: image.read_bytes()}

@@ -3,6 +3,7 @@
 import contextlib
 import multiprocessing
 import os
+import pickle
 import signal
 import threading
 from collections.abc import Iterator
@@ -10,9 +11,9 @@ from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
-from jaxplore.benchmark.crew import Crew, Event, limit_threads, num_processors
-from jaxplore.benchmark.perform import Perform, results_for
-from jaxplore.benchmark.tasks import Batch
+from jaxplore.workers.answer import answer_to
+from jaxplore.workers.crew import Crew, Event, limit_threads, num_processors
+from jaxplore.workers.job import Job
 
 _PATIENCE = 10.0
 """Time for a process to end after its last word [s]."""
@@ -23,11 +24,10 @@ class Processes(Crew):
 
     Args:
         number: of processes.
-        make: what makes the runs of a batch.
     """
 
-    def __init__(self, number: int, make: Perform) -> None:
-        self._number, self._make = number, make
+    def __init__(self, number: int) -> None:
+        self._number = number
         self._threads = max(1, num_processors() // number)
         self._started = 0
         self._workers: dict[int, tuple[Connection, SpawnProcess]] = {}
@@ -37,11 +37,12 @@ class Processes(Crew):
         """How many workers there are to be."""
         return self._number
 
-    def start(self) -> None:
+    def start(self, example: Job) -> None:
         """Start one more process."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        arguments = (theirs, self._threads, self._make)
+        # Packed: no array is made of it before the number of threads is set.
+        arguments = (theirs, self._threads, pickle.dumps(example))
         process = context.Process(target=_serve, args=arguments, daemon=True)
         with _interrupts_held():
             process.start()
@@ -50,10 +51,18 @@ class Processes(Crew):
         self._workers[self._started] = (ours, process)
         self._started += 1
 
-    def give(self, worker: int, batch: Batch) -> None:
-        """Send tasks; that nobody is there any more is for `wait` to find out."""
+    def ask(self, worker: int) -> None:
+        """Ask a process whether it is there."""
+        self._send(worker, None)
+
+    def give(self, worker: int, job: Job) -> None:
+        """Send a job."""
+        self._send(worker, job)
+
+    def _send(self, worker: int, job: Job | None) -> None:
+        # That nobody is there any more is for `wait` to find out.
         with contextlib.suppress(OSError):
-            self._workers[worker][0].send(batch)
+            self._workers[worker][0].send(job)
 
     def wait(self) -> list[Event]:
         """Wait for a word, or the end, of some process."""
@@ -68,7 +77,7 @@ class Processes(Crew):
             return Event(worker, death=_end(ours, process, _PATIENCE))
 
     def close(self) -> None:
-        """Kill all processes: they hold nothing that would be lost but their runs."""
+        """Kill all processes: they hold nothing that would be lost but their jobs."""
         while self._workers:
             _, (ours, process) = self._workers.popitem()
             _end(ours, process, 0.0)
@@ -105,19 +114,21 @@ def _interrupts_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(theirs: Connection, threads: int, make: Perform) -> None:
-    """Do tasks until nobody asks any more. Runs in a process of its own."""
+def _serve(theirs: Connection, threads: int, example: bytes) -> None:
+    """Do jobs until nobody asks any more. Runs in a process of its own."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
-    # Nobody to talk to: the run is over.
+    pickle.loads(example)
+    # Nobody to talk to: it is over.
     with contextlib.suppress(EOFError, BrokenPipeError):
-        theirs.send(())
+        theirs.send(None)
         while True:
-            theirs.send(results_for(theirs.recv(), make))
+            job = theirs.recv()
+            theirs.send(None if job is None else answer_to(job))
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has ended, in the middle of a run too."""
+    """End this process when its parent has ended, in the middle of a job too."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
