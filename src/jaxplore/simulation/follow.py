@@ -15,7 +15,7 @@ from jax import Array
 from jaxplore import _checks
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
-from jaxplore.simulation.chunks import CHUNK_SECONDS, watch
+from jaxplore.simulation.chunks import CHUNK_SECONDS, Watched, watch
 from jaxplore.simulation.path_loop import (
     PathLoopState,
     PathRecord,
@@ -183,19 +183,34 @@ def record_path_run(
         chunk=chunk,
         on_chunk=report,
     )
+    return path_recording_of(scenario, state, done)
+
+
+def path_recording_of(
+    scenario: PathScenario,
+    before: PathLoopState,
+    done: Watched[PathLoopState, PathRecord, PathFrame],
+) -> PathRecording:
+    """Return a run as NumPy arrays, with what is needed to judge and draw it.
+
+    Args:
+        scenario: where and how.
+        before: the state before the first step.
+        done: the loop that was run.
+    """
     path, model, truth = scenario.path, scenario.model, scenario.true_obstacles(jnp.zeros(()))
     centre, edges = _drawn(scenario)
     return PathRecording(
         records=done.records,
         frames=done.frames,
         timing=done.timing,
-        control_period=period,
+        control_period=round(float(scenario.control_period), 7),
         start=np.asarray(scenario.start),
-        start_progress=float(state.progress),
+        start_progress=float(before.progress),
         centre=centre,
         edges=edges,
         length=float(path.length),
-        end=end,
+        end=float(scenario.end),
         is_closed=path.is_closed,
         state_names=model.state_names,
         control_half_range=np.asarray(0.5 * (model.control_max - model.control_min)),

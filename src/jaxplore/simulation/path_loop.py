@@ -135,6 +135,35 @@ def is_on_the_way(scenario: PathScenario, state: PathLoopState) -> Flag:
     return state.progress < scenario.end
 
 
+def blank_path_records(scenario: PathScenario, capacity: int) -> PathRecord:
+    """Return records to be filled.
+
+    Args:
+        scenario: whose robot it is.
+        capacity: how many steps there is room for; static.
+    """
+    model = scenario.model
+    number, flag = jnp.zeros(capacity), jnp.zeros(capacity, bool)
+    return PathRecord(
+        state=jnp.zeros((capacity, model.state_size)),
+        control=jnp.zeros((capacity, model.control_size)),
+        acceleration=jnp.zeros((capacity, 2)),
+        is_finite=flag,
+        **dict.fromkeys(
+            (
+                "contouring",
+                "lag",
+                "progress",
+                "deviation",
+                "room",
+                "gap",
+                "effective_sample_size",
+            ),
+            number,
+        ),
+    )
+
+
 @eqx.filter_jit
 def run_path_chunk(
     controller: Controller,
@@ -157,30 +186,10 @@ def run_path_chunk(
     Returns:
         The state, the records (the first axis has `capacity` entries) and how many are filled.
     """
-    model = scenario.model
-    number, flag = jnp.zeros(capacity), jnp.zeros(capacity, bool)
-    blank = PathRecord(
-        state=jnp.zeros((capacity, model.state_size)),
-        control=jnp.zeros((capacity, model.control_size)),
-        acceleration=jnp.zeros((capacity, 2)),
-        is_finite=flag,
-        **dict.fromkeys(
-            (
-                "contouring",
-                "lag",
-                "progress",
-                "deviation",
-                "room",
-                "gap",
-                "effective_sample_size",
-            ),
-            number,
-        ),
-    )
     return loop(
         lambda current: path_step(controller, scenario, current, key),
         functools.partial(is_on_the_way, scenario),
         state,
-        blank,
+        blank_path_records(scenario, capacity),
         num_steps,
     )
