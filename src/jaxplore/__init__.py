@@ -31,6 +31,9 @@ from jaxplore.control.interpolation import MaternKernel as MaternKernel
 from jaxplore.control.interpolation import RBFKernel as RBFKernel
 from jaxplore.control.interpolation import ZeroOrderHold as ZeroOrderHold
 from jaxplore.control.knots import Knots as Knots
+from jaxplore.control.leaves import find_leaf as find_leaf
+from jaxplore.control.leaves import leaves as leaves
+from jaxplore.control.leaves import with_leaves as with_leaves
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
 from jaxplore.control.mppi import MPPI as MPPI

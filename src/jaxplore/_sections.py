@@ -12,6 +12,8 @@ NonNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+Parameters = dict[str, float | list[float]]
+"""Numbers of a controller by path; a list for an array."""
 
 
 class Section(BaseModel):

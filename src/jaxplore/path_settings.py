@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from jaxplore._sections import Count, NonNegative, Positive, Section, validated
+from jaxplore._sections import Count, NonNegative, Parameters, Positive, Section, validated
 from jaxplore.settings import RobotSettings
 
 PATH = "path"
@@ -88,7 +88,8 @@ class PathSettings(Section):
 
     `path` is a file (see `jaxplore.read_path`) or track; `half_width` is the room on either side of
     one that says nothing about it [m]. With a `risk_level`, obstacles are weighed by the
-    conditional value at risk over `num_outcomes` of where they may go.
+    conditional value at risk over `num_outcomes` of where they may go. `parameters` are numbers of
+    the controller by path, in place of what the settings come to: see `jaxplore.leaves`.
     """
 
     path: str = TRACK
@@ -104,6 +105,7 @@ class PathSettings(Section):
     robot: PathRobotSettings = PathRobotSettings()
     obstacles: PathObstacleSettings = PathObstacleSettings()
     controller: ContouringSettings = ContouringSettings()
+    parameters: Parameters = Field(default_factory=dict)
 
 
 def make_path_settings(entries: dict[str, Any]) -> PathSettings:

@@ -11,6 +11,7 @@ from jaxplore._sections import (
     Count,
     Negative,
     NonNegative,
+    Parameters,
     Positive,
     Section,
     Share,
@@ -296,6 +297,8 @@ class Settings(Section):
             for never, as on a patrol.
         camera: leads if there is one; none when absent.
         watch: what is looked for beside the map; nothing when absent.
+        parameters: numbers of the controller by path, in place of what the settings come to: see
+            `jaxplore.leaves`. A list has a number for each element.
     """
 
     map: str
@@ -323,6 +326,7 @@ class Settings(Section):
     portfolio: PortfolioSettings = PortfolioSettings()
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
+    parameters: Parameters = Field(default_factory=dict)
 
 
 def scenario_path(name: str) -> Path:

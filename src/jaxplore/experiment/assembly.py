@@ -7,6 +7,7 @@ import jax
 
 from jaxplore._types import Key
 from jaxplore.control.base import Controller
+from jaxplore.control.leaves import with_leaves
 from jaxplore.experiment.controllers import controller_of
 from jaxplore.experiment.parts import robot_of, sensor_model_of, sensors_of
 from jaxplore.experiment.place import place_of
@@ -74,8 +75,9 @@ def build(settings: Settings) -> Experiment:
         movers=Movers(place.movers) if place.movers else None,
     )
     view = math.radians(settings.lidar.field_of_view_degrees)
+    controller = controller_of(settings, robot, place, model, view)
     return Experiment(
-        controller_of(settings, robot, place, model, view),
+        with_leaves(controller, settings.parameters),
         scenario,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),

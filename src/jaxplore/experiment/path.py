@@ -8,6 +8,7 @@ import numpy as np
 from jaxplore._types import Key
 from jaxplore.control.base import Controller
 from jaxplore.control.disturbance import Disturbance, UncertainObstacles
+from jaxplore.control.leaves import with_leaves
 from jaxplore.control.risk import ConditionalValueAtRisk, Risk
 from jaxplore.costs.base import Cost
 from jaxplore.costs.comfort import ComfortCost
@@ -88,7 +89,7 @@ def build_path(settings: PathSettings) -> PathExperiment:
         turn_growth=obstacles.turn_growth,
     )
     return PathExperiment(
-        following.planner.mppi,
+        with_leaves(following.planner.mppi, settings.parameters),
         scenario,
         max(1, round(settings.time_limit * settings.control_rate)),
         jax.random.key(settings.seed),
