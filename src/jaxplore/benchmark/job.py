@@ -2,20 +2,14 @@
 
 import dataclasses
 import functools
-import io
 from collections.abc import Mapping
 from pathlib import Path
 
-import yaml
-
-from jaxplore.benchmark.maps import image_of
 from jaxplore.benchmark.perform import Perform, results_for
 from jaxplore.benchmark.rows import Result, failed_row, result_of
 from jaxplore.benchmark.tasks import Batch
-from jaxplore.maps._files import read_yaml
-from jaxplore.workers.job import Files, Job, Read
-
-_MAP = "map.yaml"
+from jaxplore.maps.packing import PACKED, packed
+from jaxplore.workers.job import Job, Read
 
 
 @dataclasses.dataclass(frozen=True)
@@ -47,11 +41,11 @@ class Runs(Job):
 
     def files(self) -> Mapping[str, Read]:
         """Return what reads the map."""
-        return {self.batch[0].content: functools.partial(_packed, self.batch[0].path)}
+        return {self.batch[0].content: functools.partial(packed, self.batch[0].path)}
 
     def located(self, folders: Mapping[str, Path]) -> "Runs":
         """Return the same runs on a copy of the map."""
-        copy = str(folders[self.batch[0].content] / _MAP)
+        copy = str(folders[self.batch[0].content] / PACKED)
         batch = tuple(dataclasses.replace(task, copy=copy) for task in self.batch)
         return Runs(batch, self.make)
 
@@ -62,14 +56,3 @@ class Runs(Job):
     def failed(self, reason: str) -> tuple[Result, ...]:
         """Return rows with an error."""
         return tuple(result_of(failed_row(task, reason)) for task in self.batch)
-
-
-def _packed(path: str) -> Files:
-    """Return the files of a map so that they can lie in any folder."""
-    entries, image = read_yaml(Path(path)), image_of(path)
-    if image is None:
-        return {_MAP: Path(path).read_bytes()}
-    name = f"map{image.suffix}"
-    text = io.StringIO()
-    yaml.safe_dump({**entries, "image": name}, text, sort_keys=False, allow_unicode=True)
-    return {_MAP: text.getvalue().encode(), name: image.read_bytes()}

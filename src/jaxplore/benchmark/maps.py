@@ -12,6 +12,7 @@ from typing import Any
 
 from jaxplore.maps._files import read_yaml
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.packing import image_of
 from jaxplore.settings import read_settings
 
 STARTS = "starts.yaml"
@@ -123,19 +124,6 @@ def grids_of(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyG
         with contextlib.suppress(ValueError):
             grids[each.name] = read_grid(each.path, resolution)
     return grids
-
-
-def image_of(path: str | os.PathLike[str]) -> Path | None:
-    """Return the file that a ROS map's YAML names as its image; None if there is none.
-
-    Raises:
-        ValueError: no YAML mapping.
-    """
-    entry = read_yaml(Path(path)).get("image")
-    if not isinstance(entry, str) or not entry or "\0" in entry:
-        return None
-    image = Path(path).parent / entry
-    return image if image.is_file() else None
 
 
 def _is_map(path: Path) -> bool:

@@ -3,9 +3,8 @@
 import dataclasses
 import json
 import os
-import secrets
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -14,7 +13,7 @@ from jaxplore.benchmark.page import SHOWN, page
 from jaxplore.benchmark.rows import KEYS, Result, Row, schema
 from jaxplore.benchmark.tasks import FORMAT, Task, common_settings, make_tasks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.report.folder import in_one_line
+from jaxplore.report.folder import in_one_line, write_whole
 from jaxplore.workers.packages import package
 
 MARK = "benchmark.json"
@@ -27,6 +26,7 @@ RUNS = "runs"
 """Folder with a file for each run, named by its id."""
 
 _ROWS_AT_ONCE = 100
+_WHAT = "benchmark folder:"
 _ACCEPTED = "accepted: the same command as before, or a new folder"
 
 
@@ -97,7 +97,7 @@ class Store:
         Raises:
             ValueError: the folder cannot be written.
         """
-        _write_whole(self._file(result.id), lambda file: file.write(result.data))
+        write_whole(self._file(result.id), lambda file: file.write(result.data), _WHAT)
         self._state[result.id] = (result.map, result.error)
 
     def rows(self, columns: Sequence[str] | None = None) -> list[Row]:
@@ -126,7 +126,7 @@ class Store:
                     tables = [parquet.ParquetFile(path).read() for path in some]
                     writer.write_table(pyarrow.concat_tables(tables), _ROWS_AT_ONCE)
 
-        _write_whole(self.results, write)
+        write_whole(self.results, write, _WHAT)
         return self.results
 
     def write_page(self, maps: Mapping[str, OccupancyGrid]) -> Path:
@@ -140,7 +140,7 @@ class Store:
         """
         text = page(self.rows(SHOWN), maps, f"Explorers on {self.folder.name}")
         target = self.folder / PAGE
-        _write_whole(target, lambda file: file.write(text.encode()))
+        write_whole(target, lambda file: file.write(text.encode()), _WHAT)
         return target
 
     def forget(self, map_: str | None = None) -> None:
@@ -189,19 +189,19 @@ def open_store(
             raise ValueError(f"{where} holds no {MARK}; accepted: the folder of a benchmark")
         return Store(target)
     if overwrite and former is not None:
-        with in_one_line("benchmark folder:", target):
+        with in_one_line(_WHAT, target):
             shutil.rmtree(target / RUNS, ignore_errors=True)
             for name in (RESULTS, PAGE, MARK):
                 (target / name).unlink(missing_ok=True)
         former = None
     document = asked.document()
-    with in_one_line("benchmark folder:", target):
+    with in_one_line(_WHAT, target):
         (target / RUNS).mkdir(parents=True, exist_ok=True)
     store = Store(target)
     if former is not None:
         document = _together(former, document, store, where)
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
-    _write_whole(target / MARK, lambda file: file.write(text.encode()))
+    write_whole(target / MARK, lambda file: file.write(text.encode()), _WHAT)
     return store
 
 
@@ -294,17 +294,3 @@ def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Pa
 
 def _place(item: tuple[Path, Row]) -> tuple[Any, ...]:
     return tuple(item[1][name] for name in KEYS)
-
-
-def _write_whole(target: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Write a file: it is there complete or not at all, also after a power cut."""
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    with in_one_line("benchmark folder:", target):
-        try:
-            with temporary.open("xb") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)

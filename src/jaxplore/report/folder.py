@@ -3,10 +3,11 @@
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
+from typing import BinaryIO
 
 MARK = "metrics.json"
 """The file by which a former run is recognised."""
@@ -142,6 +143,29 @@ def _put(folder: Path, target: Path) -> None:
         former.rename(target)
         raise
     shutil.rmtree(former, ignore_errors=True)
+
+
+def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) -> None:
+    """Write a file: it is there complete or not at all, also after a power cut.
+
+    Args:
+        target: the file, in a folder that is there.
+        write: writes it.
+        what: it belongs to, for the message.
+
+    Raises:
+        ValueError: it cannot be written.
+    """
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    with in_one_line(what, target):
+        try:
+            with temporary.open("xb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 @contextmanager
