@@ -13,6 +13,7 @@ from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchma
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
 from jaxplore.cli._show import free_name, save, show_comparison
+from jaxplore.cli._tune import run_tune, tune_options
 from jaxplore.experiment.assembly import build, comparable
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import compare as compare_runs
@@ -162,6 +163,35 @@ def compare(
             on_progress=lambda share: advance(share, ""),
         )
     show_comparison(result, folder)
+
+
+@cli.command()
+@with_options()
+@path_options
+@tune_options
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Folder of the study.  [default: runs/MAP-tuned]",
+)
+@click.option("--animation/--no-animation", default=True, help="Draw a run before and after.")
+def tune(out: Path | None, animation: bool, **options: Any) -> None:
+    """Search the settings with which a robot does best in a scenario, and show what was won.
+
+    Every candidate drives the same episodes. Then the best ones drive further ones, and the chosen
+    one and the settings that there were are compared with seeds that nobody was tuned on:
+
+    \b
+      jaxplore tune office --tune controller.temperature --budget 100
+      jaxplore tune path --tune controller.temperature=1:300:log --tune controller.horizon=20,30,40
+      jaxplore tune warehouse --tune portfolio.temperature --budget 30min --workers 2
+      jaxplore tune path --tune cost.progress.weight --tune cost.comfort.weight --optimizer cma-es
+
+    Writes settings.yaml for jaxplore run --settings, a report with pictures, tables, and study.db,
+    which optuna-dashboard shows. Ctrl-C keeps all that was done; the same command goes on.
+    """
+    run_tune(options, out, animation=animation)
 
 
 @cli.command("settings")

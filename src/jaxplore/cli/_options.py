@@ -117,7 +117,7 @@ def entries_of(options: dict[str, Any]) -> dict[str, Any]:
     entries = {} if settings_file is None else read_settings(settings_file)
     map_ = options.pop("map_")
     if map_ is not None:
-        entries = {**_place(map_), **entries}
+        entries = {**place_entries(map_), **entries}
     for name, value in options.items():
         if value is not None:
             assign(entries, name.replace("__", "."), value)
@@ -128,7 +128,7 @@ def entries_of(options: dict[str, Any]) -> dict[str, Any]:
     return entries
 
 
-def _place(name: str) -> dict[str, Any]:
+def place_entries(name: str) -> dict[str, Any]:
     """Return the settings that a map, a world, a scenario or the name of one stands for."""
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}

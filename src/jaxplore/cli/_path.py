@@ -64,13 +64,11 @@ def is_path(options: dict[str, Any]) -> bool:
     return False
 
 
-def run_path(
-    options: dict[str, Any], out: Path | None, *, overwrite: bool, animation: bool
-) -> None:
-    """Follow a path, and write the run's folder.
+def path_entries(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the settings that the options of a run along a path give.
 
     Raises:
-        ValueError: options that only a map takes, and what the parts refuse.
+        ValueError: options that only a map takes, and what `assign_all` refuses.
     """
     settings_file = options["settings_file"]
     entries = {} if settings_file is None else read_settings(settings_file)
@@ -86,7 +84,18 @@ def run_path(
             )
         assign(entries, _OWN.get(name, name.replace("__", ".")), value)
     assign_all(entries, options["assignments"])
-    settings = make_path_settings(entries)
+    return entries
+
+
+def run_path(
+    options: dict[str, Any], out: Path | None, *, overwrite: bool, animation: bool
+) -> None:
+    """Follow a path, and write the run's folder.
+
+    Raises:
+        ValueError: options that only a map takes, and what the parts refuse.
+    """
+    settings = make_path_settings(path_entries(options))
     name = TRACK if settings.path == TRACK else Path(settings.path).stem
     folder = free_name(Path("runs") / name) if out is None else out
     check_folder(folder, overwrite=overwrite)

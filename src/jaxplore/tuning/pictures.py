@@ -1,0 +1,236 @@
+"""Pictures of a search: how it went, what mattered, and where good settings are."""
+
+import io
+import math
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.report.colours import SERIES
+from jaxplore.report.gif import FRAME_MILLISECONDS, LAST_MILLISECONDS
+from jaxplore.tuning.strategies import Diversity
+from jaxplore.tuning.study import Study
+from jaxplore.tuning.trials import Trial
+from jaxplore.workers.packages import package
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DOTS_PER_INCH = 120
+FRAMES = 120
+"""Of the animation of two runs side by side."""
+_GAP = 12
+"""Between the two [pixels]."""
+
+
+def importances(study: Study) -> dict[str, float]:
+    """Return how much of the differences between good and bad candidates each parameter explains.
+
+    Shares that add up to 1, by PED-ANOVA; empty where too few candidates have a value. Of several
+    objectives, those of the first.
+
+    Source: Watanabe, Bansal, Hutter, "PED-ANOVA: efficiently quantifying hyperparameter importance
+    in arbitrary subspaces", IJCAI 2023.
+    """
+    module = package("optuna.importance", "tuning")
+    done = [each for each in study.trials() if each.state == "done"]
+    if len(done) < 10 or len({each.values[0] for each in done}) < 2:
+        return {}
+    target = None
+    if len(study.search.objectives) > 1:
+
+        def target(trial: Any) -> float:
+            return float(trial.values[0])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it is experimental
+        try:
+            found = module.get_param_importances(study.optuna, target=target)
+        except (RuntimeError, ValueError):
+            return {}
+    return {name: float(share) for name, share in found.items() if math.isfinite(share)}
+
+
+def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
+    """Return the pictures of a search, with the chosen candidate, by the names of their files."""
+    found = {"convergence": _convergence(study), "slices": _slices(study, chosen)}
+    shares = importances(study)
+    if shares:
+        found["importance"] = _bars(shares)
+    if len(study.search.objectives) > 1:
+        found["front"] = _front(study, chosen)
+    if isinstance(study.strategy, Diversity) and len(study.search.measures) <= 2:
+        found["archive"] = _archive(study, study.strategy)
+    return found
+
+
+_DONE, _GIVEN_UP, _CHOSEN = SERIES[0], "0.7", SERIES[1]
+
+
+def _convergence(study: Study) -> "Figure":
+    figure, axes = _axes(1)
+    trials = study.trials()
+    for state, colour, label in (
+        ("given up", _GIVEN_UP, "given up early"),
+        ("done", _DONE, "tried out"),
+    ):
+        some = [each for each in trials if each.state == state]
+        numbers, values = [each.number for each in some], [each.values[0] for each in some]
+        axes[0].scatter(numbers, values, s=14, color=colour, label=label)
+    done = [each for each in trials if each.state == "done"]
+    least = np.minimum.accumulate([each.values[0] for each in done])
+    axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
+    axes[0].set_xlabel("candidate")
+    _scale(axes[0], "y", [each.values[0] for each in done])
+    _label(axes[0], study)
+    axes[0].legend(loc="upper right")
+    return figure
+
+
+def _slices(study: Study, chosen: Trial) -> "Figure":
+    parameters = study.search.space.parameters
+    figure, axes = _axes(len(parameters))
+    trials = [each for each in study.trials() if each.state == "done"]
+    values = [each.values[0] for each in trials]
+    for each, at in zip(parameters, axes, strict=True):
+        places = [trial.candidate[each.name] for trial in trials]
+        star: Any = chosen.candidate[each.name]
+        if each.choices is not None:
+            names = [str(choice) for choice in each.choices]
+            places, star = [names.index(str(place)) for place in places], names.index(str(star))
+            at.set_xticks(range(len(names)), names)
+        elif each.is_log:
+            at.set_xscale("log")
+        at.scatter(places, values, s=14, color=_DONE)
+        at.scatter([star], [chosen.values[0]], s=60, marker="*", color=_CHOSEN, zorder=3)
+        at.set_xlabel(each.name)
+        _scale(at, "y", values)
+    _label(axes[0], study)
+    return figure
+
+
+def _bars(shares: dict[str, float]) -> "Figure":
+    figure, axes = _axes(1)
+    names = list(shares)[::-1]
+    axes[0].barh(names, [shares[name] for name in names], color=_DONE)
+    axes[0].set_xlabel("importance (PED-ANOVA), shares of 1")
+    return figure
+
+
+def _front(study: Study, chosen: Trial) -> "Figure":
+    first, second, *_ = study.search.objectives
+    figure, axes = _axes(1)
+    done = [each for each in study.trials() if each.state == "done"]
+    front = sorted(study.front(), key=lambda each: each.values)
+    for some, colour, label in ((done, _GIVEN_UP, "tried out"), (front, _DONE, "front")):
+        across, up = [each.values[0] for each in some], [each.values[1] for each in some]
+        axes[0].scatter(across, up, s=18, color=colour, label=label)
+    axes[0].scatter(*chosen.values[:2], s=80, marker="*", color=_CHOSEN, label="chosen", zorder=3)
+    axes[0].set_xlabel(str(first))
+    axes[0].set_ylabel(str(second))
+    axes[0].legend()
+    return figure
+
+
+def _axes(number: int) -> tuple["Figure", list[Any]]:
+    """Return a figure with so many axes beside each other, which share the vertical one."""
+    from matplotlib.figure import Figure
+
+    columns = min(number, 4)
+    rows = -(-number // columns)
+    figure = Figure(figsize=(max(6.4, 3.0 * columns), 3.6 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False).reshape(-1)
+    for each in axes:
+        each.grid(alpha=0.3)
+    for each in axes[number:]:
+        each.set_visible(False)
+    return figure, list(axes[:number])
+
+
+def _scale(axes: Any, which: str, values: list[float]) -> None:
+    """Use a logarithmic scale where values span decades: the best would all lie on one line."""
+    if values and min(values) > 0.0 and max(values) > 30.0 * min(values):
+        getattr(axes, f"set_{which}scale")("log")
+
+
+def _label(axes: Any, study: Study) -> None:
+    label = str(study.search.objectives[0])
+    # A long sum would not fit beside the axis.
+    axes.set_ylabel(label if len(label) <= 36 else "objective")
+
+
+def _archive(study: Study, strategy: Diversity) -> "Figure":
+    ribs = package("ribs.visualize", "tuning")
+    figure, axes = _axes(1)
+    measures = study.search.measures
+    ribs.grid_archive_heatmap(
+        strategy.archive, ax=axes[0], **({} if len(measures) == 2 else {"aspect": "auto"})
+    )
+    axes[0].set_xlabel(measures[0].metric)
+    if len(measures) == 2:
+        axes[0].set_ylabel(measures[1].metric)
+    axes[0].set_title(f"best of each cell: -({study.search.objectives[0]})", fontsize="medium")
+    return figure
+
+
+def png(figure: "Figure") -> bytes:
+    """Return a figure as a picture."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
+    return file.getvalue()
+
+
+def side_by_side(
+    before: Path, after: Path, durations: tuple[float, float], write: Callable[[bytes], None]
+) -> None:
+    """Write an animation of two runs beside each other, at the same simulated time.
+
+    Args:
+        before: an animation, its frames evenly spread over the run.
+        after: another one.
+        durations: of the runs [s].
+        write: takes the GIF.
+    """
+    clips = [_frames(path) for path in (before, after)]
+    height = max(clip[0].height for clip in clips)
+    scaled = [
+        [each.resize((round(each.width * height / each.height), height)) for each in clip]
+        for clip in clips
+    ]
+    width = sum(clip[0].width for clip in scaled) + _GAP
+    longest = max(*durations, 1e-9)
+    pictures = []
+    for time in np.linspace(0.0, longest, FRAMES):
+        picture = Image.new("RGB", (width, height), "white")
+        left = 0
+        for clip, duration in zip(scaled, durations, strict=True):
+            share = min(time / max(duration, 1e-9), 1.0)
+            picture.paste(clip[round(share * (len(clip) - 1))], (left, 0))
+            left += clip[0].width + _GAP
+        pictures.append(picture)
+    palette = pictures[-1].quantize(colors=128)
+    first, *others = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
+    file = io.BytesIO()
+    first.save(
+        file,
+        format="GIF",
+        save_all=True,
+        append_images=others,
+        duration=[FRAME_MILLISECONDS] * len(others) + [LAST_MILLISECONDS],
+        loop=0,
+        optimize=True,
+    )
+    write(file.getvalue())
+
+
+def _frames(path: Path) -> list[Image.Image]:
+    with Image.open(path) as clip:
+        frames = []
+        for index in range(getattr(clip, "n_frames", 1)):
+            clip.seek(index)
+            frames.append(clip.convert("RGB"))
+    return frames

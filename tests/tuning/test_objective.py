@@ -1,0 +1,107 @@
+import dataclasses
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.path_metrics import PathMetrics
+from jaxplore.tuning import Objective
+from jaxplore.tuning.objective import flat, known_metrics, with_late_times
+
+
+def test_a_sum_is_read_and_written() -> None:
+    objective = Objective.parse("time_to.90 + 100*collisions - 0.5 * coverage")
+    assert objective.terms == ((1.0, "time_to.90"), (100.0, "collisions"), (-0.5, "coverage"))
+    assert str(objective) == "time_to.90 + 100*collisions - 0.5*coverage"
+    metrics = {"time_to.90": 30.0, "collisions": 2.0, "coverage": 0.8}
+    assert objective.value(metrics) == 30.0 + 200.0 - 0.4
+    assert objective.mean([metrics, {**metrics, "collisions": 0.0}]) == pytest.approx(129.6)
+    assert math.isnan(objective.value({**metrics, "collisions": None}))
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(-1e3, 1e3).filter(lambda x: abs(x) > 1e-3),
+            st.sampled_from(["a", "b.c", "d_1"]),
+        ),
+        min_size=1,
+        max_size=5,
+    )
+)
+def test_what_is_written_is_read_again(terms) -> None:
+    rounded = tuple((float(f"{weight:g}"), name) for weight, name in terms)
+    assert Objective.parse(str(Objective(rounded))).terms == rounded
+
+
+@pytest.mark.parametrize("text", ["", "a b", "a +", "3*", "a * 3", "+", "a++b", "a/b"])
+def test_what_is_no_sum_is_refused(text) -> None:
+    with pytest.raises(ValueError, match=r"objective"):
+        Objective.parse(text)
+
+
+def test_unknown_metrics_are_named_with_near_ones() -> None:
+    with pytest.raises(ValueError, match=r"metric colisions is not known; .*collisions"):
+        Objective.parse("colisions").value({"collisions": 1.0, "coverage": 0.5})
+    known = known_metrics(is_path=False)
+    Objective.parse("time_to.90 + members.explorer.share + compute.step_ms_p50").check(known)
+    with pytest.raises(ValueError, match=r"metric time_to.91 is not known; .*time_to.90"):
+        Objective.parse("time_to.91").check(known)
+    with pytest.raises(ValueError, match=r"metric coverage is not known"):
+        Objective.parse("coverage").check(known_metrics(is_path=True))
+
+
+@pytest.mark.parametrize("report", [Metrics, PathMetrics])
+def test_every_number_of_a_report_is_known(report) -> None:
+    known = known_metrics(is_path=report is PathMetrics)
+    fields = {each.name for each in dataclasses.fields(report)}
+    assert {name.split(".")[0] for name in known} <= fields
+    left_out = fields - {name.split(".")[0] for name in known}
+    assert left_out <= {"versions", "seed", "coverage_curve", "curves", "lap_times"}
+
+
+def test_numbers_are_flattened() -> None:
+    nested = {"a": 1, "b": {"x": None, "y": True}, "c": [1], "d": "text", "e": math.inf}
+    assert flat(nested) == {"a": 1.0, "b.x": None, "b.y": 1.0, "e": None}
+
+
+def explored(coverage: float, **others) -> dict:
+    return {
+        "coverage": coverage,
+        "target_coverage": 0.99,
+        "time_to.90": None,
+        "finished_at": None,
+        "num_targets": 0.0,
+        "last_target_at": None,
+        **others,
+    }
+
+
+@given(st.floats(0.0, 0.89), st.floats(0.0, 0.89))
+def test_who_gets_further_in_time_is_less_late(one, other) -> None:
+    first, second = (with_late_times(explored(each), 100.0) for each in (one, other))
+    for name in ("time_to.90", "finished_at"):
+        assert first[name] > 100.0
+        assert (first[name] < second[name]) == (
+            (100.0 * (1.0 + 0.9 - one)) < (100.0 * (1.0 + 0.9 - other))
+        ) or first[name] == pytest.approx(second[name])
+
+
+def test_late_times_are_those_of_the_mission() -> None:
+    assert with_late_times(explored(0.4), 100.0)["time_to.90"] == pytest.approx(150.0)
+    assert with_late_times(explored(0.4), 100.0)["last_target_at"] is None
+    sought = explored(0.4, num_targets=4.0, targets_seen=3.0)
+    assert with_late_times(sought, 100.0)["last_target_at"] == pytest.approx(125.0)
+    path = {"finished_at": None, "to_go": 30.0, "progress": 10.0}
+    assert with_late_times(path, 40.0)["finished_at"] == pytest.approx(70.0)
+    reached = {"time_to.90": 12.0, "finished_at": 20.0, "coverage": 0.99}
+    assert with_late_times(reached, 100.0) == reached
+    near, far = (
+        with_late_times(explored(0.5, goal_distance=d, path_length=5.0, final_unknown=0.5), 100.0)[
+            "finished_at"
+        ]
+        for d in (1.0, 4.0)
+    )
+    assert 100.0 < near < far < 200.0
