@@ -73,9 +73,9 @@ def number(
 
 
 def _strong(value: Any) -> Array:
-    """Return a traced value as float32 that is not weakly typed: what is built from it is used by
-    the same program as what is built outside."""
-    is_strong = value.dtype == jnp.float32 and not value.aval.weak_type
+    """Return a traced value that is not weakly typed, so that what is built from it is used by the
+    same program as what is built outside: as float32, but for float64, which stays exact."""
+    is_strong = value.dtype in (jnp.float32, jnp.float64) and not value.aval.weak_type
     strong: Array = value if is_strong else jnp.asarray(value, jnp.float32)
     return strong
 

@@ -49,7 +49,7 @@ class ZeroOrderHold(Interpolation):
         index, _, _ = _interval(times, num_knots, end)
         at_end = times >= end
         index = jnp.where(at_end, num_knots - 1, index)
-        return _one_hot(index, num_knots) * _fade(times, end)[:, None]
+        return _one_hot(index, num_knots, times) * _fade(times, end)[:, None]
 
     def weights_ahead(self, times: Times, num_knots: int, end: float) -> Weights:
         """Return the weights of straight lines.
@@ -78,9 +78,9 @@ class CubicSpline(Interpolation):
         """
         index, share, width = _interval(times, num_knots, end)
         left, right = 1.0 - share, share
-        bend = (left**3 - left)[:, None] * _one_hot(index, num_knots)
-        bend = bend + (right**3 - right)[:, None] * _one_hot(index + 1, num_knots)
-        curvature = jnp.asarray(_second_derivatives(num_knots, width), jnp.float32)
+        bend = (left**3 - left)[:, None] * _one_hot(index, num_knots, times)
+        bend = bend + (right**3 - right)[:, None] * _one_hot(index + 1, num_knots, times)
+        curvature = jnp.asarray(_second_derivatives(num_knots, width), times.dtype)
         spline = _hats(times, num_knots, end) + (width * width / 6.0) * (bend @ curvature)
         return spline * _fade(times, end)[:, None]
 
@@ -101,7 +101,7 @@ class Kernel(Interpolation):
         """Return the weights of the kernel."""
         knots = jnp.linspace(0.0, end, num_knots)
         across = self.covariance(jnp.abs(times[:, None] - knots))
-        return across @ jnp.asarray(self._inverse(num_knots, end), jnp.float32)
+        return across @ jnp.asarray(self._inverse(num_knots, end), times.dtype)
 
     def _inverse(self, num_knots: int, end: float) -> np.ndarray:
         """Return `k(t_knots, t_knots)^-1` (P, P), computed when compiled, in double precision."""
@@ -185,8 +185,8 @@ def _interval(times: Times, num_knots: int, end: float) -> tuple[Array, Array, f
 
 def _hats(times: Times, num_knots: int, end: float) -> Weights:
     index, share, _ = _interval(times, num_knots, end)
-    here = (1.0 - share)[:, None] * _one_hot(index, num_knots)
-    return here + share[:, None] * _one_hot(index + 1, num_knots)
+    here = (1.0 - share)[:, None] * _one_hot(index, num_knots, times)
+    return here + share[:, None] * _one_hot(index + 1, num_knots, times)
 
 
 def _fade(times: Times, end: float) -> Float[Array, " N"]:
@@ -194,8 +194,8 @@ def _fade(times: Times, end: float) -> Float[Array, " N"]:
     return jnp.clip(1.0 - (times - end), 0.0, 1.0)
 
 
-def _one_hot(index: Array, size: int) -> Array:
-    return (index[:, None] == jnp.arange(size)).astype(jnp.float32)
+def _one_hot(index: Array, size: int, times: Times) -> Weights:
+    return (index[:, None] == jnp.arange(size, dtype=index.dtype)).astype(times.dtype)
 
 
 @functools.lru_cache(maxsize=32)

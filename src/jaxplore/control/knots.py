@@ -80,7 +80,7 @@ class Knots(Parameterisation):
     def encode(self, nominal: object, controls: Sequence, space: ControlSpace) -> Parameters:
         """Return the nearest knots (least squares), within the bounds."""
         nearest = np.linalg.pinv(np.asarray(self._matrix(controls.shape[0]), np.float64))
-        deviation = jnp.asarray(nearest, jnp.float32) @ (controls - space.default)
+        deviation = jnp.asarray(nearest, controls.dtype) @ (controls - space.default)
         return space.clip(space.default + deviation)
 
     def update(self, nominal: Parameters, mean: Parameters, space: ControlSpace) -> Parameters:
@@ -101,5 +101,5 @@ class Knots(Parameterisation):
 
     def _matrix(self, horizon: int) -> Float[Array, "T P"]:
         with jax.ensure_compile_time_eval():
-            times = jnp.arange(horizon, dtype=jnp.float32)
+            times = jnp.arange(float(horizon))
             return self.interpolation.weights(times, self.num_knots, float(horizon - 1))

@@ -141,7 +141,7 @@ class Direct(Parameterisation):
 def shifted(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
     """Return rows `t + steps` of a sequence, linear between rows and `after` (nu,) beyond it."""
     length = sequence.shape[0]
-    position = jnp.arange(length, dtype=jnp.float32) + steps
+    position = jnp.arange(length, dtype=steps.dtype) + steps
     first = jnp.floor(position)
     share = (position - first)[:, None]
     planned = jnp.concatenate([sequence, after[None]])

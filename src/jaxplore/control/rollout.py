@@ -189,7 +189,7 @@ def _totals(
     if initial.ndim == 2:
         initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
     start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
-    times = dt * jnp.arange(1, horizon + 1, dtype=jnp.float32)
+    times = dt * jnp.arange(1, horizon + 1, dtype=dt.dtype)
     nothing = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
     (last, totals, variations), _ = jax.lax.scan(
         advance, (start, *nothing), (controls, times, drawn)
@@ -345,7 +345,7 @@ def follow(
         reached = dynamics.step_at(state, control, t - dt, dt)
         return reached, reached
 
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
+    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
     return jax.lax.scan(advance, initial, (controls, times))[1]
 
 
@@ -370,7 +370,7 @@ def step_costs(
         belief: what the robot knows.
         applied: (nu,) control before the first one.
     """
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=jnp.float32)
+    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
 
     def paid(state: Array, control: Array, t: Array) -> Array:
         return cost.stage(State(state, dynamics), control, t, belief)

@@ -46,7 +46,7 @@ def least(value: Callable[[Any], Scalar], things: Any) -> tuple[Scalar, Count]:
         is_less = candidate < best[0]
         return (jnp.where(is_less, candidate, best[0]), jnp.where(is_less, index, best[1])), None
 
-    start = (jnp.full((), jnp.inf, jnp.float32), jnp.zeros((), jnp.int32))
+    start = (jnp.full((), jnp.inf, float), jnp.zeros((), jnp.int32))
     indices = jnp.arange(count, dtype=jnp.int32)
     result: tuple[Scalar, Count] = jax.lax.scan(take, start, (things, indices), unroll=UNROLL)[0]
     return result
