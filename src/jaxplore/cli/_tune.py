@@ -30,7 +30,7 @@ from jaxplore.tuning.storage import open_study
 from jaxplore.tuning.strategies import NAMES
 from jaxplore.tuning.study import BEFORE, Progress, Study
 from jaxplore.tuning.trials import Trial
-from jaxplore.tuning.tune import FINALISTS, space_of
+from jaxplore.tuning.tune import FINALISTS, further_seeds, space_of
 from jaxplore.workers.pool import Pool
 
 _INTERRUPTED = 130
@@ -178,7 +178,8 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
             chosen = _search(study, count, seconds, folder, common, first + given["seeds"])
             if chosen is None:
                 sys.exit(_INTERRUPTED)
-            unseen = range(first + 2 * given["seeds"], first + 2 * given["seeds"] + given["unseen"])
+            used = further_seeds(first + given["seeds"], given["seeds"]).stop
+            unseen = range(used, used + given["unseen"])
             _finish(study, chosen, unseen, folder, name, animation=animation)
     finally:
         if pool is not None:
@@ -289,7 +290,7 @@ def _search(
         is_spent = study.run(count, seconds, _progress(advance, study, count, seconds))
     chosen: Trial | None = None
     if is_spent:
-        seeds = range(further, further + len(study.search.seeds))
+        seeds = further_seeds(further, len(study.search.seeds))
         bar = progress_bar("choosing", enabled=True)
         with bar as advance, contextlib.suppress(KeyboardInterrupt):
             chosen = study.select(

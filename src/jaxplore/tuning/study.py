@@ -213,11 +213,11 @@ class Study:
         seeds: Sequence[int],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Trial:
-        """Return the best of the best candidates by further seeds.
+        """Return the best of the best candidates by other seeds.
 
-        The best of many with few seeds is in part the luckiest. The finalists, and the settings
-        that there were before, are compared by their seeds of the search and by new ones. Of
-        several objectives it is `best`, without further runs.
+        The best of many with few seeds is in part the luckiest. So the finalists, and the first
+        candidate, are compared by new seeds alone. Of several objectives it is `best`, without
+        further runs.
 
         Args:
             finalists: how many of the best.
@@ -239,7 +239,7 @@ class Study:
         objective = self.search.objectives[0]
 
         def mean(each: Trial) -> tuple[float, int]:
-            episodes = [*each.episodes.values(), *further[each.number].values()]
+            episodes = further[each.number].values()
             values = [objective.value(one) if one else math.inf for one in episodes]
             return math.fsum(values) / len(values), each.number
 

@@ -13,8 +13,18 @@ from jaxplore.tuning.storage import open_study
 from jaxplore.tuning.study import Progress
 from jaxplore.tuning.trials import Trial
 
-FINALISTS = 4
-"""Candidates that are compared by further seeds before one is chosen."""
+FINALISTS = 8
+"""Candidates that are compared by new seeds before one is chosen."""
+
+
+def further_seeds(first: int, seeds: int) -> range:
+    """Return the seeds by which finalists are compared: twice as many as a search has.
+
+    Args:
+        first: the first one that the search did not use.
+        seeds: of the search.
+    """
+    return range(first, first + max(2 * seeds, 6))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -22,7 +32,7 @@ class Tuned:
     """What a search found.
 
     Args:
-        chosen: the best candidate, compared by further seeds too.
+        chosen: the best candidate by seeds that the search did not use.
         before: the values that there were.
         trials: all candidates, by number.
         front: those that no other one is better than in every objective.
@@ -53,9 +63,8 @@ def tune(
 ) -> Tuned:
     """Search the values with which an objective is least.
 
-    Every candidate is tried out in the same episodes (common random numbers). The four best, and
-    the values that there were, are tried out with as many further seeds; the best of these is
-    chosen.
+    Every candidate is tried out in the same episodes (common random numbers). The eight best, and
+    the values that there were, are then compared by other seeds, twice as many and at least six.
 
     Args:
         episodes: where candidates are tried out: `ControllerEpisodes`, `SettingsEpisodes`,
@@ -96,7 +105,7 @@ def tune(
         is_complete = study.run(budget, on_progress=on_progress)
         chosen = study.best()
         if is_complete:
-            chosen = study.select(FINALISTS, range(seed + seeds, seed + 2 * seeds))
+            chosen = study.select(FINALISTS, further_seeds(seed + seeds, seeds))
         front = tuple(study.front())
         return Tuned(chosen, study.before, tuple(study.trials()), front, is_complete)
 

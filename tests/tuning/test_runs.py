@@ -1,0 +1,242 @@
+import functools
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.experiment.path import build_path
+from jaxplore.path_settings import make_path_settings
+from jaxplore.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
+from jaxplore.tuning.evidence import change, changes, table
+from jaxplore.tuning.objective import Objective
+from jaxplore.workers.pool import Pool
+
+QUICK = {
+    "time_limit": 0.6,
+    "controller": {"num_samples": 16, "horizon": 6, "temperature": 20.0},
+}
+"""A run along the generated track of 30 steps."""
+
+
+@pytest.fixture(scope="module")
+def path_episodes() -> SettingsEpisodes:
+    return SettingsEpisodes({"path": QUICK}, is_path=True)
+
+
+def told(episodes, asks) -> dict:
+    found = {}
+    episodes.run(asks, lambda ask, outcome: found.__setitem__(ask, outcome))
+    assert len(found) == len(asks)
+    return {(ask.number, ask.seed): outcome for ask, outcome in found.items()}
+
+
+class Asked(Ask):
+    """One that can be a key."""
+
+    def __hash__(self) -> int:
+        return hash((self.number, self.seed))
+
+
+def asked(number, candidate, seed=0, **options) -> Asked:
+    return Asked(number, candidate, "path", seed, **options)
+
+
+def test_values_become_settings_and_paths_become_parameters(path_episodes) -> None:
+    values = {
+        "controller.temperature": 3.0,
+        "cost.comfort.weight": 7.0,
+        "proposal.physical.noise_std[1]": 0.25,
+        "controller.horizon": 9,
+    }
+    settings = path_episodes.settings("path", values)
+    assert settings.controller.temperature == 3.0
+    assert settings.controller.horizon == 9
+    assert settings.controller.num_samples == 16
+    controller = build_path(settings).controller
+    found = jx.leaves(controller)
+    assert controller.horizon == 9
+    assert found["weighting.temperature"] == 3.0
+    assert found["cost.comfort.weight"] == 7.0
+    assert found["proposal.physical.noise_std"][1] == 0.25
+    before = jx.leaves(build_path(make_path_settings(QUICK)).controller)
+    assert found["proposal.physical.noise_std"][0] == before["proposal.physical.noise_std"][0]
+
+
+def test_names_are_settings_first_and_arrays_stand_for_their_elements(path_episodes) -> None:
+    assert path_episodes.start("controller.temperature") == 20.0
+    assert path_episodes.start("controller.num_samples") == 16
+    assert path_episodes.start("weighting.temperature") == 20.0
+    assert path_episodes.elements("physical.noise_std") == (
+        "physical.noise_std[0]",
+        "physical.noise_std[1]",
+    )
+    assert path_episodes.elements("controller.temperature") == ("controller.temperature",)
+    for name, message in (
+        ("controller.temprature", r"temprature is not known; .*controller.temperature"),
+        ("physical.noise_std[2]", r"has no element 2; accepted: 0 to 1"),
+        ("physical.noise_std[x]", r"is 'physical.noise_std\[x\]'; accepted: a path, or"),
+        ("physical.noise_std", r"has 2 elements; accepted: one of them"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            path_episodes.start(name)
+
+
+def test_only_settings_that_a_run_reads_can_be_tuned() -> None:
+    portfolio = SettingsEpisodes({"warehouse": {"map": "warehouse"}})
+    assert portfolio.start("portfolio.temperature") == 0.05
+    with pytest.raises(ValueError, match=r"controller.temperature may be any of team.mppi.weigh"):
+        portfolio.start("controller.temperature")
+    explorer = SettingsEpisodes({"office": {"map": "office"}})
+    assert explorer.start("controller.temperature") == 0.3
+    with pytest.raises(ValueError, match=r"parameter portfolio.temperature is not known"):
+        explorer.start("portfolio.temperature")
+
+
+CANDIDATES = ({"cost.progress.weight": 500.0}, {"cost.progress.weight": 5.0})
+SAME = ("duration", "progress", "mean_deviation", "max_speed", "command_jerk")
+
+
+@pytest.fixture(scope="module")
+def alone(path_episodes) -> dict:
+    return told(
+        path_episodes,
+        [asked(i, each, seed) for i, each in enumerate(CANDIDATES) for seed in (0, 1)],
+    )
+
+
+def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
+    settings = path_episodes.kind.settings(path_episodes.entries("path", CANDIDATES[1], 1))
+    built = build_path(settings)
+    run = jx.follow_path(*built[:3], key=built.key, num_trajectories=0)
+    found = alone[1, 1].metrics
+    assert found["progress"] == run.metrics.progress
+    assert found["command_jerk"] == run.metrics.command_jerk
+    # It did not get to the end: as late as what was left of the way.
+    left = run.metrics.to_go / (run.metrics.to_go + run.metrics.progress)
+    assert run.metrics.finished_at is None
+    assert found["finished_at"] == pytest.approx(0.6 * (1.0 + left))
+    assert alone[0, 0].metrics["progress"] > alone[1, 0].metrics["progress"]
+    assert alone[0, 0].metrics["progress"] != alone[0, 1].metrics["progress"]
+
+
+def test_side_by_side_they_are_the_same_but_for_rounding(alone) -> None:
+    together = SettingsEpisodes({"path": QUICK}, is_path=True, batch=4)
+    asks = [asked(i, each, seed) for i, each in enumerate(CANDIDATES) for seed in (0, 1)]
+    found = told(together, asks)
+    for key, outcome in alone.items():
+        for name in SAME:
+            assert found[key].metrics[name] == pytest.approx(outcome.metrics[name], rel=1e-3), name
+
+
+def test_sizes_run_by_themselves_and_what_is_refused_fails_alone(path_episodes) -> None:
+    asks = [asked(i, {"controller.horizon": size}) for i, size in enumerate((6, 5, 0))]
+    found = told(SettingsEpisodes({"path": QUICK}, is_path=True, batch=2), asks)
+    default = told(path_episodes, asks[:1])[0, 0].metrics
+    assert found[0, 0].metrics["progress"] == pytest.approx(default["progress"], rel=1e-3)
+    assert found[1, 0].metrics["progress"] != pytest.approx(default["progress"], rel=1e-3)
+    assert found[2, 0].error is not None
+    assert "controller.horizon is 0; accepted" in found[2, 0].error
+
+
+ON_RAY = """
+import json
+from jaxplore.tuning import SettingsEpisodes, tune
+from jaxplore.workers.pool import Pool
+
+if __name__ == "__main__":
+    quick, searched = json.loads({quick!r}), {searched!r}
+    with Pool(2, on_ray=True) as pool:
+        episodes = SettingsEpisodes({{"path": quick}}, is_path=True, pool=pool)
+        found = tune(episodes, searched, "-progress", budget=6, seeds=2, population=3)
+    print(json.dumps([[each.candidate, each.values, each.state] for each in found.trials]))
+"""
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("ray") is None, reason="no Ray: pip install 'jaxplore[distributed]'"
+)
+def test_two_ray_workers_come_to_the_same_as_one_process(path_episodes) -> None:
+    searched = ["controller.progress_weight=5:5000:log", "cost.comfort.weight=1:100:log"]
+    # In a process of its own: Ray has warnings, and threads that stay.
+    program = ON_RAY.format(quick=json.dumps(QUICK), searched=searched)
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        here = tune(path_episodes, searched, "-progress", budget=6, seeds=2, population=3)
+        out, errors = run.communicate()
+    assert run.returncode == 0, errors
+    there = json.loads(out.splitlines()[-1])
+    assert there == [[each.candidate, list(each.values), each.state] for each in here.trials]
+    with pytest.raises(ValueError, match=r"batch is 2 with workers; accepted: one of them"):
+        SettingsEpisodes({"path": QUICK}, is_path=True, pool=Pool(2), batch=2)
+
+
+def test_an_episode_is_cut_short_at_its_limit(path_episodes) -> None:
+    found = told(path_episodes, [asked(0, CANDIDATES[0], time_limit=0.3)])[0, 0].metrics
+    assert found["duration"] == pytest.approx(0.3)
+    # Late by the scenario's own limit.
+    assert found["finished_at"] > 0.6
+
+
+def test_a_controller_of_ones_own_is_tuned_by_its_paths() -> None:
+    """And a batch comes to the same as one after the other."""
+    built = build_path(make_path_settings(QUICK))
+    searched = ["cost.progress.weight=1:2000:log", "cost.contouring.weight=0.1:100:log"]
+    found = [
+        tune(
+            ControllerEpisodes(
+                built.controller, {"track": built.scenario}, time_limit=0.6, batch=batch
+            ),
+            searched,
+            "-progress",
+            budget=8,
+            seeds=1,
+            population=4,
+            optimizer="cma-es",
+            gives_up=False,
+        )
+        for batch in (1, 4)
+    ]
+    values = [[each.values[0] for each in one.trials] for one in found]
+    np.testing.assert_allclose(values[0][:4], values[1][:4], rtol=1e-3)
+    assert found[0].trials[0].candidate["cost.progress.weight"] == 25.0
+    with pytest.raises(ValueError, match=r"scenarios is empty; accepted: at least one"):
+        ControllerEpisodes(built.controller, {}, time_limit=1.0)
+
+
+def test_a_change_has_the_interval_of_a_bootstrap() -> None:
+    generator = np.random.default_rng(0)
+    before = generator.normal(10.0, 1.0, 40)
+    after = before - 2.0 + generator.normal(0.0, 0.5, 40)
+    found = change("x", before, after)
+    difference = after - before
+    # The normal approximation of the same.
+    half = 1.96 * difference.std(ddof=1) / math.sqrt(40)
+    assert found.difference == pytest.approx(difference.mean())
+    assert found.low == pytest.approx(difference.mean() - half, abs=0.15 * half)
+    assert found.high == pytest.approx(difference.mean() + half, abs=0.15 * half)
+    assert found.is_certain
+    assert not change("x", before, before[::-1]).is_certain
+    single = change("x", [1.0], [3.0])
+    assert (single.low, single.difference, single.high) == (2.0, 2.0, 2.0)
+
+
+def test_evidence_compares_the_same_episodes() -> None:
+    one = functools.partial(dict, collisions=0.0)
+    before = {("m", 1): one(finished_at=10.0), ("m", 2): one(finished_at=20.0), ("m", 3): {}}
+    after = {("m", 1): one(finished_at=8.0), ("m", 2): one(finished_at=14.0), ("m", 3): {}}
+    objective = Objective.parse("finished_at + 100*collisions")
+    found = changes([objective], before, after)
+    assert [each.name for each in found] == [str(objective), "finished_at", "collisions"]
+    assert (found[0].before, found[0].after, found[0].difference) == (15.0, 11.0, -4.0)
+    rows = table([objective], before, after)
+    assert [row["seed"] for row in rows] == [1, 2, 3]
+    assert rows[1]["finished_at before"] == 20.0
+    assert rows[1][f"{objective} after"] == 14.0
+    assert math.isnan(rows[2][f"{objective} before"])
