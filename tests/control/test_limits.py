@@ -358,7 +358,7 @@ def test_bounds_bias_nothing(optimum: float) -> None:
     found = np.asarray(repeated(mppi, jnp.zeros(2), keys), np.float64)[20:, 0]
     assert (np.abs(found) <= 1.0).all()
     # The limit of many samples is the fixed point of the mean over the clipped distribution.
-    centre, noise = 0.0, std * np.linspace(-6.0, 6.0, 200001)
+    centre, noise = 0.0, std * np.linspace(-6.0, 6.0, 20001)
     density = np.exp(-0.5 * (noise / std) ** 2)
     for _ in range(100):
         u = np.clip(centre + noise, -1.0, 1.0)

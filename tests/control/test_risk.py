@@ -139,6 +139,9 @@ def test_entropic_risk_is_the_mean_for_small_theta(theta: float) -> None:
     np.testing.assert_allclose(costs_of(Entropic(theta), totals), mean, rtol=1e-3)
 
 
+together = eqx.filter_jit(rollout_costs)
+
+
 class Rolling(Dynamics):
     """Depends on time and on a parameter, and is not linear."""
 
@@ -393,10 +396,8 @@ def test_models_of_an_ensemble_may_have_leaves_that_are_no_arrays() -> None:
         ModelEnsemble(*models), Only(jnp.asarray(1)), models[0], HORIZON, 2, key=jax.random.key(0)
     )
     zero = jnp.zeros(())
-    expected = rollout_costs(models[1], Line(), jnp.asarray(START), controls, zero + DT)
-    actual = rollout_costs(
-        models[0], Line(), jnp.asarray(START), controls, zero + DT, outcomes=outcomes
-    )
+    expected = together(models[1], Line(), jnp.asarray(START), controls, zero + DT)
+    actual = together(models[0], Line(), jnp.asarray(START), controls, zero + DT, outcomes=outcomes)
     np.testing.assert_allclose(actual, expected, rtol=1e-5)
     with pytest.raises(ValueError, match="accepted: one or more models of one class"):
         ModelEnsemble(models[0], Bent(jnp.asarray(1.0), bend=jnp.sin))
@@ -466,6 +467,23 @@ OBSTACLES = Obstacles(
 NOISE = StateNoise([0.2, 0.2, 0.1, 0.1])
 
 
+@eqx.filter_jit
+def stages(cost, model, noise, initial, controls, dt, keys, draws, belief):
+    """Return the stage costs (T,) of one sequence in one outcome."""
+
+    def advance(state, inputs):
+        t, control, key, draw = inputs
+        if noise is None:
+            state = model.step(state, control, dt)
+        else:
+            state = noise.step_at(model, state, control, dt * t, dt, draw)
+        known = belief.drawn(key)
+        return state, cost.stage(State(state, model), control, dt * (t + 1.0), known)
+
+    inputs = (jnp.arange(len(controls), dtype=jnp.float32), controls, keys, draws)
+    return jax.lax.scan(advance, initial, inputs)[1]
+
+
 @pytest.mark.parametrize(
     ("risk", "robot"),
     [(MeanVariance(2.0), None), (ConditionalValueAtRisk(0.7), NOISE), (WorstCase(), NOISE)],
@@ -479,28 +497,15 @@ def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> Non
     initial = jnp.asarray([0.0, 0.0, 1.0, 0.0])
     outcomes = Outcomes.draw(uncertain, risk, model, 8, count, key=jax.random.key(3))
 
-    @jax.jit
-    def together(belief):
-        return rollout_costs(model, cost, initial, controls, dt, belief, outcomes=outcomes)
-
-    @jax.jit
-    def stages(controls, keys, draws, belief):
-        """Return the stage costs (T,) of one sequence in one outcome."""
-        state, paid = initial, []
-        for t in range(8):
-            if robot is None:
-                state = model.step(state, controls[t], dt)
-            else:
-                state = robot.step_at(model, state, controls[t], dt * t, dt, draws[t])
-            known = belief.drawn(keys[t])
-            paid.append(cost.stage(State(state, model), controls[t], dt * (t + 1), known))
-        return jnp.stack(paid)
-
     keys, draws = outcomes.drawn
+
+    def of(m: int):
+        return keys[:, m], draws[:, m] if robot else ()
+
     alone = np.array(
         [
             [
-                stages(controls[..., k], keys[:, m], draws[:, m] if robot else (), OBSTACLES)
+                stages(cost, model, robot, initial, controls[..., k], dt, *of(m), OBSTACLES)
                 for k in range(3)
             ]
             for m in range(count)
@@ -513,7 +518,8 @@ def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> Non
         discounts = 0.95 ** np.arange(8)
         variation = (discounts[:, None] * np.var(alone, axis=0, ddof=1).T).sum(axis=0)
     expected = cost_of(risk, jnp.asarray(alone.sum(-1)), jnp.asarray(variation, jnp.float32))
-    np.testing.assert_allclose(together(OBSTACLES), expected, rtol=2e-4)
+    found = together(model, cost, initial, controls, dt, OBSTACLES, outcomes=outcomes)
+    np.testing.assert_allclose(found, expected, rtol=2e-4)
 
 
 def test_an_averse_robot_keeps_more_room_from_what_is_uncertain() -> None:
@@ -527,9 +533,7 @@ def test_an_averse_robot_keeps_more_room_from_what_is_uncertain() -> None:
 
     def prices(risk: Risk):
         outcomes = Outcomes.draw(UncertainObstacles(), risk, model, 10, 200, key=jax.random.key(0))
-        paid = rollout_costs(
-            model, cost, starts, jnp.zeros((10, 2, 2)), dt, obstacle, outcomes=outcomes
-        )
+        paid = together(model, cost, starts, jnp.zeros((10, 2, 2)), dt, obstacle, outcomes=outcomes)
         return np.asarray(paid + effort)
 
     median, tail = prices(ValueAtRisk(0.5)), prices(ConditionalValueAtRisk(0.95))
