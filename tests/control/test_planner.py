@@ -26,6 +26,10 @@ NOMINAL = jnp.tile(jnp.asarray([0.4, 0.1]), (T, 1))
 KEY = jax.random.key(0)
 
 
+step = eqx.filter_jit(jx.MPPI.step)
+costs_of, batch_of = eqx.filter_jit(rollout_costs), eqx.filter_jit(rollout_batch)
+
+
 def plan(temperature: float = 1.0, **changes):
     given = {"nominal_input": NOMINAL, "initial_state": STATE, "key": KEY, **changes}
     return PLANNER.step(temperature=temperature, **given)
@@ -33,7 +37,7 @@ def plan(temperature: float = 1.0, **changes):
 
 def test_it_is_the_step_of_its_mppi() -> None:
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, MPPI, jnp.asarray(0.7))
-    control, _, info = mppi.step(mppi.init(NOMINAL), STATE, key=KEY, shift=False)
+    control, _, info = step(mppi, mppi.init(NOMINAL), STATE, key=KEY, shift=False)
     planned = plan(0.7)
     np.testing.assert_allclose(planned.optimal, info.controls, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(planned.optimal[0], control, rtol=1e-5, atol=1e-6)
@@ -75,10 +79,8 @@ def test_what_was_applied_before_counts_for_changes() -> None:
     controls = planned[1].batch.controls
     parts = (MPPI.dynamics, MPPI.cost, STATE, controls, MPPI.dt)
     applied = jnp.asarray([0.9, 0.3])
-    np.testing.assert_allclose(
-        rollout_costs(*parts, applied=applied), planned[1].info.costs, rtol=1e-4
-    )
-    again = rollout_batch(*parts, applied=applied)
+    np.testing.assert_allclose(costs_of(*parts, applied=applied), planned[1].info.costs, rtol=1e-4)
+    again = batch_of(*parts, applied=applied)
     np.testing.assert_allclose(again.costs, planned[1].batch.costs, rtol=1e-4, atol=1e-6)
 
 

@@ -28,15 +28,23 @@ def price(cost, state: State, control=None):
     return cost.stage(state, control, NOTHING, None)
 
 
+point_at = eqx.filter_jit(lambda phi: PATH.at(phi))
+clearances = eqx.filter_jit(CorridorCost.clearances)
+ALONG = PathParameter.along(PATH, 15.0)
+
+
 def at(robot, x: float, y: float, phi: float, yaw: float = 0.0) -> State:
     """Return a robot at a pose and an arc length."""
-    model = Augmented(robot, PathParameter.along(PATH, 15.0))
+    return put(Augmented(robot, ALONG), x, y, phi, yaw)
+
+
+def put(model: Augmented, x: float, y: float, phi: float, yaw: float) -> State:
     return State(model.at_pose(x, y, yaw).at[-1].set(phi), model)
 
 
 def by_hand(x: float, y: float, phi: float) -> tuple[float, float]:
     """Return the errors by the formulas of the design notes, double precision."""
-    point = PATH.at(jnp.asarray(phi, jnp.float32))
+    point = point_at(jnp.asarray(phi, jnp.float32))
     theta, dx, dy = float(point.heading), x - float(point.x), y - float(point.y)
     return (
         np.sin(theta) * dx - np.cos(theta) * dy,
@@ -87,11 +95,13 @@ def test_extractors_read_the_part_they_are_for() -> None:
         extract.from_virtual(extract.component("phi"))(alone)
 
 
+STILL = path_through(S_CURVE, half_widths=[2.0, 1.0])
+
+
 @given(st.tuples(st.floats(-20, 20), st.floats(-20, 20)), st.floats(-3, 3))
 def test_the_world_s_origin_and_axes_do_not_matter(shift, turn: float) -> None:
     matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     moved = path_through(np.asarray(S_CURVE) @ matrix.T + shift, half_widths=[2.0, 1.0])
-    still = path_through(S_CURVE, half_widths=[2.0, 1.0])
     where = np.array([21.0, 3.6])
     there = matrix @ where + shift
     states = (
@@ -100,7 +110,7 @@ def test_the_world_s_origin_and_axes_do_not_matter(shift, turn: float) -> None:
     )
     for cost in (ContouringCost, LagCost, CorridorCost):
         prices = [
-            price(cost(path), state) for path, state in zip((still, moved), states, strict=True)
+            price(cost(path), state) for path, state in zip((STILL, moved), states, strict=True)
         ]
         np.testing.assert_allclose(prices[1], prices[0], rtol=1e-2, atol=2e-3)
 
@@ -121,16 +131,19 @@ def test_the_objects_that_plan_measure() -> None:
     np.testing.assert_allclose(LagCost(PATH).errors(states, BICYCLE), expected[:, 1], atol=1e-4)
 
 
+NARROWING = line_path([0, 0], [10, 0], half_widths=[[1.0, 2.0], [2.0, 2.0]])
+CAR = Augmented(
+    Ackermann(footprint=Rectangle(0.5, 0.1, 0.4, num_discs=2)), PathParameter.along(NARROWING, 3.0)
+)
+
+
 @given(st.floats(-3, 3, width=32), st.floats(0, 10, width=32), st.floats(-3, 3, width=32))
 def test_room_is_left_by_the_nearest_disc(y: float, x: float, yaw: float) -> None:
-    path = line_path([0, 0], [10, 0], half_widths=[[1.0, 2.0], [2.0, 2.0]])
-    car = Ackermann(footprint=Rectangle(0.5, 0.1, 0.4, num_discs=2))
-    model = Augmented(car, PathParameter.along(path, 3.0))
-    state = State(model.at_pose(x, y, yaw).at[-1].set(x), model)
+    state = put(CAR, x, y, x, yaw)
     sides = y + np.array([0.05, 0.35]) * np.sin(yaw)
     room = min((1.0 + 0.1 * x - sides).min(), (2.0 + sides).min()) - 0.25
-    cost = CorridorCost(path, margin=0.1, scale=0.2)
-    np.testing.assert_allclose(cost.clearances(state.values[None], model)[0], room, atol=1e-4)
+    cost = CorridorCost(NARROWING, margin=0.1, scale=0.2)
+    np.testing.assert_allclose(clearances(cost, state.values[None], CAR)[0], room, atol=1e-4)
     np.testing.assert_allclose(
         price(cost, state), (max(0.1 - room, 0.0) / 0.2) ** 2, rtol=1e-2, atol=1e-3
     )
