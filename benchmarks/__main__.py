@@ -21,6 +21,8 @@ from benchmarks import (
     informative,
     path_following,
     portfolio_step,
+    sensitivity,
+    tuning,
 )
 from benchmarks.tables import table
 from jaxplore import __version__
@@ -135,6 +137,14 @@ def _portfolio(arguments: argparse.Namespace, console: Console) -> dict[str, Any
     return {"portfolio": times}
 
 
+def _tuning(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = tuning.measure()
+    console.print(table("Episodes of a search, a population side by side and one by one", rows))
+    settings = sensitivity.measure()
+    console.print(table("One setting at a time, times as long as with the default", settings))
+    return {"tuning": rows, "sensitivity": settings}
+
+
 def _exploration(arguments: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = exploration.measure(arguments.seeds)
     summary = exploration.summarise(rows)
@@ -149,6 +159,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "informative": _informative,
     "path_following": _path_following,
     "portfolio": _portfolio,
+    "tuning": _tuning,
     "exploration": _exploration,
 }
 

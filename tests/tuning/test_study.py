@@ -325,7 +325,7 @@ def test_the_lucky_one_is_not_chosen() -> None:
         FunctionEpisodes(tried, {"x": 0.5}),
         ["x=0.1,0.5,0.9"],
         "cost",
-        budget=12,
+        budget=32,
         seeds=2,
         optimizer="random",
         gives_up=False,

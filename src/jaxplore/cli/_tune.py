@@ -82,7 +82,7 @@ def tune_options(command: Any) -> Any:
             help="Seeds to compare settings before and after with, that were not tuned on.",
         ),
         click.option(
-            "--seeds", type=int, default=3, show_default=True, help="Episodes of each candidate."
+            "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
         ),
         click.option(
             "--optimizer",

@@ -152,8 +152,8 @@ def _axes(number: int) -> tuple["Figure", list[Any]]:
 
 
 def _scale(axes: Any, which: str, values: list[float]) -> None:
-    """Use a logarithmic scale where values span decades: the best would all lie on one line."""
-    if values and min(values) > 0.0 and max(values) > 30.0 * min(values):
+    """Use a logarithmic scale where the worst are far away: the best would all lie on one line."""
+    if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
         getattr(axes, f"set_{which}scale")("log")
 
 

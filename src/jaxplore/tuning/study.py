@@ -22,6 +22,8 @@ BEFORE = -1
 """Number of the values that there were before, whatever the bounds are."""
 HOPELESS = 2.0
 """An episode is given up after so many times the duration of the best candidate's."""
+SEARCHED_PER_FINALIST = 8
+"""Candidates that are tried out for each that comes among the finalists."""
 _UNPROMISING = 10
 """Candidates after which a search without a single value is given up."""
 
@@ -220,7 +222,7 @@ class Study:
         further runs.
 
         Args:
-            finalists: how many of the best.
+            finalists: how many of the best, at most an eighth of the candidates.
             seeds: new ones.
             on_progress: told how many episodes are done, and of how many.
 
@@ -232,8 +234,13 @@ class Study:
         if len(self.search.objectives) > 1 or finalists <= 1 or not seeds:
             return best
         done = [each for each in self.trials() if each.state == "done"]
-        ranked = sorted(done, key=lambda each: (each.values[0], each.number))[:finalists]
-        if ranked[0].number != 0 and done[0].number == 0 and done[0] not in ranked:
+        distinct: dict[str, Trial] = {}
+        for each in sorted(done, key=lambda each: (each.values[0], each.number)):
+            distinct.setdefault(repr(each.candidate), each)
+        # Of few candidates few: to choose is not to cost more than to search.
+        most = min(finalists, max(2, len(done) // SEARCHED_PER_FINALIST))
+        ranked = list(distinct.values())[:most]
+        if done[0].number == 0 and done[0].candidate not in [each.candidate for each in ranked]:
             ranked.append(done[0])
         further = self.try_out([each.number for each in ranked], seeds, on_progress)
         objective = self.search.objectives[0]
@@ -262,6 +269,10 @@ class Study:
         numbers = self._numbers(generation, count)
         return numbers.stop <= len(trials) and all(trials[n].state.is_finished() for n in numbers)
 
+    def _some(self, numbers: range) -> list[Trial]:
+        kept = self.optuna.get_trials(deepcopy=False)
+        return [trial_of(kept[number]) for number in numbers]
+
     def _asked(self) -> list[Candidate]:
         return self.strategy.ask()
 
@@ -269,7 +280,7 @@ class Study:
         """Return after what time each episode is hopeless, from former generations [s]."""
         if len(self.search.objectives) > 1:
             return {}
-        former = self.trials()[: generation * self.search.population]
+        former = self._some(range(generation * self.search.population))
         done = [each for each in former if each.state == "done"]
         if not done:
             return {}
@@ -282,7 +293,7 @@ class Study:
 
     def _scored(self, generation: int) -> list[Scored]:
         """Return a complete generation with its ranks."""
-        trials = [self.trials()[number] for number in self._numbers(generation)]
+        trials = self._some(self._numbers(generation))
 
         def order(each: Trial) -> tuple[float, ...]:
             if each.state == "done":

@@ -14,7 +14,7 @@ from jaxplore.tuning.study import Progress
 from jaxplore.tuning.trials import Trial
 
 FINALISTS = 8
-"""Candidates that are compared by new seeds before one is chosen."""
+"""Candidates at most that are compared by new seeds before one is chosen."""
 
 
 def further_seeds(first: int, seeds: int) -> range:
@@ -52,7 +52,7 @@ def tune(
     objective: str | Sequence[str],
     *,
     budget: int,
-    seeds: int = 3,
+    seeds: int = 5,
     optimizer: str = "tpe",
     population: int = POPULATION,
     seed: int = 0,

@@ -1,0 +1,86 @@
+"""What each setting does: a run's time to the end with a quarter and four times its default.
+
+One setting at a time, the others as they are, with the same seeds for all. A run that does not get
+to the end counts as `jaxplore.tuning` has it: as late as the time limit, and later the more was
+missing.
+"""
+
+import statistics
+from typing import Any
+
+from jaxplore.tuning import Ask, Objective, Outcome, SettingsEpisodes
+
+FACTORS = (0.25, 0.5, 2.0, 4.0)
+SEEDS = 3
+OBJECTIVE = Objective.parse("finished_at")
+SMALL_OFFICE = {
+    "map": "office",
+    "office": {"width": 12.0, "height": 8.0},
+    "rates": {"control": 20.0},
+    "controller": {"num_samples": 500},
+    "time_limit": 120.0,
+}
+PLACES: dict[str, tuple[dict[str, Any], bool, tuple[str, ...]]] = {
+    "path": (
+        {"time_limit": 40.0},
+        True,
+        (
+            "controller.temperature",
+            "controller.noise_share",
+            "controller.progress_weight",
+            "controller.contouring_weight",
+            "controller.lag_weight",
+            "controller.comfort_weight",
+            "controller.horizon",
+            "controller.num_samples",
+        ),
+    ),
+    "office": (
+        SMALL_OFFICE,
+        False,
+        (
+            "controller.temperature",
+            "proposal.noise_std",
+            "controller.guidance_weight",
+            "controller.information_weight",
+            "controller.obstacle_weight",
+            "controller.horizon",
+            "controller.num_samples",
+            "fields.decay_length",
+            "fields.min_information",
+        ),
+    ),
+}
+
+
+def measure() -> list[dict[str, Any]]:
+    """Return a row for each setting: times as long as with the default, for each factor."""
+    rows = []
+    for place, (entries, is_path, settings) in PLACES.items():
+        episodes = SettingsEpisodes({place: entries}, is_path=is_path)
+        default = _seconds(episodes, place, {})
+        for setting in settings:
+            row: dict[str, Any] = {"scenario": place, "setting": setting}
+            for factor in FACTORS:
+                values = {
+                    name: _scaled(episodes.start(name), factor)
+                    for name in episodes.elements(setting)
+                }
+                row[f"x {factor:g}"] = _seconds(episodes, place, values) / default
+            rows.append({**row, "default_s": default})
+    return rows
+
+
+def _scaled(value: Any, factor: float) -> float | int:
+    return max(1, round(value * factor)) if isinstance(value, int) else float(value) * factor
+
+
+def _seconds(episodes: SettingsEpisodes, place: str, values: dict[str, Any]) -> float:
+    found: list[float] = []
+
+    def keep(_: Ask, outcome: Outcome) -> None:
+        failed = outcome.error is not None
+        found.append(float("inf") if failed else OBJECTIVE.value(outcome.metrics))
+
+    episodes.run([Ask(0, values, place, seed) for seed in range(SEEDS)], keep)
+    return statistics.fmean(found)

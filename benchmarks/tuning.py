@@ -1,0 +1,194 @@
+"""Episodes of a search per second: a population side by side by `vmap`, and one by one.
+
+An evolution strategy of evosax proposes the candidates; both ways try out the same ones, with the
+same seed for all of a generation, and end with the same reports. One by one is the compiled closed
+loop of `simulate` or `follow_path`, one candidate after the other, nothing compiled anew; its
+controller is the base with other numbers, as in the batch. Times are of the episodes of whole
+generations with their reports, without the compilation; and beside that with what a search does in
+between: proposing, keeping, telling.
+
+The problems grow: a point mass with a quadratic cost, which is a function (`VectorEpisodes`; one by
+one it is a batch of 1); a car along the generated track with few and with the default rollouts; an
+explorer in a small office.
+"""
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+import jaxplore as jx
+from jaxplore._types import Key
+from jaxplore.experiment.assembly import build
+from jaxplore.experiment.path import build_path
+from jaxplore.path_settings import make_path_settings
+from jaxplore.settings import make_settings
+from jaxplore.tuning import (
+    Ask,
+    ControllerEpisodes,
+    Episodes,
+    Objective,
+    Outcome,
+    Parameter,
+    Search,
+    Space,
+    VectorEpisodes,
+    open_study,
+)
+
+ROUNDS = 3
+"""Generations timed of each, after two that compile and warm up."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What is tuned: episodes by the size of their batch, what is searched and for what."""
+
+    name: str
+    episodes: Callable[[int], Episodes]
+    parameters: tuple[str, ...]
+    objective: str
+    population: int
+
+
+def measure() -> list[dict[str, Any]]:
+    """Return a row for each problem."""
+    return [_row(problem) for problem in (_point_mass(), _track(64), _track(512), _office())]
+
+
+def _row(problem: Problem) -> dict[str, Any]:
+    rates: dict[str, list[tuple[float, float]]] = {}
+    # In turn, so that a busy minute of the machine is not one way's alone.
+    together, alone = _generations(problem, problem.population), _generations(problem, 1)
+    for _ in range(ROUNDS):
+        for name, generation in (("vmap", together), ("one by one", alone)):
+            rates.setdefault(name, []).append(generation())
+    side, one = (
+        [statistics.median(column) for column in zip(*rates[name], strict=True)]
+        for name in ("vmap", "one by one")
+    )
+    return {
+        "problem": problem.name,
+        "population": problem.population,
+        "episodes_per_second_vmap": side[0],
+        "episodes_per_second_one_by_one": one[0],
+        "times_as_many": side[0] / one[0],
+        "times_as_many_with_the_search": side[1] / one[1],
+    }
+
+
+def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, float]]:
+    """Return what runs one more generation, and returns episodes per second: those of the episodes
+    alone, and those of the whole search."""
+    episodes = problem.episodes(batch)
+    run, spent = episodes.run, 0.0
+
+    def timed(asks: Sequence[Ask], on_done: Callable[[Ask, Outcome], None]) -> None:
+        nonlocal spent
+        outcomes: list[tuple[Ask, Outcome]] = []
+        began = time.perf_counter()
+        run(asks, lambda ask, outcome: outcomes.append((ask, outcome)))
+        spent = time.perf_counter() - began
+        for ask, outcome in outcomes:
+            on_done(ask, outcome)
+
+    episodes.run = timed  # type: ignore[method-assign]
+    parameters = tuple(
+        Parameter(name, 0.5 * float(start), 2.0 * float(start), is_log=True)
+        for name in problem.parameters
+        for start in [episodes.start(name)]
+    )
+    search = Search(
+        Space(parameters),
+        (Objective.parse(problem.objective),),
+        (0,),
+        "cma-es",
+        population=problem.population,
+        gives_up=False,
+    )
+    stack = open_study(search, episodes)
+    study = stack.__enter__()  # for as long as this program runs
+    # Twice: the strategy is told for the first time when the second generation is asked for.
+    done = 2 * problem.population
+    study.run(done)
+
+    def generation() -> tuple[float, float]:
+        nonlocal done
+        done += problem.population
+        began = time.perf_counter()
+        study.run(done)
+        whole = time.perf_counter() - began
+        return problem.population / spent, problem.population / whole
+
+    return generation
+
+
+def _point_mass() -> Problem:
+    robot = jx.PointMass(2, max_acceleration=4.0)
+    cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.QuadraticControlCost([1.0, 1.0])
+    controller = jx.MPPI(
+        robot, cost, horizon=10, num_samples=32, temperature=1.0, noise_std=[1.0, 1.0], dt=0.1
+    )
+
+    def episode(values: dict[str, Array], key: Key) -> dict[str, Array]:
+        tuned = jx.with_leaves(
+            controller,
+            {
+                "weighting.temperature": values["temperature"],
+                "proposal.noise_std": values["noise"],
+            },
+        )
+
+        def step(carry: Any, key: Key) -> tuple[Any, Array]:
+            memory, state = carry
+            control, memory, _ = tuned.step(memory, state, key=key)
+            state = tuned.dynamics.step(state, control, tuned.dt)
+            return (memory, state), jnp.sum(state[:2] ** 2) + 0.1 * jnp.sum(control**2)
+
+        start = (tuned.init(), jnp.array([1.0, -0.5, 0.0, 0.0]))
+        return {"cost": jax.lax.scan(step, start, jax.random.split(key, 100))[1].mean()}
+
+    return Problem(
+        "point mass, 32 rollouts x 10 steps, 100 commands",
+        lambda batch: VectorEpisodes(episode, {"temperature": 0.3, "noise": 1.0}, batch=batch),
+        ("temperature", "noise"),
+        "cost",
+        64,
+    )
+
+
+def _track(num_samples: int) -> Problem:
+    built = build_path(make_path_settings({"controller": {"num_samples": num_samples}}))
+    return Problem(
+        f"car along a track, {num_samples} rollouts x 30 steps, about 650 commands",
+        lambda batch: ControllerEpisodes(
+            built.controller, {"track": built.scenario}, time_limit=20.0, batch=batch
+        ),
+        ("weighting.temperature", "cost.progress.weight", "cost.comfort.weight"),
+        "finished_at",
+        32,
+    )
+
+
+def _office() -> Problem:
+    settings = {"map": "office", "office": {"width": 10.0, "height": 8.0}}
+    rates = {"rates": {"control": 20.0}, "controller": {"num_samples": 100}}
+    built = build(make_settings({**settings, **rates}))
+    return Problem(
+        "explorer in an office of 10 x 8 m, 100 rollouts x 40 steps, 400 commands",
+        lambda batch: ControllerEpisodes(
+            built.controller, {"office": built.scenario}, time_limit=20.0, batch=batch
+        ),
+        ("weighting.temperature", "cost.guidance.weight", "cost.information.weight"),
+        "time_to.90",
+        16,
+    )
+
+
+if __name__ == "__main__":
+    print(*measure(), sep="\n")
