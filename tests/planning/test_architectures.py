@@ -12,8 +12,6 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from jaxplore import (
-    MPPI,
-    GoalCost,
     InformativeMPPI,
     InverseSensorModel,
     Lidar,
@@ -29,7 +27,7 @@ from jaxplore.dynamics.base import State
 from jaxplore.information.belief import StrategicBelief
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning.architectures import ARCHITECTURES, FieldNumbers, Flight
-from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
 from jaxplore.simulation.record import Record
 
 CHUNK, PERIOD = 50, 0.05
@@ -80,15 +78,14 @@ def controllers(scenario) -> dict[str, InformativeMPPI]:
     return {name: controller_of(name).at_period(period) for name in ARCHITECTURES}
 
 
-def start_of(controller: InformativeMPPI, scenario: Scenario) -> LoopState:
-    """Return the state before the first step; of all controllers the same program."""
-    nothing = MPPI(ROBOT, GoalCost([0.0, 0.0]), horizon=1, num_samples=1, noise_std=[1.0] * 4)
-    return initial_loop_state(nothing, scenario)._replace(controller=controller.init())
-
-
 def run(controller: InformativeMPPI, scenario: Scenario, seed: int, steps: int) -> Record:
     """Return the records of a run, which may end earlier."""
-    state, key, rows, done = start_of(controller, scenario), jax.random.key(seed), [], CHUNK
+    state, key, rows, done = (
+        initial_loop_state(controller, scenario),
+        jax.random.key(seed),
+        [],
+        CHUNK,
+    )
     for _ in range(0, steps, CHUNK):
         if int(done) < CHUNK:
             break
@@ -207,7 +204,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
     parts of parallel are among its own."""
     controller, perception = hot(controllers["two-layer"]), scenario.perception
     world, period, key = WORLD.truth(), jnp.asarray(PERIOD), jax.random.key(3)
-    after, robots = start_of(controller, scenario), []
+    after, robots = initial_loop_state(controller, scenario), []
     for step in range(CHUNK):
         before = after
         after, records, done = run_chunk(controller, scenario, before, key, jnp.asarray(1), CHUNK)
@@ -278,7 +275,7 @@ NUMBERS = {
 @every
 def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     controller = controllers[architecture]
-    start, one, key = start_of(controller, scenario), jnp.asarray(1), jax.random.key(0)
+    start, one, key = initial_loop_state(controller, scenario), jnp.asarray(1), jax.random.key(0)
     first, _, _ = run_chunk(controller, scenario, start, key, one, CHUNK)
     compiled = run_chunk._cached._cache_size()
     flight = FLIGHT._replace(
@@ -305,7 +302,7 @@ def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
     (blind,) = (
         term for name, term in controllers["parallel"].mppi.cost.terms() if name == "PotentialCost"
     )
-    belief = start_of(controller, scenario).belief
+    belief = initial_loop_state(controller, scenario).belief
     # Half a metre below a zone that begins at y = 4.
     place = ROBOT.at_pose(2.5, 3.2, 0.0)
     strategy = strategy_by_parts(controller, belief, place)

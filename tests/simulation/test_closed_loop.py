@@ -21,6 +21,7 @@ from jaxplore.control.rollout import Trajectory
 from jaxplore.information.belief import Belief
 from jaxplore.report.animation import frame_image
 from jaxplore.simulation.closed_loop import (
+    _before_control,
     _is_finished,
     initial_loop_state,
     run_chunk,
@@ -309,6 +310,19 @@ def test_the_prior_is_what_is_known_at_first() -> None:
     np.testing.assert_allclose(belief[away < 0.25], 0.01, rtol=1e-5)
     assert float(state.progress.unknown) == pytest.approx(np.mean(4 * belief * (1 - belief) > 0.5))
     np.testing.assert_array_equal(scenario.world.probability, HALL)
+
+
+def test_what_is_known_at_first_is_compiled_once_for_all_controllers(make) -> None:
+    controller, scenario = make()
+    first = initial_loop_state(controller, scenario)
+    compiled = _before_control._cached._cache_size()
+    other = initial_loop_state(AHEAD, scenario, jax.random.key(3))
+    assert _before_control._cached._cache_size() == compiled
+    mine, theirs = jax.tree.structure(first.controller), jax.tree.structure(other.controller)
+    assert mine != theirs
+    pair = (state._replace(controller=()) for state in (first, other))
+    for a, b in zip(*map(jax.tree.leaves, pair), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:

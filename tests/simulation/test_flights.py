@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import MPPI, Faults, GoalCost, Quadrotor
+from jaxplore import Faults
 from jaxplore.experiment.assembly import Experiment, build
 from jaxplore.settings import make_settings
 from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
@@ -40,9 +40,6 @@ DELAYS = {"two-layer": 2, "parallel": 0}
 ARCHITECTURES = pytest.mark.parametrize("architecture", DELAYS)
 
 
-GOER = MPPI(Quadrotor(), GoalCost([0.0, 0.0]), horizon=1, num_samples=1, noise_std=[1.0] * 4)
-
-
 class Flight(NamedTuple):
     records: Record
     positions: np.ndarray
@@ -57,8 +54,7 @@ def fly(flight: Experiment, faults: Faults | None = None, steps: int = STEPS) ->
             lambda each: each.faults, scenario, faults, is_leaf=lambda leaf: leaf is None
         )
     controller = flight.controller.at_period(scenario.control_period)
-    # Of all controllers the same program.
-    before = initial_loop_state(GOER, scenario)._replace(controller=controller.init())
+    before = initial_loop_state(controller, scenario)
     after, records, done = run_chunk(
         controller, scenario, before, flight.key, jnp.asarray(steps), STEPS
     )

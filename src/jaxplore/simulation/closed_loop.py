@@ -58,12 +58,24 @@ class LoopState(NamedTuple):
     movers: Movers | None
 
 
-@eqx.filter_jit
 def initial_loop_state(
     controller: Controller, scenario: Scenario, key: Key | None = None
 ) -> LoopState:
     """Return the state before the first step: what is known beforehand, and that the robot stands
     free. Where what moves begins depends on the key; without, it is as the scenario has it."""
+    # Two programs: what is known beforehand is compiled once for all controllers.
+    before = _before_control(scenario, key if scenario.movers is not None else None)
+    return before._replace(controller=_initial_memory(controller))
+
+
+@eqx.filter_jit
+def _initial_memory(controller: Controller) -> Any:
+    return controller.init()
+
+
+@eqx.filter_jit
+def _before_control(scenario: Scenario, key: Key | None) -> LoopState:
+    """Return the state before the first step but for the controller's memory."""
     belief = scenario.perception.init(scenario.prior, robot_pose(scenario.robot, scenario.start))
     movers = scenario.movers
     if movers is not None:
@@ -76,7 +88,7 @@ def initial_loop_state(
     return LoopState(
         robot=scenario.start,
         belief=belief,
-        controller=controller.init(),
+        controller=(),
         step=jnp.zeros((), jnp.int32),
         progress=_progress(scenario, belief, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),
