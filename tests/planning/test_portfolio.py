@@ -55,8 +55,13 @@ def portfolio(objectives=OBJECTIVES, weights=WEIGHTS, mppi: MPPI | None = None, 
 
 
 @eqx.filter_jit
-def step(controller, state, belief=None, key=KEY, observation=START):
-    return controller.step(state, observation, belief, key=key)
+def compiled_step(controller, state, belief, key):
+    return controller.step(state, START, belief, key=key)
+
+
+def step(controller, state, belief=None, key=KEY):
+    """Step; the compiled function takes no defaults, each pattern of which it would compile."""
+    return compiled_step(controller, state, belief, key)
 
 
 @eqx.filter_jit
@@ -202,7 +207,7 @@ def test_spread_costs_uncertainty_and_diversity_in_numpy(empty_belief) -> None:
 
 
 @eqx.filter_jit
-def follow(cost: Cost, controls, applied=None):
+def follow(cost: Cost, controls, applied):
     return rollout(ROBOT, cost, START, controls, jnp.asarray(DT), applied=applied)
 
 
@@ -266,7 +271,7 @@ def test_inspect_shows_the_plan_of_the_step(empty_belief) -> None:
     look = inspect(every, state, START, empty_belief, key=KEY, num_trajectories=12)
     _, _, info = step(every, state, empty_belief)
     assert_alike(look.nominal.controls, info.controls)
-    assert_alike(look.nominal.states[-1], follow(HARD, info.controls).states[-1])
+    assert_alike(look.nominal.states[-1], follow(HARD, info.controls, None).states[-1])
     assert set(look.nominal.terms) == {*OBJECTIVES, "DiscObstacleCost"}
     assert_alike(sum(look.best.terms.values()), info.members.costs.min(), 1e-3)
     assert look.samples.shape == (*look.weights.shape, HORIZON + 1, 5) == (12, HORIZON + 1, 5)

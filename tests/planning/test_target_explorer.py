@@ -180,8 +180,13 @@ def make(rule, **changes) -> TargetExplorer:
     return TargetExplorer(tracker, rule, frame, SHAPE, STRIDE, **given)
 
 
-@eqx.filter_jit
 def choose(controller, state, belief, position, key=KEY):
+    """Choose; the compiled function takes no defaults, each pattern of which it would compile."""
+    return compiled_choice(controller, state, belief, position, key)
+
+
+@eqx.filter_jit
+def compiled_choice(controller, state, belief, position, key):
     observation = controller.tracker.dynamics.at_pose(0.0, 0.0, 0.0).at[:2].set(position)
     return controller._chosen(state, observation, belief, key)
 
