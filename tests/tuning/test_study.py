@@ -213,12 +213,21 @@ def test_an_episode_is_given_up_after_twice_the_best_duration() -> None:
             needed = 10.0 + 100.0 * abs(ask.candidate["x"])
             limit = 500.0 if ask.time_limit is None else ask.time_limit
             done = needed <= limit
-            metrics = {"duration": min(needed, limit), "is_finished": float(done), "cost": needed}
+            metrics = {"duration": min(needed, limit), "is_finished": float(done)}
+            metrics |= {"finished_at": needed, "cost": needed}
             on_done(ask, Outcome(metrics))
 
     simulated = FunctionEpisodes(lambda *_: {}, {"x": 0.9})
     simulated.run = run
-    asked = Search(Space((Parameter("x", -1.0, 1.0),)), (Objective.parse("cost"),), (0,), "random")
+    space = Space((Parameter("x", -1.0, 1.0),))
+    # Who takes long may still be good where time is not what counts.
+    for objective, gives_up in (("cost", True), ("finished_at", False)):
+        asked = Search(space, (Objective.parse(objective),), (0,), "random", gives_up=gives_up)
+        with open_study(asked, simulated) as study:
+            study.run(16)
+        assert set(limits) == {None}
+    limits.clear()
+    asked = Search(space, (Objective.parse("finished_at"),), (0,), "random")
     with open_study(asked, simulated) as study:
         study.run(16)
         trials = study.trials()

@@ -16,7 +16,6 @@ from rich.text import Text
 
 from jaxplore.cli._options import entries_of, place_entries
 from jaxplore.cli._path import is_path, path_entries
-from jaxplore.cli._show import free_name
 from jaxplore.path_settings import PATH
 from jaxplore.runs import PathRun, Run, follow_path, progress_bar, simulate
 from jaxplore.simulation.path_scenario import PathScenario
@@ -172,7 +171,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
         measures=tuple(map(_measure, given["measures"])),
     )
     name = "-".join(scenarios)
-    folder = free_name(Path("runs") / f"{name}-tuned") if out is None else out
+    folder = Path("runs") / f"{name}-tuned" if out is None else out
     try:
         with open_study(search, episodes, folder) as study:
             chosen = _search(study, count, seconds, folder, common, first + given["seeds"])

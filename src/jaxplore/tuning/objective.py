@@ -67,6 +67,15 @@ class Objective:
             text += f"{sign}{size}{name}"
         return text
 
+    @property
+    def is_about_time(self) -> bool:
+        """Whether who takes longer is worse: times are among what is to be small."""
+        times = ("finished_at", "last_target_at", "duration")
+        return any(
+            weight > 0.0 and (name in times or name.startswith("time_to."))
+            for weight, name in self.terms
+        )
+
     def check(self, known: Sequence[str]) -> None:
         """Refuse metrics that no report has.
 

@@ -277,8 +277,10 @@ class Study:
         return self.strategy.ask()
 
     def _limits(self, generation: int) -> dict[tuple[str, int], float]:
-        """Return after what time each episode is hopeless, from former generations [s]."""
-        if len(self.search.objectives) > 1:
+        """Return after what time each episode is hopeless, from former generations [s]: where it
+        is time that is to be small."""
+        objective, *others = self.search.objectives
+        if others or not self.search.gives_up or not objective.is_about_time:
             return {}
         former = self._some(range(generation * self.search.population))
         done = [each for each in former if each.state == "done"]
