@@ -26,7 +26,7 @@ from jaxplore.experiment import controllers as building
 from jaxplore.experiment.assembly import build
 from jaxplore.settings import make_settings
 from jaxplore.simulation import simulate as simulation
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.closed_loop import _before_control, _initial_memory, run_chunk
 from jaxplore.simulation.recording import Recording
 from jaxplore.simulation.scenario import Scenario
 
@@ -147,7 +147,7 @@ def test_each_run_is_the_one_that_simulate_makes(
 
 
 def test_seeds_do_not_compile_again(experiments: Experiments, compared: Comparison) -> None:
-    programs = (run_chunk, initial_loop_state, simulation.look_at)
+    programs = (run_chunk, _before_control, _initial_memory, simulation.look_at)
     before = [each._cached._cache_size() for each in programs]
     again = compare(experiments, [*SEEDS, 7])
     assert [each._cached._cache_size() for each in programs] == before
