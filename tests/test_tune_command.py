@@ -11,6 +11,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.cli import main
+from jaxplore.cli._tune_options import scenarios_of
 from jaxplore.tuning.study import Study
 
 QUICK = ("path", "--samples", "16", "--set", "controller.horizon=6", "--time-limit", "0.6")
@@ -111,7 +112,7 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
     def never(*_):
         raise AssertionError("an episode ran again")
 
-    monkeypatch.setattr("jaxplore.tuning.runs.run_asks", never)
+    monkeypatch.setattr("jaxplore.tuning.built.Runner.run", never)
     main([*SEARCH, "--budget", "8", "--no-animation"])
     assert (folder / "out" / "trials.csv").read_text() == before
     with pytest.raises(SystemExit) as exit_:
@@ -131,7 +132,10 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
         (("--tune", "controller.temperature", "--objective", "speed"), "metric speed is not known"),
         (("--tune", "controller.temperature", "--measure", "x"), "--measure is 'x'; accepted"),
         (("--tune", "controller.temperature", "--workers", "0"), "workers is 0; accepted"),
-        (("--tune", "controller.temperature", "--also", "office"), "--also is 'office' beside a p"),
+        (
+            ("--tune", "controller.temperature", "--also", "path.csv"),
+            "--also is 'path.csv', which is",
+        ),
         (("--tune", "controller.temperature", "--overwrite"), "--overwrite is given; accepted"),
         (
             ("--tune", "controller.temperature", "--batch", "2", "--workers", "2"),
@@ -144,3 +148,43 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert message in fails("tune", *QUICK, *arguments)
+
+
+def asked(**given):
+    """Return the options of a scenario as the command line gives them."""
+    names = ("map_", "path_file", "settings_file", "laps", "obstacles", "controller__num_samples")
+    return {**dict.fromkeys(names), "assignments": (), **given}
+
+
+def test_settings_of_another_robot_are_a_scenario(tmp_path) -> None:
+    wagon = tmp_path / "wagon.yaml"
+    wagon.write_text("robot: {model: differential_drive, max_speed: 3}", encoding="utf-8")
+    track = tmp_path / "hall.csv"
+    scenarios, common = scenarios_of(asked(map_="path", obstacles=5), [str(wagon)])
+    assert scenarios["path"] == common == {"path": "track", "obstacles": {"number": 5}}
+    assert scenarios["wagon"] == {
+        **common,
+        "robot": {"model": "differential_drive", "max_speed": 3},
+    }
+    # Of several places, only what they share is worth keeping.
+    scenarios, common = scenarios_of(asked(map_="path", obstacles=5), [str(track)])
+    assert scenarios["hall"] == {"path": str(track), "obstacles": {"number": 5}}
+    assert common == {"obstacles": {"number": 5}}
+
+
+def test_maps_worlds_and_settings_are_scenarios_beside_a_map(tmp_path) -> None:
+    map_, world, wagon = (tmp_path / f"{name}.yaml" for name in ("lab", "yard", "wagon"))
+    map_.write_text("image: lab.pgm", encoding="utf-8")
+    world.write_text("world: {size: [4, 4]}\nseed: 3", encoding="utf-8")
+    wagon.write_text("robot: {radius: 0.3}", encoding="utf-8")
+    also = [str(map_), str(world), str(wagon)]
+    options = asked(map_="office", assignments=("robot.max_speed=2",))
+    scenarios, common = scenarios_of(options, also)
+    fast = {"robot": {"max_speed": 2}}
+    assert scenarios == {
+        "office": {"map": "office", **fast},
+        "lab": {"map": str(map_), **fast},
+        "yard": {"map": str(world), "world": {"size": [4, 4]}, "seed": 3, **fast},
+        "wagon": {"map": "office", "robot": {"max_speed": 2, "radius": 0.3}},
+    }
+    assert common == fast

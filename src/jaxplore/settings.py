@@ -355,15 +355,15 @@ def make_settings(entries: dict[str, Any]) -> Settings:
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Return the entries over the defaults of their architecture and map."""
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
-        entries = _merged(read_settings(scenario_path(entries["map"])), entries)
+        entries = merged(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     if entries.get("architecture", "explorer") in GROUND:
         return entries
-    return _merged(FLIGHT, entries)
+    return merged(FLIGHT, entries)
 
 
-def _merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
+def merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
     """Return the entries over defaults, section by section."""
     merged = {**defaults, **entries}
     for name, section in defaults.items():

@@ -86,6 +86,17 @@ def test_names_are_settings_first_and_arrays_stand_for_their_elements(path_episo
             path_episodes.start(name)
 
 
+def test_one_element_leaves_the_others_as_each_robot_has_them() -> None:
+    noisy = {"controller": {"noise_share": 0.4}}
+    episodes = SettingsEpisodes({"path": {}, "noisy": noisy}, is_path=True)
+    path = "proposal.physical.noise_std"
+    for entries in ({}, noisy):
+        name = "noisy" if entries else "path"
+        before = jx.leaves(build_path(make_path_settings(entries)).controller)[path]
+        after = episodes.settings(name, {f"{path}[1]": 0.25}).parameters[path]
+        assert after == [before[0], 0.25]
+
+
 def test_only_settings_that_a_run_reads_can_be_tuned() -> None:
     portfolio = SettingsEpisodes({"warehouse": {"map": "warehouse"}})
     assert portfolio.start("portfolio.temperature") == 0.05

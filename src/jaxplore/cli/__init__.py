@@ -13,7 +13,8 @@ from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchma
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
 from jaxplore.cli._show import free_name, save, show_comparison
-from jaxplore.cli._tune import run_tune, tune_options
+from jaxplore.cli._tune import run_tune
+from jaxplore.cli._tune_options import tune_options
 from jaxplore.experiment.assembly import build, comparable
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import compare as compare_runs

@@ -1,9 +1,7 @@
 """`jaxplore tune`: search the settings with which a robot does best."""
 
 import contextlib
-import re
 import sys
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,114 +12,28 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxplore.cli._options import entries_of, place_entries
-from jaxplore.cli._path import is_path, path_entries
-from jaxplore.path_settings import PATH
-from jaxplore.runs import PathRun, Run, follow_path, progress_bar, simulate
-from jaxplore.simulation.path_scenario import PathScenario
+from jaxplore.cli._path import is_path
+from jaxplore.cli._tune_options import (
+    OWN,
+    budget_of,
+    default_objective,
+    measure_of,
+    pool_of,
+    scenarios_of,
+)
+from jaxplore.runs import progress_bar
+from jaxplore.tuning.clip import before_and_after
 from jaxplore.tuning.evidence import changes
 from jaxplore.tuning.objective import Objective, known_metrics
-from jaxplore.tuning.pictures import side_by_side
 from jaxplore.tuning.results import SETTINGS, write_results, write_text
 from jaxplore.tuning.runs import SettingsEpisodes
-from jaxplore.tuning.search import POPULATION, Measure, Search
+from jaxplore.tuning.search import Search
 from jaxplore.tuning.storage import open_study
-from jaxplore.tuning.strategies import NAMES
 from jaxplore.tuning.study import BEFORE, Progress, Study
 from jaxplore.tuning.trials import Trial
 from jaxplore.tuning.tune import FINALISTS, further_seeds, space_of
-from jaxplore.workers.pool import Pool
 
 _INTERRUPTED = 130
-_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
-
-
-def tune_options(command: Any) -> Any:
-    """Add the options that only a search takes."""
-    for option in (
-        click.option("--address", metavar="HOST:PORT", help="A Ray cluster to join."),
-        click.option("--ray", is_flag=True, help="Run episodes on a local Ray cluster."),
-        click.option(
-            "--workers", type=int, help="Processes, or workers of Ray.  [default: 1; all of Ray]"
-        ),
-        click.option(
-            "--batch",
-            type=int,
-            default=1,
-            show_default=True,
-            help="Candidates side by side in one program (vmap), for accelerators and small "
-            "problems.",
-        ),
-        click.option(
-            "--measure",
-            "measures",
-            multiple=True,
-            metavar="METRIC=LOW:HIGH[:CELLS]",
-            help="For --optimizer cma-me: spread settings over this metric.",
-        ),
-        click.option(
-            "--give-up/--no-give-up",
-            "gives_up",
-            default=None,
-            help="Leave candidates that look worse than most after their first episodes.  "
-            "[default: where there is one objective, and no cma-me]",
-        ),
-        click.option(
-            "--population",
-            type=int,
-            default=POPULATION,
-            show_default=True,
-            help="Candidates in a generation.",
-        ),
-        click.option(
-            "--unseen",
-            type=int,
-            default=10,
-            show_default=True,
-            help="Seeds to compare settings before and after with, that were not tuned on.",
-        ),
-        click.option(
-            "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
-        ),
-        click.option(
-            "--optimizer",
-            default="tpe",
-            show_default=True,
-            metavar="NAME",
-            help=f"Any of {', '.join(NAMES)}.",
-        ),
-        click.option(
-            "--objective",
-            "objectives",
-            multiple=True,
-            metavar="SUM",
-            help="What is to be small, such as 'time_to.90 + 100*collisions'; several for a front "
-            "of compromises.  [default: the time to the end, and collisions]",
-        ),
-        click.option(
-            "--budget",
-            default="100",
-            show_default=True,
-            metavar="N | TIME",
-            help="Candidates to try out, or a time such as 30min.",
-        ),
-        click.option(
-            "--also",
-            multiple=True,
-            metavar="MAP.yaml | NAME",
-            help="Another map or scenario to be good in.",
-        ),
-        click.option(
-            "--tune",
-            "tuned",
-            multiple=True,
-            metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
-            help="A setting, or a number of the controller by its path; without bounds from a "
-            "tenth to ten times what it is.",
-        ),
-    ):
-        command = option(command)
-    return command
 
 
 def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:
@@ -132,16 +44,16 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     Raises:
         ValueError: what is asked for is not possible.
     """
-    given = {name: options.pop(name) for name in _OWN}
+    given = {name: options.pop(name) for name in OWN}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
     along_path = is_path(options)
-    scenarios, common = _scenarios(options, given["also"], along_path)
-    count, seconds = _budget(given["budget"])
+    scenarios, common = scenarios_of(options, given["also"])
+    count, seconds = budget_of(given["budget"])
     for name in ("seeds", "unseen", "population"):
         if given[name] < 1:
             raise ValueError(f"--{name} is {given[name]}; accepted: a whole number >= 1")
-    pool = _pool(given)
+    pool = pool_of(given)
     first = common.get("seed", 0)
     if not isinstance(first, int):
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
@@ -154,7 +66,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     space = space_of(given["tuned"], episodes)
     objectives = tuple(Objective.parse(text) for text in given["objectives"])
     if not objectives:
-        objectives = (Objective.parse(_default_objective(episodes)),)
+        objectives = (Objective.parse(default_objective(episodes)),)
     for each in objectives:
         each.check(known_metrics(is_path=along_path))
     gives_up = given["gives_up"]
@@ -168,7 +80,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
         population=given["population"],
         seed=first,
         gives_up=gives_up,
-        measures=tuple(map(_measure, given["measures"])),
+        measures=tuple(map(measure_of, given["measures"])),
     )
     name = "-".join(scenarios)
     folder = Path("runs") / f"{name}-tuned" if out is None else out
@@ -183,97 +95,6 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     finally:
         if pool is not None:
             pool.close()
-
-
-_OWN = (
-    "tuned",
-    "also",
-    "budget",
-    "objectives",
-    "optimizer",
-    "seeds",
-    "unseen",
-    "population",
-    "gives_up",
-    "measures",
-    "batch",
-    "workers",
-    "ray",
-    "address",
-)
-
-
-def _scenarios(
-    options: dict[str, Any], also: Sequence[str], along_path: bool
-) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Return the settings of each scenario by its name, and what they have in common."""
-    if along_path:
-        if also:
-            raise ValueError(f"--also is {also[0]!r} beside a path; accepted: with a map")
-        entries = path_entries(options)
-        return {PATH: entries}, entries
-    for name in ("laps", "obstacles", "path_file"):
-        options.pop(name)
-    map_ = options["map_"]
-    if also and map_ is None:
-        raise ValueError(f"--also is {also[0]!r} without a map; accepted: beside one")
-    given = {**options}
-    common = entries_of({**given, "map_": None})
-    entries = entries_of(given)
-    if "map" not in entries:
-        raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
-    scenarios = {Path(str(entries["map"])).stem: entries}
-    for place in also:
-        label = Path(place).stem
-        if label in scenarios:
-            raise ValueError(f"--also is {place!r}, which is there already; accepted: another one")
-        scenarios[label] = {**place_entries(place), **common}
-    return scenarios, entries if len(scenarios) == 1 else common
-
-
-def _budget(text: str) -> tuple[int | None, float | None]:
-    """Return a number of candidates, or a time [s]."""
-    if text.isdigit() and int(text) >= 1:
-        return int(text), None
-    found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h)", text.strip())
-    if found is None or float(found[1]) <= 0.0:
-        raise ValueError(
-            f"--budget is {text!r}; accepted: a whole number >= 1 of candidates, or a time such as "
-            "90s, 30min or 2h"
-        )
-    return None, float(found[1]) * _UNITS[found[2]]
-
-
-def _pool(given: dict[str, Any]) -> Pool | None:
-    workers, on_ray, address = given["workers"], given["ray"], given["address"]
-    if not on_ray and address is None and workers in (None, 1):
-        return None
-    return Pool(workers, address, on_ray=on_ray)
-
-
-def _default_objective(episodes: SettingsEpisodes) -> str:
-    scenario = episodes.example.scenario
-    if isinstance(scenario, PathScenario):
-        return "finished_at + 10*corridor_violations + 10*collisions"
-    if scenario.num_targets:
-        return "last_target_at + 100*collisions"
-    if scenario.goal is None and float(scenario.target_coverage) > 1.0:
-        return "mean_idleness + 100*collisions"
-    return "finished_at + 100*collisions"
-
-
-def _measure(text: str) -> Measure:
-    found = re.fullmatch(r"([\w.]+)=([^:]+):([^:]+)(?::(\d+))?", text)
-    try:
-        if found is None:
-            raise ValueError
-        return Measure(found[1], float(found[2]), float(found[3]), int(found[4] or 10))
-    except ValueError as error:
-        if str(error).startswith("measure "):
-            raise
-        raise ValueError(
-            f"--measure is {text!r}; accepted: METRIC=LOW:HIGH or METRIC=LOW:HIGH:CELLS"
-        ) from None
 
 
 def _search(
@@ -357,7 +178,13 @@ def _finish(
         except KeyboardInterrupt:
             click.echo("Interrupted: the same command goes on.", err=True)
             sys.exit(_INTERRUPTED)
-    clip = _clip(study, chosen, unseen[0], folder) if animation else None
+    episodes = study.episodes
+    assert isinstance(episodes, SettingsEpisodes)
+    clip = None
+    if animation:
+        clip = before_and_after(
+            episodes, episodes.scenarios[0], study.before, chosen.candidate, unseen[0]
+        )
     before, after = found[BEFORE], found[chosen.number]
     paths = write_results(
         study, chosen, before, after, folder, title=f"Tuned: {name}", animation=clip
@@ -376,33 +203,6 @@ def _finish(
         click.echo("The settings that there were are the best that were found.")
     for path in (folder / SETTINGS, *paths):
         click.echo(str(path))
-
-
-def _clip(study: Study, chosen: Trial, seed: int, folder: Path) -> bytes | None:
-    """Run the first scenario before and after with one seed, and return both beside each other."""
-    episodes = study.episodes
-    assert isinstance(episodes, SettingsEpisodes)
-    scenario = episodes.scenarios[0]
-    clips: list[Path] = []
-    durations: list[float] = []
-    pictures: list[bytes] = []
-    with tempfile.TemporaryDirectory(prefix="jaxplore-") as temporary:
-        for label, candidate in (("before", study.before), ("after", chosen.candidate)):
-            built = episodes.kind.build(episodes.entries(scenario, candidate, seed))
-            run: Run | PathRun
-            if isinstance(built.scenario, PathScenario):
-                run = follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
-            else:
-                run = simulate(built.controller, built.scenario, built.num_steps, key=built.key)
-            if run.metrics.is_interrupted:
-                return None
-            run.save(Path(temporary) / label, progress=True)
-            clips += sorted((Path(temporary) / label).glob("*.gif"))
-            durations.append(run.metrics.duration)
-        if len(clips) != 2:
-            return None
-        side_by_side(clips[0], clips[1], (durations[0], durations[1]), pictures.append)
-    return pictures[0] if pictures else None
 
 
 def _number(value: Any) -> str:

@@ -1,5 +1,6 @@
 """Writes animated GIFs whose frames share their colours."""
 
+import io
 from collections.abc import Callable, Sequence
 from os import PathLike
 
@@ -32,9 +33,19 @@ def write_gif[F](
     for done, frame in enumerate(frames):
         pictures.append(draw(frame).quantize(palette=palette, dither=Image.Dither.NONE))
         on_progress((done + 1) / len(frames))
+    save_gif(path, pictures)
+
+
+def save_gif(file: str | PathLike[str] | io.BytesIO, pictures: Sequence[Image.Image]) -> None:
+    """Write pictures of one palette; it plays for ever and rests on the last one.
+
+    Args:
+        file: its path, or what is written to.
+        pictures: at least one.
+    """
     first, *others = pictures
     first.save(
-        path,
+        file,
         format="GIF",
         save_all=True,
         append_images=others,

@@ -6,9 +6,9 @@
 from jaxplore.tuning.controllers import ControllerEpisodes as ControllerEpisodes
 from jaxplore.tuning.episodes import Ask as Ask
 from jaxplore.tuning.episodes import Episodes as Episodes
-from jaxplore.tuning.episodes import FunctionEpisodes as FunctionEpisodes
 from jaxplore.tuning.episodes import Outcome as Outcome
-from jaxplore.tuning.episodes import VectorEpisodes as VectorEpisodes
+from jaxplore.tuning.functions import FunctionEpisodes as FunctionEpisodes
+from jaxplore.tuning.functions import VectorEpisodes as VectorEpisodes
 from jaxplore.tuning.objective import Objective as Objective
 from jaxplore.tuning.runs import SettingsEpisodes as SettingsEpisodes
 from jaxplore.tuning.search import Measure as Measure

@@ -3,15 +3,11 @@
 import io
 import math
 import warnings
-from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
 
 from jaxplore.report.colours import SERIES
-from jaxplore.report.gif import FRAME_MILLISECONDS, LAST_MILLISECONDS
 from jaxplore.tuning.strategies import Diversity
 from jaxplore.tuning.study import Study
 from jaxplore.tuning.trials import Trial
@@ -21,10 +17,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 120
-FRAMES = 120
-"""Of the animation of two runs side by side."""
-_GAP = 12
-"""Between the two [pixels]."""
 
 
 def importances(study: Study) -> dict[str, float]:
@@ -182,55 +174,3 @@ def png(figure: "Figure") -> bytes:
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()
-
-
-def side_by_side(
-    before: Path, after: Path, durations: tuple[float, float], write: Callable[[bytes], None]
-) -> None:
-    """Write an animation of two runs beside each other, at the same simulated time.
-
-    Args:
-        before: an animation, its frames evenly spread over the run.
-        after: another one.
-        durations: of the runs [s].
-        write: takes the GIF.
-    """
-    clips = [_frames(path) for path in (before, after)]
-    height = max(clip[0].height for clip in clips)
-    scaled = [
-        [each.resize((round(each.width * height / each.height), height)) for each in clip]
-        for clip in clips
-    ]
-    width = sum(clip[0].width for clip in scaled) + _GAP
-    longest = max(*durations, 1e-9)
-    pictures = []
-    for time in np.linspace(0.0, longest, FRAMES):
-        picture = Image.new("RGB", (width, height), "white")
-        left = 0
-        for clip, duration in zip(scaled, durations, strict=True):
-            share = min(time / max(duration, 1e-9), 1.0)
-            picture.paste(clip[round(share * (len(clip) - 1))], (left, 0))
-            left += clip[0].width + _GAP
-        pictures.append(picture)
-    palette = pictures[-1].quantize(colors=128)
-    first, *others = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures]
-    file = io.BytesIO()
-    first.save(
-        file,
-        format="GIF",
-        save_all=True,
-        append_images=others,
-        duration=[FRAME_MILLISECONDS] * len(others) + [LAST_MILLISECONDS],
-        loop=0,
-        optimize=True,
-    )
-    write(file.getvalue())
-
-
-def _frames(path: Path) -> list[Image.Image]:
-    with Image.open(path) as clip:
-        frames = []
-        for index in range(getattr(clip, "n_frames", 1)):
-            clip.seek(index)
-            frames.append(clip.convert("RGB"))
-    return frames

@@ -15,14 +15,8 @@ from jaxplore.experiment.path import build_path
 from jaxplore.maps.packing import PACKED, image_of, packed
 from jaxplore.path_settings import PathSettings, make_path_settings
 from jaxplore.settings import BASELINES, Settings, make_settings
-from jaxplore.tuning.controllers import (
-    Built,
-    leaf_elements,
-    leaf_value,
-    leaf_values,
-    run_alone,
-    run_asks,
-)
+from jaxplore.tuning.built import Built, Runner, run_alone
+from jaxplore.tuning.controllers import leaf_elements, leaf_value, leaf_values
 from jaxplore.tuning.episodes import Ask, Episodes, Outcome
 from jaxplore.tuning.space import Candidate, Value
 from jaxplore.workers.job import Files, Job, Read
@@ -79,30 +73,34 @@ class SettingsEpisodes(Episodes):
         batch: int = 1,
         pool: Pool | None = None,
     ) -> None:
-        if batch < 1:
-            raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
         if batch > 1 and pool is not None:
             raise ValueError(f"batch is {batch} with workers; accepted: one of them")
         if not scenarios:
             raise ValueError("scenarios is empty; accepted: at least one")
         self.kind = Kind(is_path)
         self._scenarios = {name: dict(entries) for name, entries in scenarios.items()}
-        self._batch, self._pool = batch, pool
+        self._pool, self._runner = pool, Runner(self._build, batch)
         self._files = {name: _file_of(entries) for name, entries in self._scenarios.items()}
-        self._differs: dict[str, Any] = {}
         first = next(iter(self._scenarios.values()))
         self._settings = self.kind.settings(first)
         self._known = _settings_of(self._settings)
-        self._built: dict[tuple[str, int], Built] = {}
+        self._built: dict[tuple[str, int | None], Built] = {}
 
     @functools.cached_property
     def example(self) -> Built:
         """The first scenario's run with the settings as they are."""
-        return self.kind.build(next(iter(self._scenarios.values())))
+        return self._as_it_is(self.scenarios[0], None)
 
     @property
     def _controller(self) -> Controller:
         return self.example.controller
+
+    def _as_it_is(self, scenario: str, seed: int | None) -> Built:
+        """Return a scenario's run with the settings as they are, which is built once."""
+        at = (scenario, seed)
+        if at not in self._built:
+            self._built[at] = self.kind.build(self.entries(scenario, {}, seed))
+        return self._built[at]
 
     @property
     def scenarios(self) -> tuple[str, ...]:
@@ -117,12 +115,18 @@ class SettingsEpisodes(Episodes):
             candidate: the values; empty for the settings as they are.
             seed: of the run; that of the settings when absent.
         """
-        return self.with_values(self._scenarios[scenario], candidate, seed)
+        inside = [name for name in candidate if name not in self._known]
+        # Elements of an array that are not searched stay as they are for this one's robot.
+        arrays = self._as_it_is(scenario, None).controller if inside else None
+        return self._with_values(self._scenarios[scenario], candidate, seed, arrays)
 
-    def with_values(
-        self, entries: Entries, candidate: Candidate, seed: int | None = None
+    def with_values(self, entries: Entries, candidate: Candidate) -> dict[str, Any]:
+        """Return what scenarios have in common with a candidate's values."""
+        return self._with_values(entries, candidate, None, self._controller)
+
+    def _with_values(
+        self, entries: Entries, candidate: Candidate, seed: int | None, controller: Any
     ) -> dict[str, Any]:
-        """Return entries with a candidate's values."""
         chosen = {**entries} if seed is None else {**entries, "seed": seed}
         inside = {}
         for name, value in candidate.items():
@@ -136,7 +140,7 @@ class SettingsEpisodes(Episodes):
                 place = place[section]
             place[last] = value
         if inside:
-            arrays = leaf_values(self._controller, inside)
+            arrays = leaf_values(controller, inside)
             before = chosen.get(PARAMETERS) or {}
             plain = {path: array.tolist() for path, array in arrays.items()}
             chosen[PARAMETERS] = {**before, **plain}
@@ -183,16 +187,13 @@ class SettingsEpisodes(Episodes):
             ]
             self._pool.do(jobs, lambda job, outcome: on_done(job.ask, outcome))
             return
-        run_asks(asks, self._build, on_done, batch=self._batch, differs=self._differs)
+        self._runner.run(asks, on_done)
 
     def _build(self, ask: Ask) -> Built:
         if any(name in self._known for name in ask.candidate):
             return self.kind.build(self.entries(ask.scenario, ask.candidate, ask.seed))
         # Numbers of the controller only: the rest is built once.
-        at = (ask.scenario, ask.seed)
-        if at not in self._built:
-            self._built[at] = self.kind.build(self.entries(ask.scenario, {}, ask.seed))
-        built = self._built[at]
+        built = self._as_it_is(ask.scenario, ask.seed)
         values = leaf_values(built.controller, ask.candidate)
         return built._replace(controller=with_leaves(built.controller, values))
 

@@ -1,0 +1,220 @@
+"""What `jaxplore tune` is given."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxplore.cli._options import entries_of, place_entries
+from jaxplore.cli._path import is_path, path_entries
+from jaxplore.path_settings import PATH, TRACK
+from jaxplore.settings import merged, read_settings
+from jaxplore.simulation.path_scenario import PathScenario
+from jaxplore.tuning.runs import SettingsEpisodes
+from jaxplore.tuning.search import POPULATION, Measure
+from jaxplore.tuning.strategies import NAMES
+from jaxplore.workers.pool import Pool
+
+OWN = (
+    "tuned",
+    "also",
+    "budget",
+    "objectives",
+    "optimizer",
+    "seeds",
+    "unseen",
+    "population",
+    "gives_up",
+    "measures",
+    "batch",
+    "workers",
+    "ray",
+    "address",
+)
+"""Options that only a search takes."""
+
+_UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
+
+
+def tune_options(command: Any) -> Any:
+    """Add the options that only a search takes."""
+    for option in (
+        click.option("--address", metavar="HOST:PORT", help="A Ray cluster to join."),
+        click.option("--ray", is_flag=True, help="Run episodes on a local Ray cluster."),
+        click.option(
+            "--workers", type=int, help="Processes, or workers of Ray.  [default: 1; all of Ray]"
+        ),
+        click.option(
+            "--batch",
+            type=int,
+            default=1,
+            show_default=True,
+            help="Candidates side by side in one program (vmap), for accelerators and small "
+            "problems.",
+        ),
+        click.option(
+            "--measure",
+            "measures",
+            multiple=True,
+            metavar="METRIC=LOW:HIGH[:CELLS]",
+            help="For --optimizer cma-me: spread settings over this metric.",
+        ),
+        click.option(
+            "--give-up/--no-give-up",
+            "gives_up",
+            default=None,
+            help="Leave candidates that look worse than most after their first episodes.  "
+            "[default: where there is one objective, and no cma-me]",
+        ),
+        click.option(
+            "--population",
+            type=int,
+            default=POPULATION,
+            show_default=True,
+            help="Candidates in a generation.",
+        ),
+        click.option(
+            "--unseen",
+            type=int,
+            default=10,
+            show_default=True,
+            help="Seeds to compare settings before and after with, that were not tuned on.",
+        ),
+        click.option(
+            "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
+        ),
+        click.option(
+            "--optimizer",
+            default="tpe",
+            show_default=True,
+            metavar="NAME",
+            help=f"Any of {', '.join(NAMES)}.",
+        ),
+        click.option(
+            "--objective",
+            "objectives",
+            multiple=True,
+            metavar="SUM",
+            help="What is to be small, such as 'time_to.90 + 100*collisions'; several for a front "
+            "of compromises.  [default: the time to the end, and collisions]",
+        ),
+        click.option(
+            "--budget",
+            default="100",
+            show_default=True,
+            metavar="N | TIME",
+            help="Candidates to try out, or a time such as 30min.",
+        ),
+        click.option(
+            "--also",
+            multiple=True,
+            metavar="FILE | NAME",
+            help="Another map, path or scenario to be good in, or settings of another robot: a "
+            "file of the settings that differ.",
+        ),
+        click.option(
+            "--tune",
+            "tuned",
+            multiple=True,
+            metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
+            help="A setting, or a number of the controller by its path; without bounds from a "
+            "tenth to ten times what it is.",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def scenarios_of(
+    options: dict[str, Any], also: Sequence[str]
+) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+    """Return the settings of each scenario by its name, and what they have in common.
+
+    Args:
+        options: what `with_options` and `path_options` add.
+        also: further maps, paths or scenarios, or files of settings that differ from the first's.
+
+    Raises:
+        ValueError: a scenario that is none, or is there already.
+    """
+    along_path = is_path(options)
+    if along_path:
+        first = {PATH: TRACK, **path_entries(options)}
+        name, common = PATH, {key: value for key, value in first.items() if key != PATH}
+    else:
+        for option in ("laps", "obstacles", "path_file"):
+            options.pop(option)
+        common = entries_of({**options, "map_": None})
+        first = entries_of(options)
+        if "map" not in first:
+            raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
+        name = Path(str(first["map"])).stem
+    scenarios = {name: first}
+    for place in also:
+        label = Path(place).stem
+        if label in scenarios:
+            raise ValueError(f"--also is {place!r}, which is there already; accepted: another one")
+        if _holds_settings(place):
+            scenarios[label] = merged(first, read_settings(place))
+        elif along_path:
+            scenarios[label] = {**common, PATH: str(Path(place).absolute())}
+        else:
+            scenarios[label] = {**place_entries(place), **common}
+    where = PATH if along_path else "map"
+    is_one_place = all(each[where] == first[where] for each in scenarios.values())
+    return scenarios, first if is_one_place else common
+
+
+def _holds_settings(file: str) -> bool:
+    """Say whether a file holds settings, and not a map, a path or a world."""
+    if Path(file).suffix not in (".yaml", ".yml") or not Path(file).is_file():
+        return False
+    entries = read_settings(file)
+    return all(entries.get(name) is None for name in ("image", "poses", "world"))
+
+
+def budget_of(text: str) -> tuple[int | None, float | None]:
+    """Return a number of candidates, or a time [s]."""
+    if text.isdigit() and int(text) >= 1:
+        return int(text), None
+    found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h)", text.strip())
+    if found is None or float(found[1]) <= 0.0:
+        raise ValueError(
+            f"--budget is {text!r}; accepted: a whole number >= 1 of candidates, or a time such as "
+            "90s, 30min or 2h"
+        )
+    return None, float(found[1]) * _UNITS[found[2]]
+
+
+def pool_of(given: dict[str, Any]) -> Pool | None:
+    workers, on_ray, address = given["workers"], given["ray"], given["address"]
+    if not on_ray and address is None and workers in (None, 1):
+        return None
+    return Pool(workers, address, on_ray=on_ray)
+
+
+def default_objective(episodes: SettingsEpisodes) -> str:
+    scenario = episodes.example.scenario
+    if isinstance(scenario, PathScenario):
+        return "finished_at + 10*corridor_violations + 10*collisions"
+    if scenario.num_targets:
+        return "last_target_at + 100*collisions"
+    if scenario.goal is None and float(scenario.target_coverage) > 1.0:
+        return "mean_idleness + 100*collisions"
+    return "finished_at + 100*collisions"
+
+
+def measure_of(text: str) -> Measure:
+    found = re.fullmatch(r"([\w.]+)=([^:]+):([^:]+)(?::(\d+))?", text)
+    try:
+        if found is None:
+            raise ValueError
+        return Measure(found[1], float(found[2]), float(found[3]), int(found[4] or 10))
+    except ValueError as error:
+        if str(error).startswith("measure "):
+            raise
+        raise ValueError(
+            f"--measure is {text!r}; accepted: METRIC=LOW:HIGH or METRIC=LOW:HIGH:CELLS"
+        ) from None
