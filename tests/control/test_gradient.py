@@ -78,7 +78,6 @@ def test_it_is_that_of_finite_differences(parameterisation) -> None:
 
 
 def test_the_example_improves_drives_it_has_not_seen(monkeypatch, capsys, tmp_path) -> None:
-    pytest.importorskip("optax")
     spec = importlib.util.spec_from_file_location("tune_by_gradient", EXAMPLE)
     example = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(example)
