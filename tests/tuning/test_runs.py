@@ -12,7 +12,7 @@ import jaxplore as jx
 from jaxplore.experiment.path import build_path
 from jaxplore.path_settings import make_path_settings
 from jaxplore.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
-from jaxplore.tuning.evidence import change, changes, table
+from jaxplore.tuning.evidence import change, changes, table, verdict
 from jaxplore.tuning.objective import Objective
 from jaxplore.workers.pool import Pool
 
@@ -236,6 +236,15 @@ def test_a_change_has_the_interval_of_a_bootstrap() -> None:
     assert not change("x", before, before[::-1]).is_certain
     single = change("x", [1.0], [3.0])
     assert (single.low, single.difference, single.high) == (2.0, 2.0, 2.0)
+
+
+def test_a_verdict_needs_an_objective_that_is_certainly_less() -> None:
+    objectives = (Objective.parse("cost"), Objective.parse("-speed"))
+    less, more = change("cost", [3.0, 4.0], [1.0, 3.0]), change("-speed", [0.0, 0.0], [-1.0, 2.0])
+    other = change("time", [3.0, 4.0], [1.0, 3.0])
+    assert verdict(0, objectives, [less]).startswith("The settings that there were are the best")
+    assert verdict(3, objectives, [less, more]).startswith("They are better")
+    assert verdict(3, objectives, [more, other]).startswith("It may be luck")
 
 
 def test_evidence_compares_the_same_episodes() -> None:

@@ -1,4 +1,3 @@
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -297,23 +296,7 @@ def test_several_objectives_leave_a_front(episodes) -> None:
         search("cma-es", objective="cost;a")
 
 
-def test_quality_diversity_keeps_the_best_of_each_cell(episodes) -> None:
-    measure = Measure("a", -1.0, 1.0, 8)
-    with open_study(search("cma-me", measures=(measure,), gives_up=False), episodes) as study:
-        study.run(120)
-        archive = study.strategy.archive.data(["objective", "measures"])
-        trials = study.trials()
-    found = {
-        min(int((float(at) + 1.0) / 2.0 * 8), 7): -float(value)
-        for value, (at,) in zip(archive["objective"], archive["measures"], strict=True)
-    }
-    best: dict[int, float] = {}
-    for each in trials:
-        if each.state == "done":
-            cell = min(int((each.candidate["a"] + 1.0) / 2.0 * 8), 7)
-            best[cell] = min(best.get(cell, math.inf), each.values[0])
-    assert found == pytest.approx(best)
-    assert len(best) == 8
+def test_measures_are_for_quality_diversity_and_have_cells() -> None:
     with pytest.raises(
         ValueError, match=r"measures are \[\] for cma-me; accepted: some for cma-me"
     ):

@@ -23,7 +23,7 @@ from jaxplore.cli._tune_options import (
 )
 from jaxplore.runs import progress_bar
 from jaxplore.tuning.clip import before_and_after
-from jaxplore.tuning.evidence import changes
+from jaxplore.tuning.evidence import changes, verdict
 from jaxplore.tuning.objective import Objective, known_metrics
 from jaxplore.tuning.results import SETTINGS, write_results, write_text
 from jaxplore.tuning.runs import SettingsEpisodes
@@ -170,7 +170,7 @@ def _finish(
     """Compare before and after, and write and print what was found."""
     with progress_bar("comparing", enabled=True) as advance:
         try:
-            found = study.try_out(
+            tried = study.try_out(
                 (BEFORE, chosen.number),
                 unseen,
                 lambda done, of: advance(done / of, f"{done} of {of} episodes"),
@@ -185,7 +185,7 @@ def _finish(
         clip = before_and_after(
             episodes, episodes.scenarios[0], study.before, chosen.candidate, unseen[0]
         )
-    before, after = found[BEFORE], found[chosen.number]
+    before, after = tried[BEFORE], tried[chosen.number]
     paths = write_results(
         study, chosen, before, after, folder, title=f"Tuned: {name}", animation=clip
     )
@@ -195,12 +195,12 @@ def _finish(
     for parameter, value in chosen.candidate.items():
         table.add_row(*map(Text, (parameter, _number(study.before[parameter]), _number(value), "")))
     table.add_section()
-    for each in changes(study.search.objectives, before, after):
+    found = changes(study.search.objectives, before, after)
+    for each in found:
         interval = f"{each.difference:+.4g} [{each.low:+.4g}, {each.high:+.4g}]"
         table.add_row(*map(Text, (each.name, _number(each.before), _number(each.after), interval)))
     Console().print(table)
-    if chosen.number == 0:
-        click.echo("The settings that there were are the best that were found.")
+    click.echo(verdict(chosen.number, study.search.objectives, found))
     for path in (folder / SETTINGS, *paths):
         click.echo(str(path))
 

@@ -120,6 +120,25 @@ def changes(
     return found
 
 
+def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
+    """Return in a sentence what was won.
+
+    Args:
+        chosen: number of the candidate; 0 are the settings that there were.
+        objectives: what was tuned for.
+        found: what has changed with seeds that were not tuned on.
+    """
+    names = set(map(str, objectives))
+    if chosen == 0:
+        return "The settings that there were are the best that were found."
+    if any(each.high < 0.0 for each in found if each.name in names):
+        return "They are better than those that there were, on seeds that were not tuned on."
+    return (
+        "It may be luck: on seeds that were not tuned on they are not certainly better than those "
+        "that there were. More --seeds and a larger --budget tell more."
+    )
+
+
 def _number(metrics: Numbers, name: str) -> float:
     value = metrics.get(name)
     return math.nan if value is None else value

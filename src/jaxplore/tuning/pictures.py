@@ -49,7 +49,9 @@ def importances(study: Study) -> dict[str, float]:
 
 def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
     """Return the pictures of a search, with the chosen candidate, by the names of their files."""
-    found = {"convergence": _convergence(study), "slices": _slices(study, chosen)}
+    found = {"convergence": _convergence(study), "slices": _slices(study, chosen, 0)}
+    for number in range(1, len(study.search.objectives)):
+        found[f"slices-{number + 1}"] = _slices(study, chosen, number)
     shares = importances(study)
     if shares:
         found["importance"] = _bars(shares)
@@ -78,16 +80,17 @@ def _convergence(study: Study) -> "Figure":
     axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
     axes[0].set_xlabel("candidate")
     _scale(axes[0], "y", [each.values[0] for each in done])
-    _label(axes[0], study)
+    axes[0].set_ylabel(_label(study))
     axes[0].legend(loc="upper right")
     return figure
 
 
-def _slices(study: Study, chosen: Trial) -> "Figure":
+def _slices(study: Study, chosen: Trial, number: int) -> "Figure":
+    """Draw one of the objectives, counted from 0, by each parameter."""
     parameters = study.search.space.parameters
     figure, axes = _axes(len(parameters))
     trials = [each for each in study.trials() if each.state == "done"]
-    values = [each.values[0] for each in trials]
+    values = [each.values[number] for each in trials]
     for each, at in zip(parameters, axes, strict=True):
         places = [trial.candidate[each.name] for trial in trials]
         star: Any = chosen.candidate[each.name]
@@ -96,12 +99,12 @@ def _slices(study: Study, chosen: Trial) -> "Figure":
             places, star = [names.index(str(place)) for place in places], names.index(str(star))
             at.set_xticks(range(len(names)), names)
         elif each.is_log:
-            at.set_xscale("log")
+            _logarithmic(at, "x")
         at.scatter(places, values, s=14, color=_DONE)
-        at.scatter([star], [chosen.values[0]], s=60, marker="*", color=_CHOSEN, zorder=3)
+        at.scatter([star], [chosen.values[number]], s=60, marker="*", color=_CHOSEN, zorder=3)
         at.set_xlabel(each.name)
         _scale(at, "y", values)
-    _label(axes[0], study)
+    axes[0].set_ylabel(_label(study, number))
     return figure
 
 
@@ -146,26 +149,41 @@ def _axes(number: int) -> tuple["Figure", list[Any]]:
 def _scale(axes: Any, which: str, values: list[float]) -> None:
     """Use a logarithmic scale where the worst are far away: the best would all lie on one line."""
     if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
-        getattr(axes, f"set_{which}scale")("log")
+        _logarithmic(axes, which)
 
 
-def _label(axes: Any, study: Study) -> None:
-    label = str(study.search.objectives[0])
+def _logarithmic(axes: Any, which: str) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    getattr(axes, f"set_{which}scale")("log")
+    axis = getattr(axes, f"{which}axis")
+    # Matplotlib's own labels, 2 x 10^0, 3 x 10^0, run into each other.
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=7))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _label(study: Study, number: int = 0) -> str:
+    label = str(study.search.objectives[number])
     # A long sum would not fit beside the axis.
-    axes.set_ylabel(label if len(label) <= 36 else "objective")
+    return label if len(label) <= 36 else "objective"
 
 
 def _archive(study: Study, strategy: Diversity) -> "Figure":
-    ribs = package("ribs.visualize", "tuning")
+    archive, measures = strategy.archive, study.search.measures
+    found = archive.data(["index", "objective"])
+    best = np.full(archive.cells, np.nan)
+    best[found["index"]] = -found["objective"]
+    label = f"best {_label(study)}"
     figure, axes = _axes(1)
-    measures = study.search.measures
-    ribs.grid_archive_heatmap(
-        strategy.archive, ax=axes[0], **({} if len(measures) == 2 else {"aspect": "auto"})
-    )
     axes[0].set_xlabel(measures[0].metric)
-    if len(measures) == 2:
-        axes[0].set_ylabel(measures[1].metric)
-    axes[0].set_title(f"best of each cell: -({study.search.objectives[0]})", fontsize="medium")
+    if len(measures) == 1:
+        axes[0].stairs(best, archive.boundaries[0], baseline=None, color=_DONE, linewidth=3)
+        axes[0].set_ylabel(label)
+        return figure
+    cells = axes[0].pcolormesh(*archive.boundaries, best.reshape(archive.dims).T, cmap="viridis_r")
+    axes[0].set_ylabel(measures[1].metric)
+    figure.colorbar(cells, label=label)
     return figure
 
 

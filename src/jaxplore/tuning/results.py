@@ -13,7 +13,7 @@ import yaml
 
 from jaxplore.report.compute import software
 from jaxplore.report.folder import write_whole
-from jaxplore.tuning.evidence import Change, changes, table
+from jaxplore.tuning.evidence import Change, changes, table, verdict
 from jaxplore.tuning.objective import Numbers
 from jaxplore.tuning.pictures import figures, importances, png
 from jaxplore.tuning.strategies import Diversity
@@ -216,13 +216,14 @@ def _page(
         f"Chosen is number {chosen.number}.</p>",
         "<h2>Settings</h2>",
         _html_table(("", "before", "after"), values),
+        f"<p>{verdict(chosen.number, study.search.objectives, found)}</p>",
         f"<h2>Seeds that were not tuned on: {num_episodes} episodes</h2>",
         _html_table(("mean", "before", "after", "difference [95 % interval]"), rows),
     ]
     for name, data in pictures.items():
         kind = "gif" if name.endswith(".gif") else "png"
         code = base64.b64encode(data).decode()
-        heading = name.rpartition(".")[0].replace("_", " and ").capitalize()
+        heading = name.rpartition(".")[0].replace("_", " and ").replace("-", " ").capitalize()
         parts.append(
             f"<h2>{html.escape(heading)}</h2>"
             f'<img alt="{html.escape(heading)}" src="data:image/{kind};base64,{code}">'

@@ -1,0 +1,92 @@
+"""What a search leaves behind: its tables and pictures."""
+
+import csv
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxplore.tuning import (
+    FunctionEpisodes,
+    Measure,
+    Objective,
+    Parameter,
+    Search,
+    Space,
+    open_study,
+)
+from jaxplore.tuning.pictures import figures
+from jaxplore.tuning.results import write_results
+from jaxplore.tuning.study import BEFORE
+
+START = {"a": 0.8, "b": 1.0}
+SPACE = Space((Parameter("a", 0.0, 1.0), Parameter("b", 0.1, 10.0, is_log=True)))
+
+
+def valley(candidate, seed) -> dict[str, float]:
+    a, b = candidate["a"], np.log10(candidate["b"])
+    return {"cost": (a - 0.3) ** 2 + b**2 + 0.01 * seed, "speed": a, "room": 1.0 + b}
+
+
+def search(optimizer: str, objectives: str, **options) -> Search:
+    parsed = tuple(map(Objective.parse, objectives.split(";")))
+    return Search(SPACE, parsed, (0, 1), optimizer, gives_up=False, **options)
+
+
+def rows(path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def written(study, folder) -> set[str]:
+    """Write what a search found, and return the names of the files."""
+    chosen = study.best()
+    found = study.try_out((BEFORE, chosen.number), range(5, 8))
+    before, after = found[BEFORE], found[chosen.number]
+    paths = write_results(study, chosen, before, after, folder, title="Valley")
+    for path in paths:
+        if path.suffix == ".png":
+            with Image.open(path) as picture:
+                assert min(picture.size) > 300
+                picture.verify()
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("<img") == sum(path.suffix == ".png" for path in paths)
+    return {path.name for path in paths}
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_quality_diversity_keeps_the_best_of_each_cell(tmp_path, both) -> None:
+    measures = (Measure("speed", 0.0, 1.0, 4), Measure("room", 0.0, 2.0, 3))[: 1 + both]
+    asked = search("cma-me", "cost", measures=measures, population=10)
+    with open_study(asked, FunctionEpisodes(valley, START), tmp_path) as study:
+        study.run(60)
+        assert written(study, tmp_path) >= {"archive.csv", "archive.png", "slices.png"}
+        (axes, *_) = figures(study, study.best())["archive"].axes
+        trials = study.trials()
+    best = np.full((4, 3) if both else (4,), np.inf)
+    for each in trials:
+        told = valley(each.candidate, 0)
+        at = (min(int(4 * told["speed"]), 3), min(int(1.5 * told["room"]), 2))[: 1 + both]
+        best[at] = min(best[at], each.values[0])
+    best[np.isinf(best)] = np.nan
+    assert np.isfinite(best).sum() > 3
+    if both:
+        drawn = axes.collections[0].get_array()
+        np.testing.assert_allclose(np.ma.filled(drawn, np.nan).reshape(3, 4).T, best)
+    else:
+        np.testing.assert_allclose(axes.patches[0].get_data().values, best)
+    table = rows(tmp_path / "archive.csv")
+    costs = sorted(float(row["cost"]) for row in table)
+    np.testing.assert_allclose(costs, np.sort(best[np.isfinite(best)]))
+
+
+def test_compromises_are_drawn_and_written(tmp_path) -> None:
+    asked = search("nsga-ii", "cost;-speed")
+    with open_study(asked, FunctionEpisodes(valley, START), tmp_path) as study:
+        study.run(24)
+        names = written(study, tmp_path)
+        front = study.front()
+    assert names >= {"front.csv", "front.png", "slices.png", "slices-2.png"}
+    numbers = {int(row["number"]) for row in rows(tmp_path / "front.csv")}
+    assert numbers == {each.number for each in front}
+    assert len(numbers) > 1
