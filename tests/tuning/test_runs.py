@@ -1,5 +1,6 @@
 import functools
 import importlib.util
+import io
 import json
 import math
 import subprocess
@@ -7,11 +8,14 @@ import sys
 
 import numpy as np
 import pytest
+from PIL import Image, ImageChops
 
 import jaxplore as jx
 from jaxplore.experiment.path import build_path
 from jaxplore.path_settings import make_path_settings
+from jaxplore.report.path_animation import path_frame_image
 from jaxplore.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
+from jaxplore.tuning.clip import side_by_side
 from jaxplore.tuning.evidence import change, changes, table, verdict
 from jaxplore.tuning.objective import Objective
 from jaxplore.workers.pool import Pool
@@ -260,3 +264,30 @@ def test_evidence_compares_the_same_episodes() -> None:
     assert rows[1]["finished_at before"] == 20.0
     assert rows[1][f"{objective} after"] == 14.0
     assert math.isnan(rows[2][f"{objective} before"])
+
+
+def test_a_scenario_that_cannot_be_read_is_told_at_once(tmp_path) -> None:
+    scenarios = {"path": QUICK, "hall": {**QUICK, "path": str(tmp_path / "hall.csv")}}
+    with pytest.raises(ValueError, match=r"hall.csv"):
+        SettingsEpisodes(scenarios, is_path=True)
+
+
+def test_runs_are_beside_each_other_at_the_same_time(path_episodes) -> None:
+    ends, pictures = (0.2, 0.6), []
+    for end in ends:
+        built = path_episodes.kind.build({**QUICK, "time_limit": end})
+        run = jx.follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
+        pictures.append(run.recording)
+    with Image.open(io.BytesIO(side_by_side(pictures))) as clip:
+        sizes = [path_frame_image(each, each.frames[0]).size for each in pictures]
+        assert clip.size == (sizes[0][0] + sizes[1][0] + 12, sizes[0][1])
+        # A look of each at the beginning; the shorter one's last; both at their ends.
+        times = sorted({frame.time for each in pictures for frame in each.frames})
+        assert clip.n_frames == len(times)
+        left, right = (0, 0, *sizes[0]), (sizes[0][0] + 12, 0, clip.width, clip.height)
+        clip.seek(times.index(pictures[0].frames[-1].time))
+        middle = clip.convert("RGB")
+        clip.seek(clip.n_frames - 1)
+        last = clip.convert("RGB")
+    assert ImageChops.difference(middle.crop(left), last.crop(left)).getbbox() is None
+    assert ImageChops.difference(middle.crop(right), last.crop(right)).getbbox() is not None

@@ -182,9 +182,14 @@ def _finish(
     assert isinstance(episodes, SettingsEpisodes)
     clip = None
     if animation:
-        clip = before_and_after(
-            episodes, episodes.scenarios[0], study.before, chosen.candidate, unseen[0]
-        )
+        with progress_bar("drawing", enabled=True) as advance:
+            clip = before_and_after(
+                episodes,
+                episodes.scenarios[0],
+                (study.before, chosen.candidate),
+                unseen[0],
+                lambda share: advance(share, ""),
+            )
     before, after = tried[BEFORE], tried[chosen.number]
     paths = write_results(
         study, chosen, before, after, folder, title=f"Tuned: {name}", animation=clip

@@ -1,15 +1,18 @@
 """A run before and a run after a search, beside each other."""
 
 import io
-import tempfile
-from pathlib import Path
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
 
-import numpy as np
 from PIL import Image
 
-from jaxplore.report.gif import save_gif
+from jaxplore.report.animation import frame_image
+from jaxplore.report.gif import evenly_chosen, save_gif
+from jaxplore.report.path_animation import path_frame_image
 from jaxplore.runs import PathRun, Run, follow_path, simulate
+from jaxplore.simulation.follow import PathRecording
 from jaxplore.simulation.path_scenario import PathScenario
+from jaxplore.simulation.recording import Recording
 from jaxplore.tuning.runs import SettingsEpisodes
 from jaxplore.tuning.space import Candidate
 
@@ -19,72 +22,78 @@ _GAP = 12
 
 
 def before_and_after(
-    episodes: SettingsEpisodes, scenario: str, before: Candidate, after: Candidate, seed: int
+    episodes: SettingsEpisodes,
+    scenario: str,
+    candidates: Sequence[Candidate],
+    seed: int,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes | None:
-    """Run a scenario with two candidates and one seed, and return a GIF of both.
+    """Run a scenario with each of some candidates and one seed, and return a GIF of all.
 
     Args:
         episodes: what the candidates are values of.
         scenario: its name.
-        before: shown on the left.
-        after: on the right.
+        candidates: from left to right.
         seed: of everything random.
+        on_progress: called with the share that is done, 0 to 1.
 
     Returns:
         None if the user stopped it.
     """
-    clips: list[Path] = []
-    durations: list[float] = []
-    with tempfile.TemporaryDirectory(prefix="jaxplore-") as temporary:
-        for label, candidate in (("before", before), ("after", after)):
-            built = episodes.kind.build(episodes.entries(scenario, candidate, seed))
-            run: Run | PathRun
-            if isinstance(built.scenario, PathScenario):
-                run = follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
-            else:
-                run = simulate(built.controller, built.scenario, built.num_steps, key=built.key)
-            if run.metrics.is_interrupted:
-                return None
-            run.save(Path(temporary) / label, progress=True)
-            clips += sorted((Path(temporary) / label).glob("*.gif"))
-            durations.append(run.metrics.duration)
-        return side_by_side(clips, durations)
+    recordings: list[Recording | PathRecording] = []
+    for candidate in candidates:
+        built = episodes.kind.build(episodes.entries(scenario, candidate, seed))
+        run: Run | PathRun
+        if isinstance(built.scenario, PathScenario):
+            run = follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
+        else:
+            run = simulate(built.controller, built.scenario, built.num_steps, key=built.key)
+        if run.recording.is_interrupted:
+            return None
+        recordings.append(run.recording)
+    return side_by_side(recordings, on_progress)
 
 
-def side_by_side(clips: list[Path], durations: list[float]) -> bytes:
+def side_by_side(
+    recordings: Sequence[Recording | PathRecording],
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> bytes:
     """Return an animation of runs beside each other, at the same simulated time.
 
+    A run that is over rests while the others go on.
+
     Args:
-        clips: an animation of each run, its frames evenly spread over it.
-        durations: of the runs [s].
+        recordings: of the runs, from left to right.
+        on_progress: called with the share that is done, 0 to 1.
     """
-    read = [_frames(path) for path in clips]
-    height = max(frames[0].height for frames in read)
-    scaled = [
-        [each.resize((round(each.width * height / each.height), height)) for each in frames]
-        for frames in read
-    ]
-    width = sum(frames[0].width + _GAP for frames in scaled) - _GAP
-    lengths = [max(duration, 1e-9) for duration in durations]
+    instants = [[frame.time for frame in each.frames] for each in recordings]
+    shown = evenly_chosen(sorted(set().union(*instants)), FRAMES)
     pictures = []
-    for time in np.linspace(0.0, max(lengths), FRAMES):
-        picture = Image.new("RGB", (width, height), "white")
-        left = 0
-        for frames, length in zip(scaled, lengths, strict=True):
-            share = min(time / length, 1.0)
-            picture.paste(frames[round(share * (len(frames) - 1))], (left, 0))
-            left += frames[0].width + _GAP
-        pictures.append(picture)
+    for done, time in enumerate(shown):
+        looks = [
+            _look(each, bisect_right(times, time) - 1)
+            for each, times in zip(recordings, instants, strict=True)
+        ]
+        pictures.append(_beside(looks))
+        on_progress((done + 1) / len(shown))
     palette = pictures[-1].quantize(colors=COLOURS)
     file = io.BytesIO()
     save_gif(file, [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures])
     return file.getvalue()
 
 
-def _frames(path: Path) -> list[Image.Image]:
-    with Image.open(path) as clip:
-        frames = []
-        for index in range(getattr(clip, "n_frames", 1)):
-            clip.seek(index)
-            frames.append(clip.convert("RGB"))
-    return frames
+def _look(recording: Recording | PathRecording, index: int) -> Image.Image:
+    if isinstance(recording, PathRecording):
+        return path_frame_image(recording, recording.frames[index])
+    return frame_image(recording, recording.frames[index])
+
+
+def _beside(looks: Sequence[Image.Image]) -> Image.Image:
+    height = max(each.height for each in looks)
+    scaled = [each.resize((round(each.width * height / each.height), height)) for each in looks]
+    width = sum(each.width + _GAP for each in scaled) - _GAP
+    picture, left = Image.new("RGB", (width, height), "white"), 0
+    for each in scaled:
+        picture.paste(each, (left, 0))
+        left += each.width + _GAP
+    return picture

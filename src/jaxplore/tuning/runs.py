@@ -85,8 +85,11 @@ class SettingsEpisodes(Episodes):
         self._settings = self.kind.settings(first)
         self._known = _settings_of(self._settings)
         self._built: dict[tuple[str, int | None], Built] = {}
+        for name in self._scenarios:
+            # What cannot be read is told before anything is tried out.
+            self._as_it_is(name, None)
 
-    @functools.cached_property
+    @property
     def example(self) -> Built:
         """The first scenario's run with the settings as they are."""
         return self._as_it_is(self.scenarios[0], None)

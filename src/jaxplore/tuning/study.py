@@ -88,10 +88,12 @@ class Study:
         Raises:
             ValueError: none has a value.
         """
-        done = [each for each in self.trials() if each.state == "done"]
+        trials = self.trials()
+        done = [each for each in trials if each.state == "done"]
         if not done:
             raise ValueError(
-                f"objective {self.search.named} has no value yet; accepted: a larger budget"
+                f"objective {self.search.named} has no value yet{_last_error(trials)}; accepted: "
+                "a larger budget"
             )
         if len(self.search.objectives) == 1:
             return min(done, key=lambda each: (each.values[0], each.number))
@@ -328,12 +330,15 @@ class Study:
         if any(each.state == "done" for each in trials):
             return
         if len(trials) >= _UNPROMISING or self._is_done(0, self.search.population):
-            reasons = [each.error for each in trials if each.error is not None]
             raise ValueError(
                 f"objective {self.search.named} is not a number for any of {len(trials)} candidates"
-                + (f", the last one: {reasons[-1]}" if reasons else "")
-                + "; accepted: metrics that the runs have"
+                f"{_last_error(trials)}; accepted: metrics that the runs have"
             )
+
+
+def _last_error(trials: Sequence[Trial]) -> str:
+    reasons = [each.error for each in trials if each.error is not None]
+    return f", the last one: {reasons[-1]}" if reasons else ""
 
 
 def _unseen(number: int, scenario: str, seed: int) -> str:
