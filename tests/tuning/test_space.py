@@ -18,8 +18,9 @@ def parameters(draw) -> Parameter:
         choices = draw(st.lists(st.integers(-5, 5), min_size=2, max_size=6, unique=True))
         return Parameter("x", choices=tuple(choices))
     if kind == "whole":
-        low = draw(st.integers(-50, 50))
-        return Parameter("x", low, low + draw(st.integers(1, 60)), is_whole=True)
+        is_log = draw(st.booleans())
+        low = draw(st.floats(0.01, 50.0) if is_log else st.floats(-50.0, 50.0))
+        return Parameter("x", low, low + draw(st.floats(1.0, 60.0)), is_log=is_log, is_whole=True)
     low = draw(st.floats(1e-4, 1e3))
     return Parameter("x", low, low * draw(st.floats(1.01, 1e4)), is_log=kind == "log")
 
@@ -89,6 +90,7 @@ def test_texts(text, start, expected) -> None:
     ("text", "start", "message"),
     [
         ("a=3:1", 1.0, r"bounds of a are 3 and 1; accepted: finite ones, the lower first"),
+        ("a=0.2:0.8", 1, r"bounds of a are 0.2 and 0.8; accepted: some with a whole number"),
         ("a=0:1:log", 1.0, r"lower bound of a is 0 on a logarithmic scale; accepted: .* > 0"),
         ("a=1", 1.0, r"--tune is 'a=1'; accepted: NAME=LOW:HIGH"),
         ("a=1,1", 1, r"choices of a are \[1, 1\]; accepted: different"),

@@ -33,7 +33,7 @@ class Parameter:
 
     Raises:
         ValueError: bounds that are missing, not finite or reversed; a logarithm of what is not
-            positive; fewer than two choices, or one twice.
+            positive; no whole number between them; fewer than two choices, or one twice.
     """
 
     name: str
@@ -60,6 +60,11 @@ class Parameter:
                 f"bounds of {self.name} are {self.low:g} and {self.high:g}; accepted: finite ones, "
                 "the lower first"
             )
+        if self.is_whole and math.ceil(self.low) > math.floor(self.high):
+            raise ValueError(
+                f"bounds of {self.name} are {self.low:g} and {self.high:g}; accepted: some with a "
+                "whole number between them"
+            )
         if self.is_log and self.low <= 0.0:
             raise ValueError(
                 f"lower bound of {self.name} is {self.low:g} on a logarithmic scale; accepted: a "
@@ -79,37 +84,29 @@ class Parameter:
         place = min(max(float(place), 0.0), 1.0)
         if self.choices is not None:
             return self.choices[min(int(place * self.size), self.size - 1)]
-        assert self.low is not None
-        assert self.high is not None
-        if self.is_whole:
-            # Every whole number has as much room, the first and the last too.
-            low, high = self._ends(self.low - 0.5, self.high + 0.5)
-            value = (
-                math.exp(low + place * (high - low)) if self.is_log else low + place * (high - low)
-            )
-            return int(min(max(round(value), math.ceil(self.low)), math.floor(self.high)))
-        low, high = self._ends(self.low, self.high)
+        low, high = self._ends()
         value = low + place * (high - low)
-        return min(max(math.exp(value) if self.is_log else value, self.low), self.high)
+        return self.clipped(math.exp(value) if self.is_log else value)
 
     def place(self, value: Value) -> float:
         """Return where in [0, 1] a value is: the inverse of `value`; the nearest end outside."""
         if self.choices is not None:
             index = self.choices.index(value) if value in self.choices else 0
             return (index + 0.5) / self.size
-        assert self.low is not None
-        assert self.high is not None
-        low, high = (
-            self._ends(self.low - 0.5, self.high + 0.5)
-            if self.is_whole
-            else self._ends(self.low, self.high)
-        )
+        low, high = self._ends()
         number = float(value)
         if self.is_log:
             number = math.log(max(number, 1e-300))
         return min(max((number - low) / (high - low), 0.0), 1.0)
 
-    def _ends(self, low: float, high: float) -> tuple[float, float]:
+    def _ends(self) -> tuple[float, float]:
+        """Return what 0 and 1 stand for, logarithms on a logarithmic scale."""
+        assert self.low is not None
+        assert self.high is not None
+        low, high = self.low, self.high
+        if self.is_whole:
+            # Every whole number has as much room, the first and the last too.
+            low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
         return (math.log(low), math.log(high)) if self.is_log else (low, high)
 
     def clipped(self, value: Value) -> Value:
@@ -118,8 +115,9 @@ class Parameter:
             return value if value in self.choices else self.choices[0]
         assert self.low is not None
         assert self.high is not None
-        inside = min(max(float(value), self.low), self.high)
-        return round(inside) if self.is_whole else inside
+        if self.is_whole:
+            return min(max(round(float(value)), math.ceil(self.low)), math.floor(self.high))
+        return min(max(float(value), self.low), self.high)
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, to compare and to write down."""
