@@ -48,7 +48,8 @@ SHARED = {"control_rate": 50.0, "traffic": TRAFFIC}
 def lap():
     """Two laps with traffic."""
     scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED)
-    run = jx.follow_path(PASSING.planner.mppi, scenario, 2000, key=jax.random.key(0))
+    key = jax.random.key(0)
+    run = jx.follow_path(PASSING.planner.mppi, scenario, 2000, key=key, num_trajectories=0)
     return run, scenario
 
 
@@ -101,9 +102,7 @@ def test_what_is_recorded_is_what_geometry_says(lap) -> None:
 
 def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> None:
     scenario = lap[1]
-    again = record_path_run(
-        PASSING.planner.mppi, scenario, 100, key=jax.random.key(0), num_trajectories=0
-    )
+    again = record_path_run(PASSING.planner.mppi, scenario, 100, key=jax.random.key(0))
     np.testing.assert_array_equal(again.records.state, lap[0].recording.records.state[:100])
     assert not np.array_equal(
         again.records.state,
