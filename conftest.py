@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import pytest
@@ -48,6 +49,31 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
         return
     if mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
+
+
+TOGETHER = [
+    ["benchmark/test_command.py", "benchmark/test_execute.py", "benchmark/test_rows.py"],
+    ["simulation/test_batch.py", "simulation/test_closed_loop.py"],
+]
+"""Files of tests that run the same compiled loop: on one worker it is compiled once."""
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give files that share what they compile to the same worker, with `--dist loadfile`."""
+    if config.getvalue("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class Together(LoadFileScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = super()._split_scope(nodeid)
+            for files in TOGETHER:
+                if file.endswith(tuple(files)):
+                    return files[0]
+            return file
+
+    return Together(config, log)
 
 
 class DocumentItem(pytest.Item):
