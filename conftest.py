@@ -7,6 +7,7 @@ working directory, and no test runner can spread them over several workers.
 """
 
 import contextlib
+import gc
 import os
 import tempfile
 from collections.abc import Iterator
@@ -23,6 +24,8 @@ from sybil.parsers.markdown import PythonCodeBlockParser
 # XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+# Nobody looks for lines of Python in the programs: that saves a fiftieth.
+jax.config.update("jax_traceback_in_locations_limit", 0)
 
 with install_import_hook("jaxplore", "beartype.beartype"):
     import jaxplore  # noqa: F401
@@ -42,13 +45,18 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     """Forget compiled programs between files when there are many.
 
     Each takes pieces of memory of its own, of which Linux gives a process 65530; when they are used
-    up, the next compilation crashes.
+    up, the next compilation crashes. Until then they are no garbage, and need not be looked through
+    again and again.
     """
-    mappings = Path("/proc/self/maps")
-    if nextitem is None or nextitem.path == item.path or not mappings.exists():
+    if nextitem is None or nextitem.path == item.path:
         return
-    if mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
+    mappings = Path("/proc/self/maps")
+    if mappings.exists() and mappings.read_bytes().count(b"\n") > MOST_MAPPINGS:
         jax.clear_caches()
+        gc.unfreeze()
+        gc.collect()
+    else:
+        gc.freeze()
 
 
 TOGETHER = [
