@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 120
+_FEW_DECADES = 300.0
+"""Ratio of values between which there is room for labels at 1, 2, 5, 10, 20 ..."""
 
 
 def importances(study: Study) -> dict[str, float]:
@@ -99,7 +101,9 @@ def _slices(study: Study, chosen: Trial, number: int) -> "Figure":
             places, star = [names.index(str(place)) for place in places], names.index(str(star))
             at.set_xticks(range(len(names)), names)
         elif each.is_log:
-            _logarithmic(at, "x")
+            assert each.low is not None
+            assert each.high is not None
+            _logarithmic(at, "x", each.high / each.low)
         at.scatter(places, values, s=14, color=_DONE)
         at.scatter([star], [chosen.values[number]], s=60, marker="*", color=_CHOSEN, zorder=3)
         at.set_xlabel(each.name)
@@ -149,16 +153,20 @@ def _axes(number: int) -> tuple["Figure", list[Any]]:
 def _scale(axes: Any, which: str, values: list[float]) -> None:
     """Use a logarithmic scale where the worst are far away: the best would all lie on one line."""
     if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
-        _logarithmic(axes, which)
+        _logarithmic(axes, which, max(values) / min(values))
 
 
-def _logarithmic(axes: Any, which: str) -> None:
+def _logarithmic(axes: Any, which: str, ratio: float) -> None:
+    """Use a logarithmic scale for values that far apart.
+
+    Matplotlib's own labels, 2 x 10^0, 3 x 10^0, run into each other.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     getattr(axes, f"set_{which}scale")("log")
     axis = getattr(axes, f"{which}axis")
-    # Matplotlib's own labels, 2 x 10^0, 3 x 10^0, run into each other.
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=7))
+    subs = (1.0, 2.0, 5.0) if ratio < _FEW_DECADES else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=9))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 
