@@ -42,7 +42,9 @@ def array(
             numbers += f" >= {at_least}"
         if is_bad.any():
             raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
-    result = jnp.asarray(value, jnp.float32)
+    # A copy, unless it is traced: the caller may write to his own array later.
+    make = jnp.array if isinstance(value, np.ndarray) else jnp.asarray
+    result = make(value, jnp.float32)
     if may_be_empty and result.shape[:1] == (0,):
         columns = [size for size in shapes[0][1:] if isinstance(size, int)]
         return jnp.zeros((0, *columns))

@@ -113,7 +113,8 @@ def vector(name: str, value: object, size: int) -> Array:
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
     if array.shape != (size,) or not np.isfinite(array).all():
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
-    return jnp.asarray(array)
+    # A copy: `asarray` may share memory with the caller's array, who may write to it later.
+    return jnp.array(array)
 
 
 def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
@@ -127,5 +128,6 @@ def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
             raise ValueError(
                 f"{name} spans {array.min()} to {array.max()}; accepted: values in [0, 1]"
             )
-        value = array
+        # A copy: `asarray` may share memory with the caller's array, who may write to it later.
+        return jnp.array(array)
     return jnp.asarray(value, jnp.float32)

@@ -127,3 +127,13 @@ def test_bad_input_is_named(arguments, culprit: str) -> None:
     with pytest.raises(ValueError, match=culprit) as error:
         OccupancyGrid(*arguments)
     assert "accepted" in str(error.value)
+
+
+def test_a_grid_keeps_its_values_when_the_array_it_was_made_of_changes() -> None:
+    # JAX shares memory that is aligned, which is luck otherwise.
+    memory = np.zeros(64 + 4 * 32 * 32, np.uint8)
+    first = -memory.ctypes.data % 64
+    values = memory[first:][: 4 * 32 * 32].view(np.float32).reshape(32, 32)
+    grid = OccupancyGrid(values, 0.1)
+    values[:] = 1.0
+    np.testing.assert_array_equal(grid.probability, 0.0)
