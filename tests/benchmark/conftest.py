@@ -14,8 +14,6 @@ from jaxplore.benchmark.rows import TIMING, Row, failed_row
 from jaxplore.benchmark.store import Asked, Store, open_store
 from jaxplore.benchmark.tasks import Batch, Task, make_tasks
 
-pytest.importorskip("pyarrow", reason="no pyarrow: pip install 'jaxplore[benchmark]'")
-
 SMALL: dict[str, Any] = {
     "time_limit": 1.5,
     "rates": {"control": 20.0},

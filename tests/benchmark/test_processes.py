@@ -2,7 +2,6 @@
 
 import functools
 import importlib
-import importlib.util
 import json
 import os
 import socket
@@ -91,12 +90,6 @@ def test_processes_that_are_killed_change_nothing(
     assert [row for row in found if row["seed"] != 9] == whole[1]
 
 
-needs_ray = pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="no Ray: pip install 'jaxplore[distributed]'"
-)
-
-
-@needs_ray
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_named_at_once(
     tasks: tuple[Task, ...], store: Store
@@ -120,7 +113,6 @@ def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(tasks: tuple[Task, ...]
     assert all(each.error and "east.yaml" in each.error for each in results)
 
 
-@needs_ray
 def test_a_cluster_finds_the_same(
     tmp_path: Path,
     small: dict[str, Any],

@@ -1,5 +1,4 @@
 import functools
-import importlib.util
 import io
 import json
 import math
@@ -172,9 +171,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="no Ray: pip install 'jaxplore[distributed]'"
-)
 def test_two_ray_workers_come_to_the_same_as_one_process(path_episodes) -> None:
     searched = ["controller.progress_weight=5:5000:log", "cost.comfort.weight=1:100:log"]
     # In a process of its own: Ray has warnings, and threads that stay.

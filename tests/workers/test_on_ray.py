@@ -1,6 +1,5 @@
 """Workers of a Ray cluster: files that are sent, rounds, and workers that are killed."""
 
-import importlib.util
 import json
 import os
 import pickle
@@ -53,9 +52,6 @@ ROUNDS = """
 """
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("ray") is None, reason="no Ray: pip install 'jaxplore[distributed]'"
-)
 def test_workers_of_a_cluster_do_what_this_process_does(
     tmp_path: Path, jobs: ModuleType, folders: list[Path], done: Done
 ) -> None:
