@@ -119,6 +119,11 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
         main([*SEARCH, "--budget", "8", "--set", "control_rate=25"])
     assert exit_.value.code == 2
     assert "was made with episodes.scenarios.path.control_rate 50.0" in capsys.readouterr().err
+    Path("wagon.yaml").write_text("robot: {model: differential_drive}", encoding="utf-8")
+    with pytest.raises(SystemExit) as exit_:
+        main([*SEARCH, "--budget", "8", "--also", "wagon.yaml"])
+    assert exit_.value.code == 2
+    assert "was made for path, asked is path, wagon; accepted: " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

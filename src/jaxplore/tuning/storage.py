@@ -99,6 +99,14 @@ def _storage(optuna: Any, folder: Path) -> Any:
 
 
 def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
+    # Which scenarios, before what is in them: the first setting that differs would say little.
+    ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
+    if ways[0] != ways[1]:
+        was, is_ = (", ".join(names) or "none" for names in ways)
+        raise ValueError(
+            f"study folder {folder!r} was made for {was}, asked is {is_}; accepted: the same "
+            "scenarios as before, or a new folder"
+        )
     before, now = _flat(former), _flat(asked)
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
