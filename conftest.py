@@ -60,7 +60,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 TOGETHER = [
-    ["benchmark/test_command.py", "benchmark/test_execute.py", "benchmark/test_rows.py"],
+    ["comparison/test_command.py", "comparison/test_execute.py", "comparison/test_rows.py"],
     ["simulation/test_batch.py", "simulation/test_closed_loop.py"],
 ]
 """Files of tests that run the same compiled loop: on one worker it is compiled once."""

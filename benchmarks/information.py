@@ -30,7 +30,7 @@ from jaxplore import (
 )
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.information.trajectory import METHODS
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
 
 PEERS = Path(__file__).parent / ".peers"
 SIDE, RESOLUTION = 20.0, 0.1

@@ -45,9 +45,9 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
-from jaxplore.experiment.assembly import build
-from jaxplore.settings import make_settings
-from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.build.exploration import build
+from jaxplore.settings.exploration import make_settings
+from jaxplore.simulation.exploration.closed_loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25

@@ -30,7 +30,7 @@ import numpy as np
 import jaxplore as jx
 from benchmarks.control_peers import PEERS, run_peer
 from benchmarks.timing import Timed
-from jaxplore.planning.path_following import PathFollowing
+from jaxplore.planning.presets.path_following import PathFollowing
 
 BACKENDS = {"numpy": "Faran, NumPy", "jax": "Faran, JAX"}
 PRECISE = "jaxplore, Runge-Kutta"

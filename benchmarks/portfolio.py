@@ -23,9 +23,9 @@ from rich.console import Console
 
 from benchmarks.setting import MAPS
 from benchmarks.tables import table
-from jaxplore.experiment.assembly import Experiment, build
-from jaxplore.report.metrics import compute_metrics
-from jaxplore.settings import make_settings, read_settings, scenario_path
+from jaxplore.build.exploration import Experiment, build
+from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.settings.exploration import make_settings, read_settings, scenario_path
 from jaxplore.simulation.simulate import record_run
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")

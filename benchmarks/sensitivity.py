@@ -1,14 +1,14 @@
 """What each setting does: a run's time to the end with a quarter and four times its default.
 
 One setting at a time, the others as they are, with the same seeds for all. A run that does not get
-to the end counts as `jaxplore.tuning` has it: as late as the time limit, and later the more was
+to the end counts as in `jaxplore.study.tuning`: as late as the time limit, and later the more was
 missing.
 """
 
 import statistics
 from typing import Any
 
-from jaxplore.tuning import Ask, Objective, Outcome, SettingsEpisodes
+from jaxplore.study.tuning import Ask, Objective, Outcome, SettingsEpisodes
 
 FACTORS = (0.25, 0.5, 2.0, 4.0)
 SEEDS = 3

@@ -24,11 +24,11 @@ from jaxtyping import Array
 
 import jaxplore as jx
 from jaxplore._types import Key
-from jaxplore.experiment.assembly import build
-from jaxplore.experiment.path import build_path
-from jaxplore.path_settings import make_path_settings
-from jaxplore.settings import make_settings
-from jaxplore.tuning import (
+from jaxplore.build.exploration import build
+from jaxplore.build.path import build_path
+from jaxplore.settings.exploration import make_settings
+from jaxplore.settings.path import make_path_settings
+from jaxplore.study.tuning import (
     Ask,
     ControllerEpisodes,
     Episodes,
@@ -136,7 +136,7 @@ def _point_mass() -> Problem:
     )
 
     def episode(values: dict[str, Array], key: Key) -> dict[str, Array]:
-        tuned = jx.with_leaves(
+        tuned = jx.set_parameters(
             controller,
             {
                 "weighting.temperature": values["temperature"],

@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Wedge
 
 import jaxplore as jx
 from jaxplore.information.trajectory import METHODS
-from jaxplore.maps.generated import KINDS, generate_map
+from jaxplore.maps.generators.generated import KINDS, generate_map
 
 IMAGES = Path(__file__).parent / "images"
 DPI = 120
@@ -317,7 +317,7 @@ def _sampled(
     """Return controls (T, 1, K) and parameters (P, 1, K) sampled around a plan (T, 1)."""
     size = parts.num_parameters(space.horizon)
     nominal = parts.init(plan, space)
-    around = jx.Surroundings(parts, nominal, space)
+    around = jx.SamplingContext(parts, nominal, space)
     memory = proposal.init(size, 1)
     samples = proposal.sample(memory, around, count, key=jax.random.key(3))
     controls, knots = parts.decode(nominal, samples, space)

@@ -12,8 +12,8 @@ import pytest
 
 import jaxplore
 from jaxplore.cli import main
-from jaxplore.workers.crew import Crew, Event
-from jaxplore.workers.job import Job
+from jaxplore.study.workers.crew import Crew, Event
+from jaxplore.study.workers.job import Job
 
 # No test depends on a duration: the machine is shared, and the first call compiles.
 hypothesis.settings.register_profile(

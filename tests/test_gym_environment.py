@@ -10,8 +10,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from jaxplore import DifferentialDrive, Lidar, Scenario, office, start_pose
-from jaxplore.experiment.gym_registration import ENVIRONMENT, register_environment
-from jaxplore.experiment.gym_vector_environment import _step_each
+from jaxplore.gym.registration import ENVIRONMENT, register_environment
+from jaxplore.gym.vector_environment import _step_each
 
 NAME = f"jaxplore.gym:{ENVIRONMENT}"
 TOGETHER = {"num_envs": 3, "vectorization_mode": "vector_entry_point"}
@@ -212,7 +212,7 @@ def test_a_scenario_of_ones_own_is_taken() -> None:
     ],
 )
 def test_bad_options_are_refused(options, message) -> None:
-    from jaxplore.experiment.gym_environment import ExplorationEnvironment
+    from jaxplore.gym.environment import ExplorationEnvironment
 
     with pytest.raises(ValueError, match=message):
         ExplorationEnvironment(**options)

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 import jaxplore as jx
+from jaxplore.build.path import build_path
 from jaxplore.cli import main
-from jaxplore.experiment.path import build_path
-from jaxplore.path_settings import make_path_settings
+from jaxplore.settings.path import make_path_settings
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10"]
 ARC = np.linspace(0.0, np.pi, 9)

@@ -11,10 +11,10 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
+from jaxplore.build.exploration import build
 from jaxplore.cli import main
-from jaxplore.experiment.assembly import build
-from jaxplore.settings import SCENARIOS, is_scenario_file, make_settings, read_settings
-from jaxplore.settings import scenario_path as path_of
+from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, make_settings, read_settings
+from jaxplore.settings.exploration import scenario_path as path_of
 
 
 @pytest.fixture(autouse=True)
@@ -161,7 +161,7 @@ def test_a_scenario_runs_by_its_name(capsys, monkeypatch: pytest.MonkeyPatch) ->
         return Path("yard.yaml")
 
     write("yard.yaml")
-    monkeypatch.setattr("jaxplore.settings.scenario_path", found)
+    monkeypatch.setattr("jaxplore.settings.exploration.scenario_path", found)
     arguments = ["--time-limit", "0.2", "--samples", "8", "--no-animation"]
     main(["run", "warehouse", *arguments, "--out", "it"])
     assert set(asked) == {"warehouse"}

@@ -12,7 +12,7 @@ from PIL import Image
 
 from jaxplore.cli import main
 from jaxplore.cli._tune_options import scenarios_of
-from jaxplore.tuning.study import Study
+from jaxplore.study.tuning.study import Study
 
 QUICK = ("path", "--samples", "16", "--set", "controller.horizon=6", "--time-limit", "0.6")
 SEARCH = (
@@ -112,7 +112,7 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
     def never(*_):
         raise AssertionError("an episode ran again")
 
-    monkeypatch.setattr("jaxplore.tuning.built.Runner.run", never)
+    monkeypatch.setattr("jaxplore.study.tuning.built.Runner.run", never)
     main([*SEARCH, "--budget", "8", "--no-animation"])
     assert (folder / "out" / "trials.csv").read_text() == before
     with pytest.raises(SystemExit) as exit_:

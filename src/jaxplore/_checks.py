@@ -2,6 +2,7 @@
 accepted. They run where objects are built; traced values pass, since nothing raises in a trace."""
 
 import operator
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax
@@ -9,6 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from jaxplore._types import Rows, Scalar, Vector
 
 LARGEST = float(np.finfo(np.float32).max)
 """The greatest finite number: arrays are float32."""
@@ -131,3 +135,137 @@ def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
         # A copy: `asarray` may share memory with the caller's array, who may write to it later.
         return jnp.array(array)
     return jnp.asarray(value, jnp.float32)
+
+
+def array(
+    name: str,
+    value: object,
+    *shapes: tuple[int | str, ...],
+    above: float | None = None,
+    at_least: float | None = None,
+    may_be_empty: bool = False,
+) -> Array:
+    """Return `value` as a finite float32 array (a leaf) of one of the shapes given.
+
+    A letter in a shape stands for any size from 1, the same letter for the same size. Of a traced
+    value only the shape is checked. What may be empty is of the first shape without rows then: an
+    empty list does not say how many columns it has.
+    """
+    if not is_traced(value):
+        try:
+            with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below
+                value = np.asarray(value, np.float32)
+        except (TypeError, ValueError):
+            raise ValueError(f"{name} is {value!r}; accepted: {_describe(shapes)}") from None
+        is_bad = ~np.isfinite(value)
+        numbers = "finite numbers"
+        if above is not None:
+            is_bad |= value <= above
+            numbers += f" > {above}"
+        if at_least is not None:
+            is_bad |= value < at_least
+            numbers += f" >= {at_least}"
+        if is_bad.any():
+            raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
+    # A copy, unless it is traced: the caller may write to his own array later.
+    make = jnp.array if isinstance(value, np.ndarray) else jnp.asarray
+    result = make(value, jnp.float32)
+    if may_be_empty and result.shape[:1] == (0,):
+        columns = [size for size in shapes[0][1:] if isinstance(size, int)]
+        return jnp.zeros((0, *columns))
+    if not any(_fits(result.shape, shape) for shape in shapes):
+        raise ValueError(f"{name} has shape {result.shape}; accepted: {_describe(shapes)}")
+    return result
+
+
+def one_each(
+    name: str,
+    value: object,
+    number: int,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+) -> Float[Array, " N"]:
+    """Return a number for each of N things (N,); a single one is for all."""
+    bounds = {"above": above, "at_least": at_least}
+    given = array(name, value, (), (number,), **bounds, may_be_empty=number == 0)
+    return jnp.broadcast_to(given, (number,))
+
+
+def covariances(
+    std: Vector | None, covariance: Rows | None, number: int, *, may_be_zero: bool = False
+) -> Float[Array, "N 2 2"]:
+    """Return the covariance of each of N positions (N, 2, 2) [m^2].
+
+    Args:
+        std: standard deviation along either axis, (N,) or one number [m]; or give `covariance`.
+        covariance: (N, 2, 2), or (2, 2) for all [m^2].
+        number: N.
+        may_be_zero: whether a position may be known exactly.
+    """
+    if (std is None) == (covariance is None):
+        raise ValueError(f"std is {std!r} beside a covariance; accepted: one of them")
+    if covariance is None:
+        bound = {"at_least": 0.0} if may_be_zero else {"above": 0.0}
+        return isotropic(one_each("std", std, number, **bound))
+    given = array("covariance", covariance, (2, 2), (number, 2, 2), may_be_empty=number == 0)
+    _check_covariance(given, may_be_zero)
+    return jnp.broadcast_to(given, (number, 2, 2))
+
+
+def isotropic(std: Float[Array, " N"]) -> Float[Array, "N 2 2"]:
+    """Return covariances (N, 2, 2) of errors that are alike along both axes."""
+    return (std * std)[:, None, None] * jnp.eye(2)
+
+
+def by_name(
+    name: str,
+    value: Mapping[str, ArrayLike] | None,
+    *,
+    above: float | None = None,
+    at_least: float | None = None,
+) -> dict[str, Scalar]:
+    """Return numbers by name as float32 scalars (leaves; the names are static); absent is none."""
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise ValueError(f"{name} is {value!r}; accepted: numbers by the name of a component")
+    return {
+        key: scalar(f"{name}[{key!r}]", number, above=above, at_least=at_least)
+        for key, number in sorted(value.items())
+    }
+
+
+def names_within(name: str, names: Sequence[str], known: Mapping[str, object]) -> None:
+    """Raise where one of `names` is not among the known."""
+    for key in names:
+        if key not in known:
+            raise ValueError(f"{name} has {key!r}; accepted: {', '.join(known)}")
+
+
+def _fits(shape: tuple[int, ...], accepted: tuple[int | str, ...]) -> bool:
+    sizes: dict[str, int] = {}
+    return len(shape) == len(accepted) and all(
+        size >= 1 and sizes.setdefault(wanted, size) == size
+        if isinstance(wanted, str)
+        else size == wanted
+        for size, wanted in zip(shape, accepted, strict=True)
+    )
+
+
+def _describe(shapes: tuple[tuple[int | str, ...], ...]) -> str:
+    texts = [str(shape).replace("'", "") if shape else "one number" for shape in shapes]
+    return " or ".join(texts)
+
+
+def _check_covariance(covariance: Array, may_be_zero: bool) -> None:
+    if is_traced(covariance):
+        return
+    given = np.asarray(covariance, np.float64)
+    size = np.abs(given).max(axis=(-2, -1), keepdims=True)
+    is_symmetric = (np.abs(given - np.swapaxes(given, -1, -2)) <= 1e-5 * size).all()
+    lowest = np.linalg.eigvalsh(given)
+    is_bad = lowest < -1e-6 * size[..., 0] if may_be_zero else lowest <= 0.0
+    if not is_symmetric or is_bad.any():
+        kind = "positive semidefinite" if may_be_zero else "positive definite"
+        raise ValueError(f"covariance is {given.tolist()}; accepted: symmetric and {kind}")

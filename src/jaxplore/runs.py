@@ -18,15 +18,15 @@ from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, Te
 from jaxplore._types import Key
 from jaxplore.control.base import Controller
 from jaxplore.report.comparison import Comparison, check_names
-from jaxplore.report.metrics import Metrics, compute_metrics
-from jaxplore.report.path_metrics import PathMetrics, compute_path_metrics
-from jaxplore.report.path_save import save_path_recording
-from jaxplore.report.save import save_recording
+from jaxplore.report.exploration.metrics import Metrics, compute_metrics
+from jaxplore.report.exploration.save import save_recording
+from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
+from jaxplore.report.following.save import save_path_recording
 from jaxplore.simulation import simulate as simulation
-from jaxplore.simulation.follow import PathProgress, PathRecording, record_path_run
-from jaxplore.simulation.path_scenario import PathScenario
+from jaxplore.simulation.exploration.scenario import Scenario
+from jaxplore.simulation.following.follow import PathProgress, PathRecording, record_path_run
+from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.recording import Recording
-from jaxplore.simulation.scenario import Scenario
 
 
 class Saved(abc.ABC):

@@ -10,7 +10,7 @@ from jaxplore import GaussianProposal, Knots, Smooth
 from jaxplore.control.adaptation import CovarianceAdaptation
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.parameterisations import Direct, Parameterisation
-from jaxplore.control.proposals import Surroundings
+from jaxplore.control.proposals import SamplingContext
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.path_parameter import PathParameter
 
@@ -33,10 +33,12 @@ def controller(proposal, parameterisation: Parameterisation) -> jx.MPPI:
     )
 
 
-def around(mppi: jx.MPPI) -> Surroundings:
+def around(mppi: jx.MPPI) -> SamplingContext:
     space = mppi._space
     controls = 0.3 * jax.random.normal(jax.random.key(9), (T, 3))
-    return Surroundings(mppi.parameterisation, mppi.parameterisation.init(controls, space), space)
+    return SamplingContext(
+        mppi.parameterisation, mppi.parameterisation.init(controls, space), space
+    )
 
 
 @pytest.mark.parametrize(

@@ -23,13 +23,13 @@ from jaxplore import (
     Softmax,
     Unicycle,
 )
-from jaxplore.control.follower import Follower
-from jaxplore.control.followers import (
+from jaxplore.planning.strategy.follower import Follower
+from jaxplore.planning.strategy.followers import (
     DifferentialDriveFollower,
     UnicycleFollower,
     follower_for,
 )
-from jaxplore.control.quadrotor_follower import QuadrotorFollower
+from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 
 MASS, GRAVITY, LAG = 1.3, 9.81, 0.05
 FLIGHT = Quadrotor(MASS, GRAVITY, LAG)

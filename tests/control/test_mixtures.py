@@ -19,8 +19,8 @@ from jaxplore import (
     GaussianProposal,
     InjectedProposal,
     Knots,
+    SamplingContext,
     Smooth,
-    Surroundings,
 )
 
 HORIZON, SIZE, DT = 6, 2, 0.1
@@ -40,12 +40,12 @@ REFERENCE = RNG.uniform(-1.5, 2.0, (HORIZON, SIZE)).astype(np.float32)
 SEQUENCES = RNG.uniform(-1.5, 2.0, (2, HORIZON, SIZE)).astype(np.float32)
 
 
-def surroundings(where: str) -> Surroundings:
+def surroundings(where: str) -> SamplingContext:
     parameterisation = PARAMETERISATIONS[where]
     nominal = parameterisation.init(jnp.asarray(NOMINAL), SPACE)
     if where == "smooth":
         nominal = nominal._replace(rates=jnp.asarray(RATES))
-    return Surroundings(parameterisation, nominal, SPACE)
+    return SamplingContext(parameterisation, nominal, SPACE)
 
 
 def cubic(horizon: int) -> np.ndarray:
@@ -158,7 +158,7 @@ class TestBiasedProposal:
         drawn = draw(biased(1.0, plain), around)
         parameters = jnp.asarray(encoded(where, REFERENCE), jnp.float32)
         nominal = around.nominal._replace(rates=parameters) if where == "smooth" else parameters
-        expected = draw(plain, Surroundings(around.parameterisation, nominal, SPACE))
+        expected = draw(plain, SamplingContext(around.parameterisation, nominal, SPACE))
         np.testing.assert_allclose(drawn.samples, expected.samples, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(drawn.log_ratio, expected.log_ratio, rtol=1e-4, atol=1e-3)
 
@@ -224,7 +224,7 @@ class TestBiasedProposal:
         """As without a reference: see test_proposals. And without the ratio they lean to it."""
         count, target, stiffness = 40_000, np.array([0.3, 0.4]), np.array([2.0, 1.0])
         space = ControlSpace(SPACE.minimum, SPACE.maximum, SPACE.default, SPACE.dt, 1)
-        around = Surroundings(Direct(), jnp.asarray([[0.2, 0.1]]), space)
+        around = SamplingContext(Direct(), jnp.asarray([[0.2, 0.1]]), space)
         precision = 1 / STD**2
         optimum = (precision * DEFAULT + stiffness * target) / (precision + stiffness)
         reference = np.array([[1.2, 1.7]], np.float32)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.control.batch import rollout_batch
-from jaxplore.control.planner import Planner
+from jaxplore.compat.batch import rollout_batch
+from jaxplore.compat.planner import Planner
 from jaxplore.control.rollout import rollout_costs
 
 T, K = 8, 32

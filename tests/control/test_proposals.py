@@ -17,8 +17,8 @@ from jaxplore import (
     Knots,
     NoiseBank,
     RBFKernel,
+    SamplingContext,
     Smooth,
-    Surroundings,
 )
 
 HORIZON, SIZE = 5, 2
@@ -40,7 +40,7 @@ PARAMETERISATIONS = {
 }
 
 
-def surroundings(name: str) -> Surroundings:
+def surroundings(name: str) -> SamplingContext:
     """Around controls, and for `Smooth` rates too, that are not the default."""
     rng = np.random.default_rng(5)
     parameterisation = PARAMETERISATIONS[name]
@@ -48,7 +48,7 @@ def surroundings(name: str) -> Surroundings:
     nominal = parameterisation.init(controls, SPACE)
     if name == "smooth":
         nominal = nominal._replace(rates=jnp.asarray(rng.normal(size=(HORIZON, SIZE)), jnp.float32))
-    return Surroundings(parameterisation, nominal, SPACE)
+    return SamplingContext(parameterisation, nominal, SPACE)
 
 
 def rest_of(name: str) -> np.ndarray:
@@ -164,7 +164,7 @@ def test_a_robot_left_alone_has_no_ratio(where: str) -> None:
     nominal = around.parameterisation.init(jnp.tile(SPACE.default, (HORIZON, 1)), SPACE)
     if where == "kernel":  # Which approximates a constant only.
         nominal = jnp.tile(SPACE.default, (3, 1))
-    around = Surroundings(around.parameterisation, nominal, SPACE)
+    around = SamplingContext(around.parameterisation, nominal, SPACE)
     samples = jnp.asarray(np.random.default_rng(1).normal(size=(*around.centre.shape, 6)), "f4")
     np.testing.assert_array_equal(around.rest, np.asarray(rest_of(where), np.float32))
     ratio = log_ratio(PROPOSALS["covariance"], (), around, samples)
@@ -195,7 +195,7 @@ def test_weighted_samples_estimate_the_optimum_whatever_their_centre(name: str) 
     optimum = np.linalg.solve(precision + stiffness, precision @ rest + stiffness @ target)
     memory = () if proposal.adaptation is None else scales(1) + 0.3
     for centre in ([0.5, -0.3], [0.1, 0.9]):
-        around = Surroundings(Direct(), jnp.asarray([centre], jnp.float32), space)
+        around = SamplingContext(Direct(), jnp.asarray([centre], jnp.float32), space)
         samples = sample(proposal, memory, around, count, jax.random.key(3))
         ratio = np.asarray(log_ratio(proposal, memory, around, samples), np.float64)
         flat = np.asarray(samples, np.float64)[0]

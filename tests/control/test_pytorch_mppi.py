@@ -25,9 +25,9 @@ from jaxplore import (
     MeanVariance,
     ModelEnsemble,
     RBFKernel,
+    SamplingContext,
     Smooth,
     Softmax,
-    Surroundings,
 )
 
 with np.load(Path(__file__).parent / "peers" / "pytorch_mppi.npz", allow_pickle=False) as stored:
@@ -167,7 +167,7 @@ def log_ratio(mppi: MPPI, nominal, perturbations):
         model.control_min, model.control_max, model.default_control, mppi.dt, mppi.horizon
     )
     moved = mppi.parameterisation.shift(nominal, jnp.ones(()), space)
-    around = Surroundings(mppi.parameterisation, moved, space)
+    around = SamplingContext(mppi.parameterisation, moved, space)
     samples = mppi.proposal.sample(
         (), around, mppi.num_samples, key=jax.random.key(0), perturbations=perturbations
     )

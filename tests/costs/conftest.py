@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, Dynamics, State
-from jaxplore.information.belief import Belief
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.information.field import InformationField
-from jaxplore.information.guidance import GuidanceField
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid

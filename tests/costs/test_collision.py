@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore import Ackermann, CollisionCost, DifferentialDrive, ObstacleCost, State
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.tracks import Tracks
 from jaxplore.costs.moving import TrackedObstacleCost
 from jaxplore.geometry.footprint import Rectangle
-from jaxplore.information.belief import Belief
-from jaxplore.information.tracks import Tracks
 from jaxplore.maps.field import ScalarField
 
 DISC = DifferentialDrive(radius=0.2)

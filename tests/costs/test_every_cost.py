@@ -34,10 +34,10 @@ from jaxplore import (
     TraversabilityCost,
     WaypointCost,
 )
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.tracks import Tracks
 from jaxplore.costs.moving import TrackedObstacleCost
-from jaxplore.information.belief import Belief
-from jaxplore.information.guidance import GuidanceField
-from jaxplore.information.tracks import Tracks
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 

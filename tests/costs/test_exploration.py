@@ -15,7 +15,7 @@ from jaxplore import (
     PotentialCost,
     StrategyReferenceCost,
 )
-from jaxplore.information.belief import StrategicBelief
+from jaxplore.belief.belief import StrategicBelief
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.frame import GridFrame
 

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import Ackermann, DifferentialDrive, MovingObstacleCost, State, rollout_costs
+from jaxplore.belief.tracks import Tracks
 from jaxplore.costs.moving import TrackedObstacleCost
 from jaxplore.geometry.footprint import Rectangle
-from jaxplore.information.tracks import Tracks
 
 REACH = st.floats(-6, 6, width=32)
 ANGLE = st.floats(-7, 7, width=32)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxplore import Ground, State, TerrainCost, TraversabilityCost
-from jaxplore.information.belief import Belief
+from jaxplore.belief.belief import Belief
 
 SIZE = 12
 Y, X = np.mgrid[:SIZE, :SIZE] + 0.5  # cells of 1 m

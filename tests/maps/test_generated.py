@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from jaxplore.maps.generated import KINDS, generate_map
+from jaxplore.maps.generators.generated import KINDS, generate_map
+from jaxplore.maps.generators.office import ROBOT_RADIUS, START_CLEARANCE, office, start_pose
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.office import ROBOT_RADIUS, START_CLEARANCE, office, start_pose
-from jaxplore.simulation.reachability import reachable_cells
+from jaxplore.simulation.exploration.reachability import reachable_cells
 
 DIFFICULTIES = (0.0, 0.5, 1.0)
 SEEDS = range(4)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.maps.images import PIXEL_LIMIT, read_greys
+from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
 
 GREYS = np.array([[0, 51, 102], [153, 204, 255]], np.uint8)
 EIGHT = GREYS / 255

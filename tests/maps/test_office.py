@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from jaxplore.maps.generators.office import ROBOT_RADIUS, START_CLEARANCE, office, start_pose
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.office import ROBOT_RADIUS, START_CLEARANCE, office, start_pose
 
 SIZES = [
     (20.0, 14.0, 0.1),

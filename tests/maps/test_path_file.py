@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxplore.geometry.curves import path_through
-from jaxplore.maps.path_file import read_path
+from jaxplore.maps.files.path_file import read_path
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
 POSES = """

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from jaxplore.maps import ros
+from jaxplore.maps.files import ros
+from jaxplore.maps.files.ros import read_map, write_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.ros import read_map, write_map
 
 ENTRIES = {
     "image": "map.pgm",

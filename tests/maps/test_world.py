@@ -10,9 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from jaxplore.information.zones import Zones
-from jaxplore.maps import _files
-from jaxplore.maps.world import Mover, Shapes, World, three_zones
+from jaxplore.belief.zones import Zones
+from jaxplore.maps.files import _files
+from jaxplore.maps.world import MovingObstacle, Shapes, World, three_zones
 
 FREE, UNKNOWN, SOLID = np.float32([0.01, 0.5, 0.99])
 
@@ -243,8 +243,8 @@ def test_hills_targets_and_movers_are_written_and_read(tmp_path):
     assert world.hills == ((1.0, 2.0, 0.5, 1.0), (4.0, 4.0, -0.25, 1.5))
     assert world.targets == ((-0.5, 3.0), (2.8, 3.2))
     assert world.movers == (
-        Mover(path=((-0.7, 0.8), (-0.7, 1.8), (-0.2, 1.8)), speed=0.0, radius=0.2),
-        Mover(path=((2.7, 2.2),), speed=1.5, radius=0.1),
+        MovingObstacle(path=((-0.7, 0.8), (-0.7, 1.8), (-0.2, 1.8)), speed=0.0, radius=0.2),
+        MovingObstacle(path=((2.7, 2.2),), speed=1.5, radius=0.1),
     )
     assert type(world.movers[0].speed) is float
     assert dataclasses.replace(world, targets=()) != world
@@ -310,7 +310,7 @@ def test_a_mover_touches_nothing_solid_anywhere_on_its_way(path, radius, cells):
         outside = np.maximum(np.maximum(low - way, way - low - 0.1), 0.0)
         gap = min([gap, *np.hypot(*np.moveaxis(outside, -1, 0)).ravel().tolist()])
     assume(abs(gap - radius) > 0.005)  # the samples are at most 0.0073 m apart
-    mover = Mover(tuple(path), 1.0, radius)
+    mover = MovingObstacle(tuple(path), 1.0, radius)
     if gap > radius:
         assert dataclasses.replace(world, movers=(mover,)).movers == (mover,)
     else:
@@ -327,8 +327,8 @@ def test_a_mover_may_reach_beyond_the_map_and_may_not_graze_a_wall():
         start=(0.0, 0.0, 0.0),
         known=Shapes(rectangles=((1.0, 1.0, 1.5, 1.5),)),
     )
-    beyond = Mover(((0.1, 0.1), (2.9, 0.1)), 1.0, 0.4)
-    grazing = Mover(((0.1, 0.5), (2.9, 0.5)), 1.0, 0.5)
+    beyond = MovingObstacle(((0.1, 0.1), (2.9, 0.1)), 1.0, 0.4)
+    grazing = MovingObstacle(((0.1, 0.5), (2.9, 0.5)), 1.0, 0.5)
     assert dataclasses.replace(world, movers=(beyond,)).movers == (beyond,)
     refused(lambda: dataclasses.replace(world, movers=(grazing,)), "the disc touches")
     near = dataclasses.replace(grazing, radius=0.499)
@@ -336,10 +336,10 @@ def test_a_mover_may_reach_beyond_the_map_and_may_not_graze_a_wall():
 
 
 def test_a_mover_alone_is_checked():
-    refused(lambda: Mover(((0.0, 0.0),), -1.0, 1.0), "speed is -1.0", "accepted")
-    refused(lambda: Mover((), 1.0, 1.0), "path is ()", "accepted")
-    refused(lambda: Mover(((0.0, 0.0), (0.0, NAN)), 1.0, 1.0), "path[1] is", "accepted")
-    refused(lambda: Mover(((0.0, 0.0),), 1.0, 0.0), "radius is 0.0", "accepted")
+    refused(lambda: MovingObstacle(((0.0, 0.0),), -1.0, 1.0), "speed is -1.0", "accepted")
+    refused(lambda: MovingObstacle((), 1.0, 1.0), "path is ()", "accepted")
+    refused(lambda: MovingObstacle(((0.0, 0.0), (0.0, NAN)), 1.0, 1.0), "path[1] is", "accepted")
+    refused(lambda: MovingObstacle(((0.0, 0.0),), 1.0, 0.0), "radius is 0.0", "accepted")
 
 
 @pytest.mark.parametrize("failing", ["rename", "folder"])

@@ -22,13 +22,13 @@ from jaxplore import (
     three_zones,
     unknown_fraction,
 )
+from jaxplore.belief.belief import StrategicBelief
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import StrategicBelief
 from jaxplore.information.heading_field import HeadingField
-from jaxplore.planning.architectures import ARCHITECTURES, FieldNumbers, Flight
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
-from jaxplore.simulation.record import Record
+from jaxplore.planning.presets.quadrotor import ARCHITECTURES, FieldNumbers, Flight
+from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.exploration.record import Record
 
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)

@@ -35,10 +35,10 @@ from jaxplore import (
 )
 from jaxplore.costs.heading_for import RegionCost
 from jaxplore.maps.clearance import clearance_field
-from jaxplore.planning.contextual import Contextual
-from jaxplore.planning.fusion import Fused
-from jaxplore.planning.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.planning.portfolio.contextual import Contextual
+from jaxplore.planning.portfolio.fusion import Fused
+from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
+from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
 
 DRIVE = DifferentialDrive(max_speed=1.0)
 SMALL = {"horizon": 12, "num_samples": 64}

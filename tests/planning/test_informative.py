@@ -30,13 +30,13 @@ from jaxplore import (
     Lidar,
     LocalFieldSensor,
     LocalInformationCost,
-    Lookout,
     OccupancyGrid,
     Perception,
     PoseInformation,
     PotentialCost,
     Quadrotor,
     QuadrotorFollower,
+    ShortRangeField,
     Smooth,
     Softmax,
     StateCost,
@@ -46,8 +46,8 @@ from jaxplore import (
     follower_for,
     three_zones,
 )
-from jaxplore.information.belief import Belief
-from jaxplore.planning.references import ClimbingReference, StrategicReference
+from jaxplore.belief.belief import Belief
+from jaxplore.planning.strategy.references import ClimbingReference, StrategicReference
 
 HORIZON, NUM_SAMPLES, DT, PERIOD, EVERY = 8, 32, 0.05, 0.02, 5
 ALTITUDE = -2.0
@@ -98,7 +98,7 @@ def small(parameterisation, mesh=None) -> InformativeMPPI:
     return InformativeMPPI(
         mppi_with(StrategyReferenceCost() + LocalInformationCost(), parameterisation, mesh),
         LocalFieldSensor(PoseInformation(lidar, MODEL), 0.2, spacing=2.5, num_headings=2),
-        Lookout(FieldSensor(lidar, 0.2, 2, 2, method="scan"), 4, 2),
+        ShortRangeField(FieldSensor(lidar, 0.2, 2, 2, method="scan"), 4, 2),
         MODEL,
         reference=Straight(GradientReference(2.0, HORIZON, DT)),
         follower=QuadrotorFollower(),
@@ -185,7 +185,7 @@ def two_layer() -> InformativeMPPI:
     return InformativeMPPI(
         mppi_with(cost),
         LocalFieldSensor(PoseInformation(far, MODEL), 0.2, extent=3.2, spacing=0.8),
-        Lookout(FieldSensor(near, 0.2, 12, 2, method="scan"), 16, 8),
+        ShortRangeField(FieldSensor(near, 0.2, 12, 2, method="scan"), 16, 8),
         MODEL,
         reference=ClimbingReference(GradientReference(2.0, HORIZON, DT)),
         follower=QuadrotorFollower(),
@@ -353,7 +353,7 @@ def test_nothing_is_paid_for_information_once_all_is_explored(two_layer, belief)
         np.testing.assert_array_equal(after.costs, 0.0)
 
 
-# Lookout
+# ShortRangeField
 
 
 @eqx.filter_jit
@@ -385,7 +385,7 @@ class Look:
         self.lidar, self.directions = lidar, directions
         self.sensor = FieldSensor(lidar, 0.2, directions, 2, noise=UniformNoise(0), method="scan")
         self.place = TURNED.frame.to_world(jnp.asarray([30.3, 34.8]))
-        lookout = Lookout(self.sensor, 10, headings)
+        lookout = ShortRangeField(self.sensor, 10, headings)
         self.field = look(lookout, changed(belief, TURNED), self.place)
         rng = np.random.default_rng(1)
         self.node = rng.integers(0, self.field.values.shape, (40, 3))

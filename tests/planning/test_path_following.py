@@ -8,7 +8,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.costs.path_following import CorridorCost
 from jaxplore.geometry.curves import clothoid_path, line_path, path_through
-from jaxplore.planning.path_following import PathFollowing, mpcc
+from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 
 CAR = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
 NOISE = {"noise_std": [0.5, 0.05], "max_speed": 15.0}

@@ -29,7 +29,7 @@ from jaxplore import (
     rollout_objectives,
 )
 from jaxplore.costs.heading_for import RegionCost
-from jaxplore.planning.normalisation import FLOOR
+from jaxplore.planning.portfolio.normalisation import FLOOR
 
 ROBOT, DT, HORIZON, SAMPLES = DifferentialDrive(max_speed=1.0), 0.1, 8, 32
 HALF_RANGE = np.asarray(ROBOT.control_max, np.float64)

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from jaxplore import GradientReference, Lidar, OccupancyGrid, Perception, ScalarField
-from jaxplore.information.belief import Belief
-from jaxplore.information.guidance import GuidanceField
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.frame import GridFrame
-from jaxplore.planning.references import ClimbingReference, follow
+from jaxplore.planning.strategy.references import ClimbingReference, follow
 
 SIZE, RESOLUTION, STEPS = 40, 0.1, 30
 FRAME = GridFrame(RESOLUTION)

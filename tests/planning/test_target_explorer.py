@@ -13,9 +13,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
-from jaxplore.planning.prospects import prospects
-from jaxplore.planning.target_explorer import TargetExplorer
-from jaxplore.planning.target_rules import (
+from jaxplore.planning.strategy.frontiers import prospects
+from jaxplore.planning.strategy.target_explorer import TargetExplorer
+from jaxplore.planning.strategy.target_rules import (
     RULES,
     DiscountedInformation,
     DistanceAdvantage,
@@ -25,7 +25,7 @@ from jaxplore.planning.target_rules import (
     RandomFrontier,
     Wander,
 )
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
 
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25
 KEY = jax.random.key(0)

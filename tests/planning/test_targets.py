@@ -22,13 +22,13 @@ from jaxplore import (
     PoseInformation,
     ScalarField,
 )
-from jaxplore.information.belief import Belief
-from jaxplore.information.guidance import GuidanceField
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.zones import Zones
 from jaxplore.information.trajectory import METHODS, TrajectoryInformation
-from jaxplore.information.zones import Zones
 from jaxplore.maps.frame import GridFrame
-from jaxplore.planning.references import follow
-from jaxplore.planning.targets import (
+from jaxplore.planning.strategy.references import follow
+from jaxplore.planning.strategy.targets import (
     RemainingInformation,
     TargetReference,
     Targets,

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from jaxplore.control.base import Members
-from jaxplore.simulation.follow import PathFrame, PathRecording
-from jaxplore.simulation.path_loop import PathRecord
-from jaxplore.simulation.record import Record
+from jaxplore.simulation.exploration.record import Record
+from jaxplore.simulation.following.follow import PathFrame, PathRecording
+from jaxplore.simulation.following.path_loop import PathRecord
 from jaxplore.simulation.recording import Frame, Recording, Timing
 
 PERIOD = 0.5

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.report.animation import frame_image, write_animation
-from jaxplore.report.colours import CLOSED, CLOSED_SHARE, FREE, MOVER_EDGE, TARGET, blend
-from jaxplore.report.palette import PLAN, ROBOT
+from jaxplore.report.drawing.colours import CLOSED, CLOSED_SHARE, FREE, MOVER_EDGE, TARGET, blend
+from jaxplore.report.drawing.palette import PLAN, ROBOT
+from jaxplore.report.exploration.animation import frame_image, write_animation
 
 POSE = (3.0, -2.0, 0.7)
 

@@ -16,7 +16,7 @@ from PIL import Image
 from jaxplore.report import comparison as module
 from jaxplore.report.comparison import Comparison, curves_figure
 from jaxplore.report.compute import Compute
-from jaxplore.report.metrics import Metrics, compute_metrics
+from jaxplore.report.exploration.metrics import Metrics, compute_metrics
 from jaxplore.report.summary import summarise
 from jaxplore.simulation.recording import Recording
 

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxplore.report.idleness import idleness_figure
+from jaxplore.report.exploration.idleness import idleness_figure
 
 
 def test_the_map_shows_reachable_cells_and_nothing_longer_than_the_run(vehicle):

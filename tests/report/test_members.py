@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from jaxplore.report.members import members_figure
+from jaxplore.report.exploration.members import members_figure
 
 
 def test_three_panels_name_every_member_once(vehicle):

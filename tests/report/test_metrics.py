@@ -4,8 +4,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxplore.report.metrics import compute_metrics
-from jaxplore.report.progress import progress
+from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.progress import progress
 
 
 def test_levels_are_timed_at_the_beginning_of_the_step_that_records_them(recording):

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from PIL import Image, ImageDraw
 
-from jaxplore.report.canvas import FOOTER
-from jaxplore.report.colours import FREE, MISSED, MOVER_EDGE, blend
-from jaxplore.report.palette import PLAN, ROBOT, STRONG, TRAIL
-from jaxplore.report.path_animation import BEYOND, path_frame_image, write_path_animation
-from jaxplore.report.path_plots import course_box
+from jaxplore.report.drawing.colours import FREE, MISSED, MOVER_EDGE, blend
+from jaxplore.report.drawing.palette import PLAN, ROBOT, STRONG, TRAIL
+from jaxplore.report.exploration.canvas import FOOTER
+from jaxplore.report.following.animation import BEYOND, path_frame_image, write_path_animation
+from jaxplore.report.following.plots import course_box
 
 
 def near(image, colour) -> np.ndarray:

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from jaxplore.report.path_metrics import compute_path_metrics
-from jaxplore.simulation.follow import PathRecording
-from jaxplore.simulation.path_loop import PathRecord
+from jaxplore.report.following.metrics import compute_path_metrics
+from jaxplore.simulation.following.follow import PathRecording
+from jaxplore.simulation.following.path_loop import PathRecord
 from jaxplore.simulation.recording import Timing
 
 

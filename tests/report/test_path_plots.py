@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch, Polygon
 from PIL import Image
 
-from jaxplore.report.path_plots import (
+from jaxplore.report.following.plots import (
     course_box,
     errors_figure,
     path_figure,
@@ -290,7 +290,7 @@ def test_one_of_room_and_gap_alone(ring):
 
 def test_importing_is_light():
     program = (
-        "import sys, jaxplore.report.path_plots, jaxplore.report.path_animation; "
+        "import sys, jaxplore.report.following.plots, jaxplore.report.following.animation; "
         "assert not any(name.startswith('matplotlib') for name in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

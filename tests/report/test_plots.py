@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.report.colours import MISSED, UNKNOWN, belief_colours
-from jaxplore.report.plots import coverage_figure, map_figure, true_outline
-from jaxplore.report.window import Window
+from jaxplore.report.drawing.colours import MISSED, UNKNOWN, belief_colours
+from jaxplore.report.drawing.window import Window
+from jaxplore.report.exploration.plots import coverage_figure, map_figure, true_outline
 
 POSE = (3.0, -2.0, 0.7)
 
@@ -103,7 +103,7 @@ def test_the_curve_names_the_levels(recording, make_recording):
 
 def test_importing_is_light():
     program = (
-        "import sys, jaxplore.report.save; "
+        "import sys, jaxplore.report.exploration.save; "
         "assert not any(name.startswith('matplotlib') for name in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

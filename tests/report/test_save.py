@@ -7,8 +7,8 @@ import pytest
 import yaml
 from PIL import Image
 
-from jaxplore.report.metrics import compute_metrics
-from jaxplore.report.save import save_recording
+from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.save import save_recording
 
 FILES = ["arrays.npz", "coverage.png", "exploration.gif", "map.png", "metrics.json"]
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxplore.report.series import running_mean
+from jaxplore.report.drawing.series import running_mean
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 4, 7, 40])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxplore.report.window import Window, outline_at
+from jaxplore.report.drawing.window import Window, outline_at
 
 
 def test_window_is_the_box_of_the_reachable_cells_and_a_metre(make_recording):

@@ -16,17 +16,17 @@ from jaxplore import (
     Perception,
     Scenario,
 )
+from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.information.belief import Belief
-from jaxplore.report.animation import frame_image
-from jaxplore.simulation.closed_loop import (
+from jaxplore.report.exploration.animation import frame_image
+from jaxplore.simulation.exploration.closed_loop import (
     _before_control,
     _is_finished,
     initial_loop_state,
     run_chunk,
 )
-from jaxplore.simulation.record import Progress
+from jaxplore.simulation.exploration.record import Progress
 from jaxplore.simulation.simulate import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice

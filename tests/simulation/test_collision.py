@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from jaxplore.geometry.footprint import Disc, Footprint, Rectangle
 from jaxplore.maps.frame import GridFrame
-from jaxplore.simulation.collision import (
+from jaxplore.simulation.exploration.collision import (
     clearance_reach,
     disc_clearance,
     discs_clearance,

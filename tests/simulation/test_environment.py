@@ -9,8 +9,13 @@ import pytest
 
 from jaxplore import Faults, Lidar, Perception, Quadrotor, Scenario
 from jaxplore.control.base import Controller
-from jaxplore.simulation.action_modes import ControlMode, Hold, WaypointMode, waypoint_mppi
-from jaxplore.simulation.environment import Environment
+from jaxplore.simulation.environment.action_modes import (
+    ControlMode,
+    Hold,
+    WaypointMode,
+    waypoint_mppi,
+)
+from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.simulate import record_run
 
 KEY = jax.random.key(5)

@@ -21,8 +21,8 @@ from jaxplore import (
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.simulation.closed_loop import LoopState, initial_loop_state, run_chunk
-from jaxplore.simulation.record import Record
+from jaxplore.simulation.exploration.closed_loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.exploration.record import Record
 from jaxplore.simulation.simulate import record_run
 
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice

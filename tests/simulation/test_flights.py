@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from jaxplore import Faults
-from jaxplore.experiment.assembly import Experiment, build
-from jaxplore.settings import make_settings
-from jaxplore.simulation.closed_loop import initial_loop_state, run_chunk
-from jaxplore.simulation.record import Record
-from jaxplore.simulation.scenario import Scenario
+from jaxplore.build.exploration import Experiment, build
+from jaxplore.settings.exploration import make_settings
+from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.exploration.record import Record
+from jaxplore.simulation.exploration.scenario import Scenario
 
 SHORT: dict[str, Any] = {
     "map": "zones",

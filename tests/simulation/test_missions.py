@@ -14,20 +14,20 @@ from jaxplore import (
     Ackermann,
     DifferentialDrive,
     Ground,
+    IdlenessMap,
     InverseSensorModel,
     Lidar,
-    Movers,
+    MovingObstacles,
     OccupancyGrid,
     Perception,
     Scenario,
     TerrainMap,
-    Watch,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.geometry.footprint import Rectangle
-from jaxplore.maps.world import Mover
-from jaxplore.simulation.closed_loop import (
+from jaxplore.maps.world import MovingObstacle
+from jaxplore.simulation.exploration.closed_loop import (
     LoopState,
     _is_finished,
     initial_loop_state,
@@ -73,7 +73,7 @@ def hall(has_box: bool = False) -> np.ndarray:
 
 
 # In a corner that nobody comes to.
-PARKED = Mover(((7.5, 0.5), (7.5, 0.5)), 0.0, 0.1)
+PARKED = MovingObstacle(((7.5, 0.5), (7.5, 0.5)), 0.0, 0.1)
 CORNERS = ((0.5, 5.5), (7.5, 5.5), (0.5, 0.5), (6.5, 0.5))
 
 
@@ -82,7 +82,7 @@ def scenario(
     start=(1.0, 3.0, 0.0),
     *,
     elevation: np.ndarray | None = None,
-    mover: Mover = PARKED,
+    mover: MovingObstacle = PARKED,
     targets=CORNERS,
     robot=ROBOT,
     **more,
@@ -100,7 +100,7 @@ def scenario(
         num_directions=4,
         node_spacing=0.2,
         ground=terrain.ground,
-        watch=Watch(20.0),
+        watch=IdlenessMap(20.0),
     )
     return Scenario(
         terrain,
@@ -112,7 +112,7 @@ def scenario(
         sensing_rate=0.5 / PERIOD,
         field_rate=0.25 / PERIOD,
         targets=targets,
-        movers=None if mover is None else Movers([mover]),
+        movers=None if mover is None else MovingObstacles([mover]),
         **more,
     )
 
@@ -220,7 +220,7 @@ def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> No
 # What moves
 
 
-def place(mover: Mover, phase: float, time: float) -> np.ndarray:
+def place(mover: MovingObstacle, phase: float, time: float) -> np.ndarray:
     """Return where a disc is that goes to and fro between two corners."""
     first, second = np.array(mover.path)
     length = np.hypot(*(second - first))
@@ -228,7 +228,7 @@ def place(mover: Mover, phase: float, time: float) -> np.ndarray:
     return first + (second - first) * min(rest, 2 * length - rest) / length
 
 
-CROSSING = Mover(((1.5, 4.7), (6.5, 4.7)), 1.0, 0.3)
+CROSSING = MovingObstacle(((1.5, 4.7), (6.5, 4.7)), 1.0, 0.3)
 
 
 class Watched(NamedTuple):
@@ -300,7 +300,7 @@ def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
 
 
 def test_what_runs_into_a_standing_robot_is_a_collision() -> None:
-    mover = Mover(((1.5, 3.2), (6.5, 3.2)), 1.0, 0.3)
+    mover = MovingObstacle(((1.5, 3.2), (6.5, 3.2)), 1.0, 0.3)
     outcome = drive(scenario(start=(4.0, 3.0, 0.3), mover=mover), 200)
     phase = float(outcome.state.movers.phase[0])
     away = [np.hypot(*(place(mover, phase, PERIOD * (k + 1)) - (4.0, 3.0))) for k in range(200)]

@@ -3,21 +3,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore.maps.world import Mover
-from jaxplore.simulation.movers import Movers
+from jaxplore.maps.world import MovingObstacle
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 
 PATHS = (
-    Mover(((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), 1.5, 0.3),  # a round of 12 m
-    Mover(((1.0, 1.0), (1.0, 3.0)), 0.5, 0.2),  # back and forth, 4 m
-    Mover(((7.0, -2.0),), 2.0, 0.5),  # a point
-    Mover(((0.0, 5.0), (1.0, 5.0), (1.0, 6.0), (0.0, 6.0)), 0.0, 0.1),  # no speed
-    Mover(((2.0, 2.0), (2.0, 2.0), (3.0, 2.0), (3.0, 2.0), (2.0, 2.0)), 0.7, 0.4),  # repeated
-    Mover(((-1.5, 0.3), (2.2, 4.1), (-3.0, 1.7), (0.4, -2.6), (1.1, 0.9)), 1.1, 0.6),
+    MovingObstacle(((0.0, 0.0), (4.0, 0.0), (4.0, 3.0)), 1.5, 0.3),  # a round of 12 m
+    MovingObstacle(((1.0, 1.0), (1.0, 3.0)), 0.5, 0.2),  # back and forth, 4 m
+    MovingObstacle(((7.0, -2.0),), 2.0, 0.5),  # a point
+    MovingObstacle(((0.0, 5.0), (1.0, 5.0), (1.0, 6.0), (0.0, 6.0)), 0.0, 0.1),  # no speed
+    MovingObstacle(
+        ((2.0, 2.0), (2.0, 2.0), (3.0, 2.0), (3.0, 2.0), (2.0, 2.0)), 0.7, 0.4
+    ),  # repeated
+    MovingObstacle(((-1.5, 0.3), (2.2, 4.1), (-3.0, 1.7), (0.4, -2.6), (1.1, 0.9)), 1.1, 0.6),
 )
-MOVERS = Movers(PATHS)
+MOVERS = MovingObstacles(PATHS)
 PHASE = np.array([0.25, 0.9, 0.5, 0.6, 0.1, 0.33])
-at = jax.jit(jax.vmap(Movers.at, in_axes=(None, 0)))
-discs = jax.jit(jax.vmap(Movers.discs, in_axes=(None, 0)))
+at = jax.jit(jax.vmap(MovingObstacles.at, in_axes=(None, 0)))
+discs = jax.jit(jax.vmap(MovingObstacles.discs, in_axes=(None, 0)))
 
 
 def walk(mover, times, phase=0.0):
@@ -40,7 +42,7 @@ TIMES = np.float32(np.random.default_rng(0).uniform(0.0, 60.0, 500))
 
 @pytest.mark.parametrize("phase", [None, PHASE])
 def test_positions_are_a_walk_along_the_path(phase):
-    found = at(Movers(PATHS, phase), TIMES)
+    found = at(MovingObstacles(PATHS, phase), TIMES)
     assert found.positions.shape == found.velocities.shape == (500, 6, 2)
     for index, mover in enumerate(PATHS):
         start = 0.0 if phase is None else phase[index]
@@ -120,7 +122,11 @@ def test_discs_are_places_and_radii():
 
 
 def test_no_movers():
-    for none in (Movers.none(), Movers([]), Movers.none().with_phase([])):
+    for none in (
+        MovingObstacles.none(),
+        MovingObstacles([]),
+        MovingObstacles.none().with_phase([]),
+    ):
         found = none.at(jnp.float32(2.0))
         assert found.positions.shape == found.velocities.shape == (0, 2)
         assert none.discs(jnp.float32(2.0)).shape == (0, 3)
@@ -134,9 +140,12 @@ def test_other_paths_speeds_and_phases_do_not_compile_again():
         traces.append(1)
         return movers.at(time).positions
 
-    two = Movers(PATHS[:2])
-    other = Movers(
-        [Mover(((0.0, 0.0),), 1.0, 1.0), Mover(((0.0, 0.0), (1.0, 1.0), (2.0, 0.0)), 3.0, 0.1)]
+    two = MovingObstacles(PATHS[:2])
+    other = MovingObstacles(
+        [
+            MovingObstacle(((0.0, 0.0),), 1.0, 1.0),
+            MovingObstacle(((0.0, 0.0), (1.0, 1.0), (2.0, 0.0)), 3.0, 0.1),
+        ]
     )
     for movers in (two, other, two.with_phase([0.1, 0.2])):
         positions(movers, jnp.float32(1.0))
@@ -163,6 +172,6 @@ def test_phases_may_be_traced():
 )
 def test_phases_refused(phase, named):
     with pytest.raises(ValueError, match=named):
-        Movers(PATHS[:2], phase)
+        MovingObstacles(PATHS[:2], phase)
     with pytest.raises(ValueError, match=named):
-        Movers(PATHS[:2]).with_phase(phase)
+        MovingObstacles(PATHS[:2]).with_phase(phase)

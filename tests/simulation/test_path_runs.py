@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.simulation.follow import record_path_run
-from jaxplore.simulation.path_loop import initial_path_state, run_path_chunk
+from jaxplore.simulation.following.follow import record_path_run
+from jaxplore.simulation.following.path_loop import initial_path_state, run_path_chunk
 
 RING = jx.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]

@@ -14,7 +14,7 @@ from jaxplore import (
     Faults,
     Ground,
     Lidar,
-    Movers,
+    MovingObstacles,
     OccupancyGrid,
     Perception,
     Quadrotor,
@@ -23,8 +23,8 @@ from jaxplore import (
     generate_map,
     start_pose,
 )
-from jaxplore.simulation.collision import clearance_reach, disc_clearance
-from jaxplore.simulation.reachability import open_spot, reachable_cells
+from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
+from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 
 ROBOT = DifferentialDrive(radius=0.2)
 LIDAR = Lidar(16, 1.0)
@@ -304,7 +304,7 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 def test_no_sensor_and_no_mover() -> None:
     with pytest.raises(ValueError, match=r"sensors is \(\); accepted: a sensor, or several"):
         Scenario(GRID, ROBOT, (), START)
-    assert scenario(movers=Movers.none()).movers is None
+    assert scenario(movers=MovingObstacles.none()).movers is None
     assert scenario().movers is None
     assert scenario().num_targets == 0
     assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.report.metrics import Metrics
-from jaxplore.report.path_metrics import PathMetrics
-from jaxplore.tuning import Objective
-from jaxplore.tuning.objective import flat, known_metrics, with_late_times
+from jaxplore.report.exploration.metrics import Metrics
+from jaxplore.report.following.metrics import PathMetrics
+from jaxplore.study.tuning import Objective
+from jaxplore.study.tuning.objective import flat, known_metrics, with_late_times
 
 
 def test_a_sum_is_read_and_written() -> None:

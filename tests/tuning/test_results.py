@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.tuning import (
+from jaxplore.study.tuning import (
     FunctionEpisodes,
     Measure,
     Objective,
@@ -15,9 +15,9 @@ from jaxplore.tuning import (
     Space,
     open_study,
 )
-from jaxplore.tuning.pictures import figures
-from jaxplore.tuning.results import write_results
-from jaxplore.tuning.study import BEFORE
+from jaxplore.study.tuning.pictures import figures
+from jaxplore.study.tuning.results import write_results
+from jaxplore.study.tuning.study import BEFORE
 
 START = {"a": 0.8, "b": 1.0}
 SPACE = Space((Parameter("a", 0.0, 1.0), Parameter("b", 0.1, 10.0, is_log=True)))

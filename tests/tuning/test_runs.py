@@ -10,14 +10,14 @@ import pytest
 from PIL import Image, ImageChops
 
 import jaxplore as jx
-from jaxplore.experiment.path import build_path
-from jaxplore.path_settings import make_path_settings
-from jaxplore.report.path_animation import path_frame_image
-from jaxplore.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
-from jaxplore.tuning.clip import side_by_side
-from jaxplore.tuning.evidence import change, changes, table, verdict
-from jaxplore.tuning.objective import Objective
-from jaxplore.workers.pool import Pool
+from jaxplore.build.path import build_path
+from jaxplore.report.following.animation import path_frame_image
+from jaxplore.settings.path import make_path_settings
+from jaxplore.study.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
+from jaxplore.study.tuning.clip import side_by_side
+from jaxplore.study.tuning.evidence import change, changes, table, verdict
+from jaxplore.study.tuning.objective import Objective
+from jaxplore.study.workers.pool import Pool
 
 QUICK = {
     "time_limit": 0.6,
@@ -61,12 +61,12 @@ def test_values_become_settings_and_paths_become_parameters(path_episodes) -> No
     assert settings.controller.horizon == 9
     assert settings.controller.num_samples == 16
     controller = build_path(settings).controller
-    found = jx.leaves(controller)
+    found = jx.get_parameters(controller)
     assert controller.horizon == 9
     assert found["weighting.temperature"] == 3.0
     assert found["cost.comfort.weight"] == 7.0
     assert found["proposal.physical.noise_std"][1] == 0.25
-    before = jx.leaves(build_path(make_path_settings(QUICK)).controller)
+    before = jx.get_parameters(build_path(make_path_settings(QUICK)).controller)
     assert found["proposal.physical.noise_std"][0] == before["proposal.physical.noise_std"][0]
 
 
@@ -95,7 +95,7 @@ def test_one_element_leaves_the_others_as_each_robot_has_them() -> None:
     path = "proposal.physical.noise_std"
     for entries in ({}, noisy):
         name = "noisy" if entries else "path"
-        before = jx.leaves(build_path(make_path_settings(entries)).controller)[path]
+        before = jx.get_parameters(build_path(make_path_settings(entries)).controller)[path]
         after = episodes.settings(name, {f"{path}[1]": 0.25}).parameters[path]
         assert after == [before[0], 0.25]
 
@@ -159,8 +159,8 @@ def test_sizes_run_by_themselves_and_what_is_refused_fails_alone(path_episodes) 
 
 ON_RAY = """
 import json
-from jaxplore.tuning import SettingsEpisodes, tune
-from jaxplore.workers.pool import Pool
+from jaxplore.study.tuning import SettingsEpisodes, tune
+from jaxplore.study.workers.pool import Pool
 
 if __name__ == "__main__":
     quick, searched = json.loads({quick!r}), {searched!r}

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.tuning import Parameter, Space
-from jaxplore.tuning.space import distribution, parse_parameter
+from jaxplore.study.tuning import Parameter, Space
+from jaxplore.study.tuning.space import distribution, parse_parameter
 
 PLACES = st.floats(0.0, 1.0)
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore.tuning import (
+from jaxplore.study.tuning import (
     FunctionEpisodes,
     Measure,
     Objective,
@@ -17,7 +17,7 @@ from jaxplore.tuning import (
     open_study,
     tune,
 )
-from jaxplore.tuning.pictures import importances
+from jaxplore.study.tuning.pictures import importances
 
 START = {"a": -0.9, "b": 50.0}
 SPACE = Space((Parameter("a", -1.0, 1.0), Parameter("b", 0.1, 100.0, is_log=True)))
@@ -98,7 +98,7 @@ def test_taken_up_again_is_as_if_never_interrupted(episodes, optimizer, tmp_path
 KILLED = """
 import sys, os
 from pathlib import Path
-from jaxplore.tuning import FunctionEpisodes, Objective, Parameter, Search, Space, open_study
+from jaxplore.study.tuning import FunctionEpisodes, Objective, Parameter, Search, Space, open_study
 
 folder, calls = Path(sys.argv[1]), int(sys.argv[2])
 
@@ -204,7 +204,7 @@ def test_an_episode_is_given_up_after_twice_the_best_duration() -> None:
     limits = []
 
     def run(asks, on_done):
-        from jaxplore.tuning import Outcome
+        from jaxplore.study.tuning import Outcome
 
         for ask in asks:
             limits.append(ask.time_limit)

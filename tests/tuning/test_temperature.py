@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.tuning import VectorEpisodes, tune
+from jaxplore.study.tuning import VectorEpisodes, tune
 
 STEPS, DT = 30, 0.1
 
@@ -24,7 +24,7 @@ def controller() -> jx.MPPI:
 
 @eqx.filter_jit
 def closed_loop_cost(controller, temperature, key):
-    controller = jx.with_leaves(controller, {"weighting.temperature": temperature})
+    controller = jx.set_parameters(controller, {"weighting.temperature": temperature})
 
     def step(carry, key):
         memory, state = carry

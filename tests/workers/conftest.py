@@ -17,7 +17,7 @@ JOBS = """
     import time
     from pathlib import Path
 
-    from jaxplore.workers.job import Job
+    from jaxplore.study.workers.job import Job
 
     def read(folder):
         return {each.name: each.read_bytes() for each in Path(folder).iterdir()}

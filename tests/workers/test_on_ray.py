@@ -13,16 +13,16 @@ from typing import Any
 
 import pytest
 
-from jaxplore.workers import on_ray
-from jaxplore.workers.on_ray import RayWorkers
-from jaxplore.workers.pool import Pool
+from jaxplore.study.workers import on_ray
+from jaxplore.study.workers.on_ray import RayWorkers
+from jaxplore.study.workers.pool import Pool
 
 Done = Callable[[Any, list[Any]], dict[str, Any]]
 
 ROUNDS = """
     import importlib, json, os, shutil, signal, sys
-    from jaxplore.workers import spread
-    from jaxplore.workers.pool import Pool
+    from jaxplore.study.workers import spread
+    from jaxplore.study.workers.pool import Pool
 
     module, top, one, two, three = sys.argv[1:]
     jobs = importlib.import_module(module)

@@ -10,11 +10,11 @@ from typing import Any
 import jax
 import pytest
 
-from jaxplore.workers import answer as answering
-from jaxplore.workers import pool as pools
-from jaxplore.workers import spread as spreading
-from jaxplore.workers.crew import num_processors
-from jaxplore.workers.pool import Pool
+from jaxplore.study.workers import answer as answering
+from jaxplore.study.workers import pool as pools
+from jaxplore.study.workers import spread as spreading
+from jaxplore.study.workers.crew import num_processors
+from jaxplore.study.workers.pool import Pool
 
 Done = Callable[[Any, list[Any]], dict[str, Any]]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from jaxplore.workers.job import Job
-from jaxplore.workers.spread import Spread
+from jaxplore.study.workers.job import Job
+from jaxplore.study.workers.spread import Spread
 
 
 @dataclasses.dataclass(frozen=True)

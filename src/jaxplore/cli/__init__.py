@@ -9,17 +9,17 @@ import click
 import yaml
 
 from jaxplore._version import __version__
+from jaxplore.build.exploration import build, comparable
 from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchmark
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
 from jaxplore.cli._show import free_name, save, show_comparison
 from jaxplore.cli._tune import run_tune
 from jaxplore.cli._tune_options import tune_options
-from jaxplore.experiment.assembly import build, comparable
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import compare as compare_runs
 from jaxplore.runs import progress_bar, simulate
-from jaxplore.settings import (
+from jaxplore.settings.exploration import (
     GROUND,
     OFFICE,
     Settings,

@@ -12,14 +12,14 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxplore.benchmark.execute import Done, Outcome, run_tasks
-from jaxplore.benchmark.maps import grids_of, maps_in, with_starts
-from jaxplore.benchmark.store import Asked, Store, open_store
-from jaxplore.benchmark.table import NEEDED, MapTable, failures, map_tables
 from jaxplore.cli._options import assign, entries_of
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.runs import progress_bar
-from jaxplore.settings import GROUND, OFFICE, make_settings
+from jaxplore.settings.exploration import GROUND, OFFICE, make_settings
+from jaxplore.study.comparison.execute import Done, Outcome, run_tasks
+from jaxplore.study.comparison.maps import grids_of, maps_in, with_starts
+from jaxplore.study.comparison.store import Asked, Store, open_store
+from jaxplore.study.comparison.table import NEEDED, MapTable, failures, map_tables
 
 PROTOCOL: dict[str, Any] = {
     "rates.control": 20.0,

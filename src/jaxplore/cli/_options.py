@@ -7,7 +7,7 @@ from typing import Any
 import click
 import yaml
 
-from jaxplore.settings import (
+from jaxplore.settings.exploration import (
     BASELINES,
     OFFICE,
     SCENARIOS,

@@ -5,13 +5,13 @@ from typing import Any
 
 import click
 
+from jaxplore.build.path import build_path
 from jaxplore.cli._options import assign, assign_all
 from jaxplore.cli._show import free_name, save
-from jaxplore.experiment.path import build_path
-from jaxplore.path_settings import PATH, TRACK, make_path_settings
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import follow_path
-from jaxplore.settings import read_settings
+from jaxplore.settings.exploration import read_settings
+from jaxplore.settings.path import PATH, TRACK, make_path_settings
 from jaxplore.simulation.simulate import NUM_TRAJECTORIES
 
 _OWN = {"laps": "laps", "obstacles": "obstacles.number"}

@@ -7,9 +7,9 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from jaxplore._sections import Section
 from jaxplore.report.comparison import Comparison
 from jaxplore.runs import PathRun, Run
+from jaxplore.settings.sections import Section
 
 
 def free_name(path: Path) -> Path:

@@ -22,16 +22,16 @@ from jaxplore.cli._tune_options import (
     scenarios_of,
 )
 from jaxplore.runs import progress_bar
-from jaxplore.tuning.clip import before_and_after
-from jaxplore.tuning.evidence import changes, verdict
-from jaxplore.tuning.objective import Objective, known_metrics
-from jaxplore.tuning.results import SETTINGS, write_results, write_text
-from jaxplore.tuning.runs import SettingsEpisodes
-from jaxplore.tuning.search import Search
-from jaxplore.tuning.storage import open_study
-from jaxplore.tuning.study import BEFORE, Progress, Study
-from jaxplore.tuning.trials import Trial
-from jaxplore.tuning.tune import FINALISTS, further_seeds, space_of
+from jaxplore.study.tuning.clip import before_and_after
+from jaxplore.study.tuning.evidence import changes, verdict
+from jaxplore.study.tuning.objective import Objective, known_metrics
+from jaxplore.study.tuning.results import SETTINGS, write_results, write_text
+from jaxplore.study.tuning.runs import SettingsEpisodes
+from jaxplore.study.tuning.search import Search
+from jaxplore.study.tuning.storage import open_study
+from jaxplore.study.tuning.study import BEFORE, Progress, Study
+from jaxplore.study.tuning.trials import Trial
+from jaxplore.study.tuning.tune import FINALISTS, further_seeds, space_of
 
 _INTERRUPTED = 130
 

@@ -9,13 +9,13 @@ import click
 
 from jaxplore.cli._options import entries_of, place_entries
 from jaxplore.cli._path import is_path, path_entries
-from jaxplore.path_settings import PATH, TRACK
-from jaxplore.settings import merged, read_settings
-from jaxplore.simulation.path_scenario import PathScenario
-from jaxplore.tuning.runs import SettingsEpisodes
-from jaxplore.tuning.search import POPULATION, Measure
-from jaxplore.tuning.strategies import NAMES
-from jaxplore.workers.pool import Pool
+from jaxplore.settings.exploration import merged, read_settings
+from jaxplore.settings.path import PATH, TRACK
+from jaxplore.simulation.following.scenario import PathScenario
+from jaxplore.study.tuning.runs import SettingsEpisodes
+from jaxplore.study.tuning.search import POPULATION, Measure
+from jaxplore.study.tuning.strategies import NAMES
+from jaxplore.study.workers.pool import Pool
 
 OWN = (
     "tuned",

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import Key, Scalar
 from jaxplore.control.parameterisations import ControlSpace, Samples
-from jaxplore.control.proposals import Proposal, Surroundings
+from jaxplore.control.proposals import Proposal, SamplingContext
 from jaxplore.dynamics.augmented import Augmented
 
 
@@ -56,7 +56,7 @@ class AugmentedProposal(Proposal):
     def sample(
         self,
         memory: AugmentedMemory,
-        around: Surroundings,
+        around: SamplingContext,
         num_samples: int,
         *,
         key: Key,
@@ -79,7 +79,7 @@ class AugmentedProposal(Proposal):
         return jnp.concatenate(drawn, axis=1)
 
     def log_ratio(
-        self, memory: AugmentedMemory, around: Surroundings, samples: Samples
+        self, memory: AugmentedMemory, around: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
         """Return the sum of the parts' log ratios (K,)."""
         near, of = self._around(around), self._parts(samples)
@@ -90,7 +90,7 @@ class AugmentedProposal(Proposal):
     def adapt(
         self,
         memory: AugmentedMemory,
-        around: Surroundings,
+        around: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> AugmentedMemory:
@@ -119,13 +119,13 @@ class AugmentedProposal(Proposal):
     def _parts(self, samples: Samples) -> tuple[Float[Array, "P np K"], Float[Array, "P nv K"]]:
         return samples[:, : self.physical_size], samples[:, self.physical_size :]
 
-    def _around(self, around: Surroundings) -> tuple[Surroundings, Surroundings]:
+    def _around(self, around: SamplingContext) -> tuple[SamplingContext, SamplingContext]:
         """Return what each part samples around: controls are on the last axis of a nominal."""
         size, space = self.physical_size, around.space
 
-        def part(of: slice) -> Surroundings:
+        def part(of: slice) -> SamplingContext:
             bounds = (space.minimum[of], space.maximum[of], space.default[of])
-            return Surroundings(
+            return SamplingContext(
                 around.parameterisation,
                 jax.tree.map(lambda leaf: leaf[..., of], around.nominal),
                 ControlSpace(*bounds, space.dt, space.horizon),

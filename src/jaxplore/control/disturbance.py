@@ -10,8 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.information.obstacles import Obstacles
 
 
 class Disturbance(eqx.Module):

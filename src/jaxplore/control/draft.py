@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.control.parameterisations import Samples
-from jaxplore.control.proposals import Surroundings
+from jaxplore.control.proposals import SamplingContext
 from jaxplore.control.rollout import Outcomes
 
 
@@ -42,7 +42,7 @@ class Draft(NamedTuple):
     """
 
     state: MPPIState
-    around: Surroundings
+    around: SamplingContext
     samples: Samples
     controls: Float[Array, "T nu K"]
     outcomes: Outcomes | None

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import Key, Rows, Scalar
 from jaxplore.control.parameterisations import Samples
-from jaxplore.control.proposals import GaussianProposal, Proposal, Surroundings
+from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 
 
 class BiasedProposal(Proposal):
@@ -67,7 +67,7 @@ class BiasedProposal(Proposal):
     def sample(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         num_samples: int,
         *,
         key: Key,
@@ -82,7 +82,9 @@ class BiasedProposal(Proposal):
         offset = around.encode(self.reference) - around.centre
         return samples + offset[:, :, None] * biased.astype(jnp.float32)
 
-    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+    def log_ratio(
+        self, memory: Any, around: SamplingContext, samples: Samples
+    ) -> Float[Array, " K"]:
         """Return the ratio of the mixture (K,), or 0 where it is left out."""
         if not self.likelihood_ratio:
             return jnp.zeros(samples.shape[-1])
@@ -98,7 +100,7 @@ class BiasedProposal(Proposal):
     def adapt(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
@@ -174,7 +176,7 @@ class InjectedProposal(Proposal):
     def sample(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         num_samples: int,
         *,
         key: Key,
@@ -192,14 +194,16 @@ class InjectedProposal(Proposal):
         injected = jnp.stack(given, axis=-1)
         return samples.at[:, :, : injected.shape[-1]].set(injected)
 
-    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+    def log_ratio(
+        self, memory: Any, around: SamplingContext, samples: Samples
+    ) -> Float[Array, " K"]:
         """Return the ratio of the other samples' proposal (K,), for the given ones too."""
         return self.proposal.log_ratio(memory, around, samples)
 
     def adapt(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:

@@ -11,8 +11,8 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
@@ -24,7 +24,7 @@ from jaxplore.control.parameterisations import (
     Samples,
     shifted,
 )
-from jaxplore.control.proposals import GaussianProposal, Proposal, Surroundings
+from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 from jaxplore.control.risk import MeanVariance, Risk
 from jaxplore.control.rollout import Outcomes, Trajectory, check_parts, rollout, rollout_costs
 from jaxplore.control.smoothing import SavitzkyGolay
@@ -246,7 +246,7 @@ class MPPI(Controller):
         """
         state = self._shift(state) if shift else state
         sample_key, outcome_key = jax.random.split(key)
-        around = Surroundings(self.parameterisation, state.nominal, self._space)
+        around = SamplingContext(self.parameterisation, state.nominal, self._space)
         samples = self.proposal.sample(
             state.proposal,
             around,

@@ -23,7 +23,7 @@ from jaxplore.control.parameterisations import (
 )
 
 
-class Surroundings(eqx.Module):
+class SamplingContext(eqx.Module):
     """What a proposal samples around: the `nominal` of a `parameterisation` of controls."""
 
     parameterisation: Parameterisation
@@ -61,7 +61,7 @@ class Proposal(eqx.Module):
     def sample(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         num_samples: int,
         *,
         key: Key,
@@ -78,7 +78,9 @@ class Proposal(eqx.Module):
         """
 
     @abc.abstractmethod
-    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+    def log_ratio(
+        self, memory: Any, around: SamplingContext, samples: Samples
+    ) -> Float[Array, " K"]:
         """Return `log q(v) - log p(v)` of each sample v, up to a constant.
 
         q is this distribution; p is the uncontrolled one, that of a robot that is left alone.
@@ -89,7 +91,7 @@ class Proposal(eqx.Module):
     def adapt(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
@@ -170,7 +172,7 @@ class GaussianProposal(Proposal):
     def sample(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         num_samples: int,
         *,
         key: Key,
@@ -192,12 +194,14 @@ class GaussianProposal(Proposal):
             drawn = jnp.einsum("uv,pvk->puk", factor, drawn)
         return drawn if self.adaptation is None else memory[:, :, None] * drawn
 
-    def log_ratio(self, memory: Any, around: Surroundings, samples: Samples) -> Float[Array, " K"]:
+    def log_ratio(
+        self, memory: Any, around: SamplingContext, samples: Samples
+    ) -> Float[Array, " K"]:
         """Return the ratio for the nominal as the mean (K,)."""
         return self.log_density_ratio(memory, around, around.centre, samples)
 
     def log_density_ratio(
-        self, memory: Any, around: Surroundings, mean: Parameters, samples: Samples
+        self, memory: Any, around: SamplingContext, mean: Parameters, samples: Samples
     ) -> Float[Array, " K"]:
         """Return `log N(v; m + mu, S Sigma S) - log N(v; r + mu, Sigma)` (K,).
 
@@ -225,7 +229,7 @@ class GaussianProposal(Proposal):
     def adapt(
         self,
         memory: Any,
-        around: Surroundings,
+        around: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:

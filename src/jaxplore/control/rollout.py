@@ -12,8 +12,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
+from jaxplore._xla import cut
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.risk import Risk
 from jaxplore.costs.base import Cost

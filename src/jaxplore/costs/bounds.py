@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._arguments import by_name, names_within
+from jaxplore._checks import by_name, names_within
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State

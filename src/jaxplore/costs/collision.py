@@ -8,13 +8,13 @@ from jaxtyping import Array
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Flag, Scalar
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.tracks import Tracks
 from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief
-from jaxplore.information.tracks import Tracks
 
 
 class CollisionCost(Cost):

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._arguments import array
+from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
 from jaxplore.costs._distance import squared
 from jaxplore.costs.base import Cost

@@ -6,13 +6,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._arguments import array
+from jaxplore._checks import array
 from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
-from jaxplore.information.belief import Belief, StrategicBelief
 from jaxplore.maps.field import ScalarField
 
 

@@ -4,11 +4,11 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
+from jaxplore.belief.belief import Belief
 from jaxplore.costs._distance import length
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
-from jaxplore.information.belief import Belief
 
 
 class ToGoalCost(Cost):

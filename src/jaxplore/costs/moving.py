@@ -9,14 +9,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._arguments import array, covariances, isotropic, one_each
+from jaxplore._checks import array, covariances, isotropic, one_each
 from jaxplore._types import ControlVector, Flag, Rows, Scalar, Vector
+from jaxplore.belief.tracks import Tracks
 from jaxplore.costs._contact import contact, depth, levers, shifted
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.tracks import Tracks
 
 
 class MovingObstacleCost(Cost):

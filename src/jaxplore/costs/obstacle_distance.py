@@ -8,12 +8,12 @@ from jaxtyping import Array
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.costs._contact import contact, levers, penalty, shifted
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.outlines import nearest
-from jaxplore.information.obstacles import Obstacles
 
 
 class ObstacleDistanceCost(Cost):

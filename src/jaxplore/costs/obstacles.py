@@ -8,14 +8,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._arguments import array
+from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
+from jaxplore.belief.belief import Belief
 from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
 from jaxplore.costs._distance import length, offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief
 
 
 class ObstacleCost(Cost):

@@ -5,9 +5,9 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
+from jaxplore.belief.belief import Belief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.information.belief import Belief
 
 
 class TerrainCost(Cost):

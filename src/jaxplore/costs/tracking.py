@@ -20,7 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._arguments import array, by_name, names_within
+from jaxplore._checks import array, by_name, names_within
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
 from jaxplore.costs._distance import length, offset, squared
 from jaxplore.costs._many import least

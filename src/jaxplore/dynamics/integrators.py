@@ -7,8 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
 
-from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._xla import cut
 
 Derivative = Callable[[StateVector, ControlVector], StateVector]
 

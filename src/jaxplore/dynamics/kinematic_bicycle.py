@@ -7,8 +7,8 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._fusion import cut
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._xla import cut
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Derivative, Integrator

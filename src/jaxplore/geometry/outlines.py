@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore._arguments import array, one_each
+from jaxplore._checks import array, one_each
 from jaxplore._types import Flag, Position, Rows, Scalar, Vector
 
 UNROLL = 8

@@ -131,7 +131,7 @@ class FieldSensor(eqx.Module):
             belief: the map; of the resolution that this was made for.
             sensor: what a measurement does to a cell.
             interest: (H, W) what a look into each cell is worth on top, if a beam passes it [nat]:
-                what is looked for may be there, see `Watch`.
+                what is looked for may be there, see `IdlenessMap`.
         """
         shape = self._lattice(belief)
         frame = self._frame(belief)

@@ -11,8 +11,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
-from jaxplore.maps import resample, ros
+from jaxplore.maps import resample
 from jaxplore.maps.field import bilinear
+from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
 
 FREE_THRESHOLD = 0.25
@@ -59,7 +60,7 @@ class OccupancyGrid(eqx.Module):
 
     @classmethod
     def from_ros(cls, path: str | PathLike[str]) -> "OccupancyGrid":
-        """Read a ROS `map_server` map (see `jaxplore.maps.ros.read_map`)."""
+        """Read a ROS `map_server` map (see `jaxplore.maps.files.ros.read_map`)."""
         return cls(*ros.read_map(path))
 
     def to_ros(self, path: str | PathLike[str], *, mode: str = "trinary") -> None:

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Vector
-from jaxplore.maps import _terrain_file
-from jaxplore.maps._files import name_of, replace_files
+from jaxplore.maps.files import _terrain_file
+from jaxplore.maps.files._files import name_of, replace_files
+from jaxplore.maps.files.images import read_greys
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
-from jaxplore.maps.images import read_greys
 from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
 
 UNKNOWN = 0.5

@@ -11,8 +11,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore.maps import _files
-from jaxplore.maps._entries import (
+from jaxplore.maps.files import _files
+from jaxplore.maps.files._entries import (
     CHECKS,
     EXTRAS,
     MOVER,
@@ -23,7 +23,7 @@ from jaxplore.maps._entries import (
     refuse_unknown,
     touches_solid,
 )
-from jaxplore.maps._entries import Mover as Mover
+from jaxplore.maps.files._entries import MovingObstacle as MovingObstacle
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.hills import hill_elevation, is_on_map
@@ -98,8 +98,8 @@ class World:
             a cell on the map, a zone that leaves the map or holds no centre of a cell, a start,
             goal, target or point of a path that is off the map or in a cell that is solid in the
             true world, a hill whose radius is not positive or reaches no centre of a cell,
-            heights of more than 1000 km in all, a mover that `Mover` refuses or whose disc touches
-            a solid cell of the true world on its way (it may reach beyond the map).
+            heights of more than 1000 km in all, a mover that `MovingObstacle` refuses or whose disc
+            touches a solid cell of the true world on its way (it may reach beyond the map).
     """
 
     size: tuple[float, float]
@@ -113,7 +113,7 @@ class World:
     hidden: Shapes = field(default_factory=Shapes)
     hills: tuple[Row, ...] = ()
     targets: tuple[Row, ...] = ()
-    movers: tuple[Mover, ...] = ()
+    movers: tuple[MovingObstacle, ...] = ()
 
     def __post_init__(self) -> None:
         for name in OTHERS:
@@ -322,7 +322,7 @@ class World:
                     f"of the map within its radius, {self._extent()}"
                 )
 
-    def _check_path(self, name: str, mover: Mover, solid: NDArray[np.bool_]) -> None:
+    def _check_path(self, name: str, mover: MovingObstacle, solid: NDArray[np.bool_]) -> None:
         for index, point in enumerate(mover.path):
             self._check_place(f"{name}[{index}]", point, solid)
         local = np.array(mover.path) - self.origin
@@ -379,8 +379,8 @@ def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
     return {kind: [list(row) for row in getattr(shapes, kind)] for kind in SHAPES}
 
 
-def _plain(entry: Row | Mover) -> object:
-    if isinstance(entry, Mover):
+def _plain(entry: Row | MovingObstacle) -> object:
+    if isinstance(entry, MovingObstacle):
         path = [list(point) for point in entry.path]
         return dict(zip(MOVER, (path, entry.speed, entry.radius), strict=True))
     return list(entry)

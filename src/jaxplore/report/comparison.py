@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.report.animation import write_animation
-from jaxplore.report.colours import SERIES
+from jaxplore.report.drawing.colours import SERIES
+from jaxplore.report.exploration.animation import write_animation
+from jaxplore.report.exploration.metrics import Metrics
+from jaxplore.report.exploration.save import DOTS_PER_INCH, settings_document
 from jaxplore.report.folder import MARK, run_folder
-from jaxplore.report.metrics import Metrics
-from jaxplore.report.save import DOTS_PER_INCH, settings_document
 from jaxplore.report.summary import Summary as Summary
 from jaxplore.report.summary import summarise
 from jaxplore.report.table import markdown, table_rows

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from jaxplore.report.metrics import Metrics
+from jaxplore.report.exploration.metrics import Metrics
 
 Spread = tuple[float, float, float]
 """Lower quartile, median and upper quartile; infinite where too few runs have a value."""

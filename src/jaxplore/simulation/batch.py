@@ -15,14 +15,16 @@ from jaxplore import _checks
 from jaxplore._types import Count, Flag, Key
 from jaxplore.control.base import Controller
 from jaxplore.simulation.chunks import CHUNK_SECONDS, Watched, loop, watch
-from jaxplore.simulation.closed_loop import (
+from jaxplore.simulation.exploration.closed_loop import (
     LoopState,
     closed_loop_step,
     initial_loop_state,
     is_unfinished,
 )
-from jaxplore.simulation.follow import PathRecording, path_recording_of
-from jaxplore.simulation.path_loop import (
+from jaxplore.simulation.exploration.record import Record, blank_records
+from jaxplore.simulation.exploration.scenario import Scenario
+from jaxplore.simulation.following.follow import PathRecording, path_recording_of
+from jaxplore.simulation.following.path_loop import (
     PathLoopState,
     PathRecord,
     blank_path_records,
@@ -30,10 +32,8 @@ from jaxplore.simulation.path_loop import (
     is_on_the_way,
     path_step,
 )
-from jaxplore.simulation.path_scenario import PathScenario
-from jaxplore.simulation.record import Record, blank_records
+from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.recording import Frame, Recording
-from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.simulate import (
     Look,
     frame_of,

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from jaxplore.simulation.record import Record
+from jaxplore.simulation.exploration.record import Record
 
 
 @dataclasses.dataclass(frozen=True)

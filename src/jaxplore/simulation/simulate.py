@@ -16,7 +16,7 @@ from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller, SampledPlan
 from jaxplore.geometry.footprint import Footprint, Rectangle
 from jaxplore.simulation.chunks import CHUNK_SECONDS, Watched, watch
-from jaxplore.simulation.closed_loop import (
+from jaxplore.simulation.exploration.closed_loop import (
     LoopState,
     initial_loop_state,
     is_unfinished,
@@ -25,9 +25,9 @@ from jaxplore.simulation.closed_loop import (
     scan_all,
     world_at,
 )
-from jaxplore.simulation.record import Record
+from jaxplore.simulation.exploration.record import Record
+from jaxplore.simulation.exploration.scenario import Scenario
 from jaxplore.simulation.recording import Frame, Recording
-from jaxplore.simulation.scenario import Scenario
 
 NUM_TRAJECTORIES = 60
 """Rollouts in each look."""

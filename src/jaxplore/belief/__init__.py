@@ -1,0 +1,1 @@
+"""What the robot knows: its map, the fields derived from it, and the obstacles that it tracks."""

@@ -1,0 +1,86 @@
+"""What the robot knows."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.tracks import Tracks
+from jaxplore.information.field import InformationField
+from jaxplore.information.heading_field import HeadingField
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+
+
+class Belief(eqx.Module):
+    """The robot's map and the fields derived from it: all that a cost may read.
+
+    Args:
+        grid: occupancy, from the robot's own scans.
+        clearance: distance to the nearest cell not known to be free [m].
+        information: expected information of a scan at any pose [nat].
+        guidance: cost to go to the remaining information [m], and the way there.
+        dwell: (rows, columns) of the guidance's nodes: time recently spent near each [s].
+        is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
+            there.
+        patience: time near a place after which its pull has faded to 1/e [s].
+        pose: where the robot was when its fields were made (x, y, yaw) [m, m, rad].
+        ground: what it drives on, known beforehand; level and passable when absent.
+        to_goal: cost to go to the goal [m], through whatever is not known to be blocked, and the
+            way there; absent if nothing asks for it.
+        tracks: what moves, as the robot's tracker knows it; nothing when absent.
+        idleness: (H, W) time since each cell was seen [s], infinite if never; absent if nobody
+            keeps watch.
+    """
+
+    grid: OccupancyGrid
+    clearance: ScalarField
+    information: InformationField
+    guidance: GuidanceField
+    dwell: Float[Array, "rows columns"]
+    is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
+    patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
+    pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))
+    ground: Ground | None = None
+    to_goal: GuidanceField | None = None
+    tracks: Tracks | None = None
+    idleness: GridValues | None = None
+
+    @property
+    def pull(self) -> ScalarField:
+        """What is left of a place's pull, `exp(-dwell / patience)`; 1 off the map."""
+        share = jnp.exp(-self.dwell / self.patience)
+        return ScalarField(share, self.information.frame, jnp.ones(()))
+
+
+class StrategicBelief(Belief):
+    """A belief with what a strategic layer made of it, for the costs of informative MPPI.
+
+    Args:
+        potential: information of a scan around the robot by heading [nat], as it was when the
+            strategic layer ran last.
+        best: its greatest value over headings [nat].
+        local: information of a short look by heading [nat], as of now.
+        reference: (T, 3) where to be, row i at `(i + 1) reference_period - reference_age` from now
+            [m].
+        reference_period: [s].
+        reference_age: time since the reference was made [s].
+    """
+
+    potential: HeadingField = eqx.field(kw_only=True)
+    best: ScalarField = eqx.field(kw_only=True)
+    local: HeadingField = eqx.field(kw_only=True)
+    reference: Float[Array, "T 3"] = eqx.field(kw_only=True)
+    reference_period: Scalar = eqx.field(kw_only=True)
+    reference_age: Scalar = eqx.field(kw_only=True)
+
+    def reference_at(self, t: Scalar) -> Float[Array, "3"]:
+        """Return where to be `t` seconds from now [m], linear between rows; the ends hold."""
+        last = self.reference.shape[0] - 1
+        row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)
+        before = jnp.floor(row)
+        index = before.astype(jnp.int32)
+        start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
+        return start + (row - before) * (end - start)

@@ -1,0 +1,105 @@
+"""Where a run takes place: a map, a world or a scenario, and what of it is known beforehand."""
+
+from typing import NamedTuple
+
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.generators.office import office, start_pose
+from jaxplore.maps.terrain import TerrainMap
+from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
+from jaxplore.settings.exploration import OFFICE, ZONES, Settings
+from jaxplore.simulation.exploration.reachability import open_spot
+
+
+class Place(NamedTuple):
+    """Where a run takes place.
+
+    Args:
+        world: the truth.
+        start: pose (x, y, yaw) [m, m, rad].
+        prior: what is known beforehand; nothing when absent.
+        goal: (x, y) or (x, y, z) [m].
+        zones: rectangles that are unknown beforehand [m].
+        ground: what is driven on; level when absent.
+        targets: (x, y) of what is to be seen [m].
+        movers: what moves.
+    """
+
+    world: OccupancyGrid
+    start: tuple[float, float, float]
+    prior: OccupancyGrid | None = None
+    goal: tuple[float, ...] | None = None
+    zones: tuple[tuple[float, ...], ...] = ()
+    ground: Ground | None = None
+    targets: tuple[tuple[float, ...], ...] = ()
+    movers: tuple[MovingObstacle, ...] = ()
+
+
+def place_of(settings: Settings, radius: float) -> Place:
+    """Return the place of a run.
+
+    Args:
+        settings: of the run.
+        radius: of the robot, for whom an open spot is named if the start is missing [m].
+
+    Raises:
+        ValueError: a map, world or height map that cannot be read; a start that is missing.
+    """
+    if settings.world is not None:
+        return _in_world(World.from_dict(settings.world), settings)
+    if settings.map == OFFICE:
+        grid = office(
+            settings.office.seed,
+            width=settings.office.width,
+            height=settings.office.height,
+            resolution=settings.resolution,
+        )
+        start = start_pose(grid) if settings.start is None else settings.start
+        return Place(grid, start, goal=settings.goal)
+    if settings.map == ZONES:
+        return _in_world(three_zones(), settings)
+    if is_world_file(settings.map):
+        return _in_world(World.from_yaml(settings.map), settings)
+    return _on_map(settings, radius)
+
+
+def _in_world(world: World, settings: Settings) -> Place:
+    given = settings.terrain
+    if given.height_map is not None:
+        raise ValueError(
+            f"terrain.height_map is {given.height_map!r} beside a world, whose ground are its "
+            "hills; accepted: a height map with a ROS map"
+        )
+    options = given.model_dump(include={"max_slope", "max_roughness", "threshold"})
+    return Place(
+        world.truth(),
+        world.start if settings.start is None else settings.start,
+        world.prior(),
+        world.goal if settings.goal is None else settings.goal,
+        world.zones,
+        world.ground(**options),
+        world.targets,
+        world.movers,
+    )
+
+
+def _on_map(settings: Settings, radius: float) -> Place:
+    """Return the place of a ROS map, with its height map if there is one."""
+    given = settings.terrain
+    grid, ground = OccupancyGrid.from_ros(settings.map), None
+    if given.height_map is not None:
+        options = given.model_dump(include={"max_slope", "max_roughness", "threshold"})
+        terrain = TerrainMap.from_ros(
+            settings.map, given.height_map, elevation_scale=given.elevation_scale, **options
+        )
+        if terrain.resolution < settings.resolution * (1.0 - 1e-6):
+            terrain = terrain.resample(settings.resolution)
+        grid, ground = terrain.grid, terrain.ground
+    elif grid.resolution < settings.resolution * (1.0 - 1e-6):
+        grid = grid.resample(settings.resolution)
+    if settings.start is None:
+        x, y = open_spot(grid, radius)
+        raise ValueError(
+            f"start is missing; accepted: a pose in free space, for example {x:.2f} {y:.2f} 0"
+        )
+    return Place(grid, settings.start, goal=settings.goal, ground=ground)

@@ -1,0 +1,1 @@
+"""Planners with the interface of other MPPI libraries."""

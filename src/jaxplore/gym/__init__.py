@@ -1,0 +1,10 @@
+"""Registers jaxplore's environment with Gymnasium when it is imported, and does nothing else:
+
+    gymnasium.make("jaxplore.gym:jaxplore/Exploration-v0")
+
+Importing jaxplore itself registers nothing.
+"""
+
+from jaxplore.gym.registration import register_environment
+
+register_environment()

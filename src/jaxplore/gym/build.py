@@ -1,0 +1,119 @@
+"""An environment, from settings or from scenarios."""
+
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxplore import _checks
+from jaxplore.build.exploration import build
+from jaxplore.settings.exploration import OFFICE, Settings, make_settings
+from jaxplore.simulation.environment.action_modes import (
+    ActionMode,
+    ControlMode,
+    WaypointMode,
+    waypoint_mppi,
+)
+from jaxplore.simulation.environment.environment import Environment
+from jaxplore.simulation.exploration.scenario import Scenario
+
+DRIVE = {"horizon": 30, "num_samples": 256}
+"""Of the controller that drives to waypoints, where the settings do not say."""
+WAYPOINT_PERIOD = 1.0
+"""Time between waypoints [s]."""
+BESIDE_A_SCENARIO = ("controller", "time_limit")
+"""Settings that say something beside a scenario."""
+
+
+def environment_of(
+    *,
+    scenario: Scenario | Sequence[Scenario] | None = None,
+    action: str = "control",
+    action_period: float | None = None,
+    reach: float = 3.0,
+    view: float | None = None,
+    collision_penalty: float = 1.0,
+    num_floors: int = 1,
+    **settings: Any,
+) -> Environment:
+    """Return an environment.
+
+    Args:
+        scenario: where and how, or several of one size; from the settings when absent.
+        action: "control", an action is a control of the robot; or "waypoint", a place (x, y) in its
+            frame, to which MPPI drives it: see `WaypointMode`.
+        action_period: time between actions [s]; rounded to control periods. When absent, a sensing
+            period for controls and a second for waypoints.
+        reach: greatest x and y of a waypoint [m].
+        view: side of the square around the robot that is observed of the belief [m]; all of the
+            map when absent.
+        collision_penalty: taken off the reward for contact [1/s].
+        num_floors: generated offices, of which each episode draws one: those of the seeds from
+            `office.seed` on.
+        settings: of a run, as in a settings file; the map is the office unless another is given.
+            `time_limit` ends an episode, `controller` is the MPPI of waypoints.
+
+    Raises:
+        ValueError: an action that there is not, settings that `make_settings` or `build` refuse,
+            settings beside a scenario that says the same, floors of another map than the office,
+            and what `Environment` refuses.
+    """
+    given = _checked(scenario, settings)
+    if scenario is None:
+        scenario = _scenarios(given, num_floors)
+    elif num_floors != 1:
+        raise ValueError(f"num_floors is {num_floors!r} beside a scenario; accepted: several of it")
+    first = scenario if isinstance(scenario, Scenario) else next(iter(scenario), None)
+    if not isinstance(first, Scenario):
+        raise ValueError(f"scenario is {scenario!r}; accepted: a scenario, or several")
+    mode: ActionMode
+    if action == "control":
+        mode = ControlMode(first.robot)
+    elif action == "waypoint":
+        numbers = given.controller.model_dump(exclude={"information_weight"})
+        mode = WaypointMode(waypoint_mppi(first.robot, **numbers), reach)
+        action_period = WAYPOINT_PERIOD if action_period is None else action_period
+    else:
+        raise ValueError(f"action is {action!r}; accepted: control, waypoint")
+    return Environment(
+        scenario,
+        mode,
+        action_period=action_period,
+        time_limit=given.time_limit,
+        collision_penalty=collision_penalty,
+        view=view,
+    )
+
+
+def _checked(scenario: object, settings: dict[str, Any]) -> Settings:
+    """Return the settings, checked, over the defaults of an environment."""
+    if "seed" in settings:
+        raise ValueError(
+            f"seed is {settings['seed']!r} among the settings of an environment; accepted: a seed "
+            "of its reset"
+        )
+    if scenario is not None:
+        for name in settings:
+            if name not in BESIDE_A_SCENARIO:
+                raise ValueError(
+                    f"setting {name} is given beside a scenario; accepted: "
+                    + ", ".join(BESIDE_A_SCENARIO)
+                )
+    entries = {"map": OFFICE, "controller": {}, **settings}
+    if isinstance(entries["map"], os.PathLike):
+        entries["map"] = os.fspath(entries["map"])
+    if isinstance(entries["controller"], Mapping):
+        entries["controller"] = {**DRIVE, **entries["controller"]}
+    return make_settings(entries)
+
+
+def _scenarios(settings: Settings, num_floors: int) -> list[Scenario]:
+    """Return the scenarios of some settings, one for each floor."""
+    number = _checks.positive_int("num_floors", num_floors)
+    if number > 1 and settings.map != OFFICE:
+        raise ValueError(
+            f"num_floors is {number} of the map {settings.map!r}; accepted: 1, or the map {OFFICE}"
+        )
+    floors = (
+        settings.office.model_copy(update={"seed": settings.office.seed + k}) for k in range(number)
+    )
+    return [build(settings.model_copy(update={"office": floor})).scenario for floor in floors]

@@ -1,0 +1,175 @@
+"""The environment of Gymnasium's interface. Importing it needs Gymnasium."""
+
+from typing import Any
+
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore.belief.belief import Belief
+from jaxplore.gym.build import environment_of
+from jaxplore.gym.spaces import (
+    Observed,
+    action_space,
+    begin,
+    begun,
+    checked_action,
+    draw,
+    facts,
+    observation_space,
+    observed,
+    step,
+)
+from jaxplore.report.exploration.belief_picture import belief_picture
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.exploration.closed_loop import robot_pose
+from jaxplore.simulation.simulate import outline_of
+
+
+class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
+    """A robot that explores a map of which it knows nothing; `jaxplore/Exploration-v0`.
+
+    `reset(seed=s)` begins the run of `simulate` with the key `jax.random.key(s)`; without a seed
+    one is drawn. `reset(options={"scenario": k})` picks one of several scenarios, else one is
+    drawn. The spaces, the reward and the end of an episode are those of `Environment`; truncated is
+    an episode whose time is up. `info` has, by name:
+
+    | name | is |
+    | --- | --- |
+    | time | since the start [s] |
+    | coverage | share of the reachable cells known to be free |
+    | entropy | of the belief over the reachable cells [nat] |
+    | path_length | distance travelled [m] |
+    | is_collision | whether the robot touched something during the action |
+    | collisions, collision_steps | contacts, and the control periods in contact, since the start |
+    | scenario | which of several |
+
+    Args:
+        render_mode: "rgb_array" or None.
+        options: those of `environment_of`.
+
+    Raises:
+        ValueError: another way to render, what `environment_of` refuses.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
+
+    def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
+        self.render_mode = checked_render_mode(render_mode)
+        self.environment = environment_of(**options)
+        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.action_space = action_space(self.environment)
+        self._observation_space = observation_space(self.environment)
+        self.observation_space: gymnasium.Space[Any] = self._observation_space
+        self._state: EnvironmentState | None = None
+        self._outcome: Outcome | None = None
+        self._path: list[np.ndarray] = []
+
+    @property
+    def state(self) -> EnvironmentState:
+        """The state of the environment.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        return begun(self._state)
+
+    @property
+    def belief(self) -> Belief:
+        """What the robot knows, as jaxplore's controllers take it."""
+        return self.state.belief
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Begin an episode; return what is observed and the facts."""
+        super().reset(seed=seed)
+        choice = None if options is None else options.get("scenario")
+        key, number = draw(self.np_random, self.environment, seed, choice)
+        self._path.clear()
+        nothing = jnp.zeros(self.action_space.shape or (), jnp.float32)
+        state = begin(self.environment, key, number)
+        observation, _, _, info = self._advance(state, nothing, jnp.zeros((), jnp.int32))
+        return observation, info
+
+    def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
+        """Carry an action out; return what is observed, the reward, the ends and the facts.
+
+        After the end of an episode nothing moves any more.
+
+        Raises:
+            ValueError: an action of another shape, or that is not finite.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        given = checked_action(action, self.action_space.shape or ())
+        observation, reward, ends, info = self._advance(
+            self.state, given, self.environment.steps_per_action
+        )
+        return observation, reward, *ends, info
+
+    def render(self) -> np.ndarray | None:
+        """Return a picture (rows, columns, 3) of the belief, the path and the robot in it."""
+        if self.render_mode is None or self._outcome is None:
+            return None
+        return picture(self.environment, self.state, self._outcome, self._path)
+
+    def _advance(
+        self, state: EnvironmentState, action: jax.Array, num_steps: jax.Array
+    ) -> tuple[Observed, float, tuple[bool, bool], dict[str, Any]]:
+        self._state, outcome = step(self.environment, state, action, num_steps)
+        self._outcome = outcome
+        info = {
+            name: value.item() for name, value in facts(self.environment, outcome, state).items()
+        }
+        observation = observed(outcome.observation, self._observation_space)
+        if self.render_mode is not None:
+            self._path.append(observation["pose"][:2])
+        ends = bool(outcome.is_terminated), bool(outcome.is_truncated)
+        return observation, float(outcome.reward), ends, info
+
+
+def checked_render_mode(render_mode: str | None) -> str | None:
+    """Return a way to render that there is.
+
+    Raises:
+        ValueError: another.
+    """
+    if render_mode not in (None, "rgb_array"):
+        raise ValueError(f"render_mode is {render_mode!r}; accepted: rgb_array, None")
+    return render_mode
+
+
+def metadata_of(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
+    """Return metadata with the pictures per simulated second of an environment."""
+    period = float(environment.shared.control_period) * int(environment.steps_per_action)
+    return {**general, "render_fps": max(1, round(1.0 / period))}
+
+
+def picture(
+    environment: Environment, state: EnvironmentState, outcome: Outcome, path: list[np.ndarray]
+) -> np.ndarray:
+    """Return a picture (rows, columns, 3) of one environment.
+
+    Args:
+        environment: whose it is.
+        state: of it.
+        outcome: of the last action.
+        path: where the robot was observed, (2,) each [m].
+    """
+    scenario = environment.scenario(state.choice)
+    robot, frame = scenario.robot, scenario.world.frame
+    x, y, yaw = np.asarray(robot_pose(robot, state.sensed_state))
+    angles = yaw + np.concatenate([sensor.beam_angles for sensor in scenario.sensors])
+    ranges = np.asarray(outcome.observation.scan)[:, None]
+    ends = np.array([x, y]) + ranges * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return belief_picture(
+        np.asarray(state.belief.grid.probability),
+        np.asarray(frame.origin),
+        frame.resolution,
+        path=np.stack(path),
+        heading=float(outcome.observation.pose[2]),
+        radius=float(robot.radius),
+        footprint=outline_of(robot.footprint),
+        scan=ends,
+    )

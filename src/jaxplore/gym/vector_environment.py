@@ -1,0 +1,232 @@
+"""Many environments at once, of Gymnasium's interface. Importing it needs Gymnasium."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import gymnasium
+import jax
+import jax.numpy as jnp
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from jax import Array
+
+from jaxplore import _checks
+from jaxplore._types import Count
+from jaxplore.gym.build import environment_of
+from jaxplore.gym.environment import checked_render_mode, metadata_of, picture
+from jaxplore.gym.spaces import (
+    Observed,
+    action_space,
+    begin,
+    begun,
+    checked_action,
+    draw,
+    facts,
+    observation_space,
+    observed,
+)
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+
+
+class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
+    """N environments as one, whose step is one compiled call.
+
+    Each is an `ExplorationEnvironment`: with the same seeds and actions it is observed as in
+    Gymnasium's `SyncVectorEnv`. `reset(seed=s)` gives environment i the seed s + i; a list gives
+    each its own. An environment whose episode has ended begins the next one at the next step,
+    whose action it leaves out and whose reward is 0 (`AutoresetMode.NEXT_STEP`).
+
+    Args:
+        num_envs: N.
+        is_vmapped: whether all of them are mapped over by `jax.vmap`, else one after the other
+            within the call. When absent, they are not on a CPU: there a batch must do whatever one
+            of its environments does, and takes several times as long.
+        render_mode: "rgb_array" or None.
+        options: those of `environment_of`.
+
+    Raises:
+        ValueError: less than one environment, another way to render, what `environment_of` refuses.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": 10,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        is_vmapped: bool | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.num_envs = _checks.positive_int("num_envs", num_envs)
+        self.is_vmapped = jax.default_backend() != "cpu" if is_vmapped is None else is_vmapped
+        self.render_mode = checked_render_mode(render_mode)
+        self.environment = environment_of(**options)
+        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.single_action_space = action_space(self.environment)
+        self._single_observation_space = observation_space(self.environment)
+        self.single_observation_space = self._single_observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._generators: list[np.random.Generator | None] = [None] * num_envs
+        self._states: EnvironmentState | None = None
+        self._outcomes: Outcome | None = None
+        self._has_ended = np.zeros(num_envs, bool)
+        self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
+
+    @property
+    def states(self) -> EnvironmentState:
+        """The states of the environments, in rows.
+
+        Raises:
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        return begun(self._states)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observed, dict[str, Any]]:
+        """Begin an episode in each environment; return what is observed and the facts.
+
+        Args:
+            seed: of the first environment, the others' follow; or one for each.
+            options: "scenario" picks one of several for all of them; "reset_mask" (N,) says which
+                environments begin anew, all unless it is given.
+
+        Raises:
+            ValueError: another number of seeds, a scenario that there is not, a mask of another
+                shape.
+        """
+        seeds = self._seeds(seed)
+        chosen = options or {}
+        mask = np.asarray(chosen.get("reset_mask", np.ones(self.num_envs, bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ValueError(f"option reset_mask is {mask!r}; accepted: {self.num_envs} booleans")
+        if self._states is None and not mask.all():
+            raise gymnasium.error.ResetNeeded("some environments have no state; accepted: all")
+        self._begin(mask, seeds, chosen.get("scenario"))
+        nothing = jnp.zeros(self.action_space.shape or (), jnp.float32)
+        observation, _, _, info = self._advance(nothing, np.ones(self.num_envs, bool))
+        return observation, info
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Observed, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Carry an action (N, A) out in each environment that has not ended; begin those anew.
+
+        Returns:
+            What is observed, the rewards, what is terminated and what truncated (N,), the facts.
+
+        Raises:
+            ValueError: actions of another shape, or that are not finite.
+            gymnasium.error.ResetNeeded: before the first reset.
+        """
+        given = checked_action(actions, self.action_space.shape or ())
+        ended = self._has_ended
+        if self._states is not None and ended.any():
+            self._begin(ended, [None] * self.num_envs, None)
+        observation, rewards, ends, info = self._advance(given, ended)
+        return observation, rewards, *ends, info
+
+    def render(self) -> tuple[np.ndarray, ...] | None:
+        """Return a picture (rows, columns, 3) of each environment."""
+        if self.render_mode is None or self._outcomes is None:
+            return None
+        rows = [
+            jax.tree.map(lambda leaf, i=i: leaf[i], (self.states, self._outcomes))
+            for i in range(self.num_envs)
+        ]
+        return tuple(
+            picture(self.environment, state, outcome, path)
+            for (state, outcome), path in zip(rows, self._paths, strict=True)
+        )
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int):
+            return [seed + index for index in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"seed has {len(seed)} values; accepted: {self.num_envs}, or one")
+        return list(seed)
+
+    def _begin(self, mask: np.ndarray, seeds: list[int | None], choice: Any) -> None:
+        """Put some environments at the start of an episode."""
+        fresh: list[EnvironmentState] = []
+        places = [int(index) for index in np.flatnonzero(mask)]
+        for place in places:
+            generator, seed = self._generators[place], seeds[place]
+            if generator is None or seed is not None:
+                generator, _ = seeding.np_random(seed)
+                self._generators[place] = generator
+            fresh.append(begin(self.environment, *draw(generator, self.environment, seed, choice)))
+            self._paths[place].clear()
+        if len(fresh) == self.num_envs:
+            self._states = _rows(fresh)
+            return
+        for place, state in zip(places, fresh, strict=True):
+            self._states = _placed(self.states, jnp.asarray(place, jnp.int32), state)
+
+    def _advance(
+        self, actions: Array, is_new: np.ndarray
+    ) -> tuple[Observed, np.ndarray, tuple[np.ndarray, np.ndarray], dict[str, Any]]:
+        """Step all environments; those that are new only look."""
+        num_steps = jnp.where(jnp.asarray(is_new), 0, self.environment.steps_per_action)
+        self._states, outcomes = _step_each(
+            self.environment, self.states, actions, num_steps, self.is_vmapped
+        )
+        self._outcomes = outcomes
+        observation = observed(outcomes.observation, self._single_observation_space)
+        if self.render_mode is not None:
+            for path, pose in zip(self._paths, observation["pose"], strict=True):
+                path.append(pose[:2].copy())
+        terminated, truncated = np.array(outcomes.is_terminated), np.array(outcomes.is_truncated)
+        self._has_ended = terminated | truncated
+        rewards = np.asarray(outcomes.reward, np.float64)
+        info: dict[str, Any] = {}
+        for name, values in facts(self.environment, outcomes, self._states).items():
+            info[name], info[f"_{name}"] = np.array(values), np.ones(self.num_envs, bool)
+        return observation, rewards, (terminated, truncated), info
+
+
+@eqx.filter_jit
+def _step_each(
+    environment: Environment,
+    states: EnvironmentState,
+    actions: Array,
+    num_steps: Array,
+    is_vmapped: bool,
+) -> tuple[EnvironmentState, Outcome]:
+    if is_vmapped:
+        together: tuple[EnvironmentState, Outcome] = jax.vmap(environment.step)(
+            states, actions, num_steps
+        )
+        return together
+    in_turn: tuple[EnvironmentState, Outcome] = jax.lax.map(
+        lambda row: environment.step(*row), (states, actions, num_steps)
+    )
+    return in_turn
+
+
+@eqx.filter_jit
+def _rows(states: list[EnvironmentState]) -> EnvironmentState:
+    stacked: EnvironmentState = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
+    return stacked
+
+
+@eqx.filter_jit
+def _placed(rows: EnvironmentState, place: Count, state: EnvironmentState) -> EnvironmentState:
+    placed: EnvironmentState = jax.tree.map(
+        lambda column, leaf: column.at[place].set(leaf), rows, state
+    )
+    return placed

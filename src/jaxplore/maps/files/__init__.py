@@ -1,0 +1,1 @@
+"""Map, path and image files, read and written."""

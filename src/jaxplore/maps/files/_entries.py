@@ -1,0 +1,222 @@
+"""Checks of a world file's entries: each says in one line what is wrong and what is accepted."""
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxplore import _checks
+from jaxplore.maps.files import _files
+from jaxplore.maps.ground import HIGHEST
+from jaxplore.maps.rasterise import TOLERANCE
+
+Row = tuple[float, ...]
+
+SHAPES = ("walls", "rectangles", "discs")
+EXTRAS = ("hills", "targets", "movers")
+OTHERS = ("origin", "size", "resolution", "wall_reach", "zones", "start", "goal", *EXTRAS)
+MOVER = ("path", "speed", "radius")
+
+
+@dataclass(frozen=True)
+class MovingObstacle:
+    """A disc that goes round a closed polyline at constant speed, from its first point.
+
+    After the last point it returns to the first in a straight line: with two points it goes back
+    and forth, with one it stands still.
+
+    Args:
+        path: at least one point (x, y) [m].
+        speed: at least 0 [m/s].
+        radius: of the disc [m].
+
+    Raises:
+        ValueError: a path without points, a point that is not two finite numbers, a speed that is
+            negative or not finite, a radius that is not positive.
+    """
+
+    path: tuple[Row, ...]
+    speed: float
+    radius: float
+
+    def __post_init__(self) -> None:
+        for name in MOVER:
+            object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
+
+
+def _number(name: str, value: object, **bounds: float) -> float:
+    try:
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise ValueError
+        value = float(value)
+    except (ValueError, OverflowError):
+        raise ValueError(f"{name} is {_files.show(value)}; accepted: a finite number") from None
+    return _checks.number(name, value, **bounds)
+
+
+def _numbers(name: str, value: object, counts: Collection[int], accepted: str) -> Row:
+    if isinstance(value, (list, tuple)) and len(value) in counts:
+        try:
+            return tuple(_number(name, entry) for entry in value)
+        except ValueError:
+            pass  # the whole entry is shown instead
+    raise ValueError(f"{name} is {_files.show(value)}; accepted: {accepted}")
+
+
+def _rows(
+    name: str, value: object, count: int, accepted: str, is_accepted: Callable[[Row], bool]
+) -> tuple[Row, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise ValueError(f"{name} is {_files.show(value)}; accepted: a list of {accepted}")
+    rows = tuple(
+        _numbers(f"{name}[{index}]", row, (count,), accepted) for index, row in enumerate(value)
+    )
+    for index, row in enumerate(rows):
+        if not is_accepted(row):
+            raise ValueError(f"{name}[{index}] is {list(row)}; accepted: {accepted}")
+    return rows
+
+
+def _walls(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "4 finite numbers [x1, y1, x2, y2], two different points"
+    return _rows(name, value, 4, accepted, lambda row: row[:2] != row[2:])
+
+
+def _rectangles(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "4 finite numbers [x_min, y_min, x_max, y_max], min < max"
+    return _rows(name, value, 4, accepted, lambda row: row[0] < row[2] and row[1] < row[3])
+
+
+def _discs(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "3 finite numbers [x, y, radius], radius > 0"
+    return _rows(name, value, 3, accepted, lambda row: row[2] > 0.0)
+
+
+def _size(name: str, value: object) -> Row:
+    accepted = "2 finite numbers > 0 [width, height]"
+    size = _numbers(name, value, (2,), accepted)
+    if min(size) <= 0.0:
+        raise ValueError(f"{name} is {list(size)}; accepted: {accepted}")
+    return size
+
+
+def _goal(name: str, value: object) -> Row | None:
+    accepted = "2 or 3 finite numbers [x, y] or [x, y, z], or nothing"
+    return None if value is None else _numbers(name, value, (2, 3), accepted)
+
+
+def _hills(name: str, value: object) -> tuple[Row, ...]:
+    accepted = "4 finite numbers [x, y, height, radius], radius > 0"
+    rows = _rows(name, value, 4, accepted, lambda row: row[3] > 0.0)
+    total = sum(abs(row[2]) for row in rows)
+    if total > HIGHEST:
+        raise ValueError(
+            f"{name} have heights of {total:.6g} m in all; accepted: at most {HIGHEST:g} m"
+        )
+    return rows
+
+
+def _points(name: str, value: object) -> tuple[Row, ...]:
+    return _rows(name, value, 2, "2 finite numbers [x, y]", lambda row: True)
+
+
+def _path(name: str, value: object) -> tuple[Row, ...]:
+    path = _points(name, value)
+    if not path:
+        raise ValueError(f"{name} is {value!r}; accepted: at least one point [x, y]")
+    return path
+
+
+def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
+    if not isinstance(value, (list, tuple)):
+        raise ValueError(
+            f"{name} is {_files.show(value)}; accepted: a list of mappings with {', '.join(MOVER)}"
+        )
+    return tuple(_mover(f"{name}[{index}]", entry) for index, entry in enumerate(value))
+
+
+def _mover(name: str, value: object) -> MovingObstacle:
+    if isinstance(value, MovingObstacle):
+        return value
+    accepted = f"accepted: a mapping with {', '.join(MOVER)}"
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} is {_files.show(value)}; {accepted}")
+    refuse_unknown(f"{name}: ", value, MOVER)
+    for key in MOVER:
+        if key not in value:
+            raise ValueError(f"{name}.{key} is missing; {accepted}")
+    try:
+        return MovingObstacle(**checked(value, MOVER))
+    except ValueError as error:
+        raise ValueError(f"{name}.{error}") from None
+
+
+CHECKS: Mapping[str, Callable[[str, object], Any]] = {
+    "walls": _walls,
+    "rectangles": _rectangles,
+    "discs": _discs,
+    "zones": _rectangles,
+    "origin": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
+    "size": _size,
+    "resolution": lambda name, value: _number(name, value, above=0.0),
+    "wall_reach": lambda name, value: _number(name, value, above=0.0),
+    "start": lambda name, value: _numbers(name, value, (3,), "3 finite numbers [x, y, yaw]"),
+    "goal": _goal,
+    "hills": _hills,
+    "targets": _points,
+    "movers": _movers,
+    "path": _path,
+    "speed": lambda name, value: _number(name, value, at_least=0.0),
+    "radius": lambda name, value: _number(name, value, above=0.0),
+}
+
+
+def checked(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: CHECKS[name](name, entries[name]) for name in names if name in entries}
+
+
+def refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[str]) -> None:
+    unknown = [key for key in entries if key not in accepted]
+    if unknown:
+        names = ", ".join(_files.show(key) for key in unknown[:5])
+        raise ValueError(f"{where}unknown entry {names}; accepted: {', '.join(accepted)}")
+
+
+def touches_solid(
+    solid: NDArray[np.bool_], ends: NDArray[np.float64], radius: float, resolution: float
+) -> bool:
+    """Say whether a disc that moves from one point to another touches a solid cell.
+
+    Exact: the distance between a segment and a square that do not meet is that of an end from the
+    square or of a corner from the segment, and they meet unless an axis of the square or the
+    segment's normal separates them.
+
+    Args:
+        solid: (H, W); off the map nothing is solid.
+        ends: (2, 2) from and to, (x, y) from the lower corner of the map [m]; they may coincide.
+        radius: of the disc [m].
+        resolution: side of a cell [m].
+    """
+    limits = np.array(solid.shape)
+    (left, bottom), (right, top) = ends.min(axis=0) - radius, ends.max(axis=0) + radius
+    # A cell more on each side: what the disc only touches counts.
+    first = np.clip(np.floor(np.array([bottom, left]) / resolution) - 1, 0, limits).astype(int)
+    last = np.clip(np.floor(np.array([top, right]) / resolution) + 2, 0, limits).astype(int)
+    found = np.argwhere(solid[first[0] : last[0], first[1] : last[1]]) + first
+    centres = (found[:, ::-1] + 0.5) * resolution
+    half, along = resolution / 2, ends[1] - ends[0]
+    middle = ends.mean(axis=0) - centres
+    is_beside = np.abs(middle) > half + np.abs(along) / 2
+    is_across = np.abs(middle @ [-along[1], along[0]]) > half * np.abs(along).sum()
+    if not (is_beside.any(axis=-1) | is_across).all():
+        return True
+    from_end = np.maximum(np.abs(ends[:, None] - centres) - half, 0.0)
+    corners = centres[:, None] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    squared = max(float(along @ along), np.finfo(np.float64).tiny)
+    share = np.clip((corners - ends[0]) @ along / squared, 0.0, 1.0)
+    from_corner = corners - ends[0] - share[..., None] * along
+    gaps = (np.hypot(gap[..., 0], gap[..., 1]) for gap in (from_end, from_corner))
+    return any(bool((gap <= radius + TOLERANCE).any()) for gap in gaps)

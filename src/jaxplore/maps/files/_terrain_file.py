@@ -1,0 +1,123 @@
+"""Terrain maps as files: one `.npz` of plain arrays, not trusted when it is read."""
+
+import io
+import math
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+from jaxplore.maps.resample import CELL_LIMIT
+
+LAYERS = ("probability", "elevation", "slope", "roughness", "traversability")
+"""The arrays (H, W); the others are small."""
+BYTE_LIMIT = 5 * 4 * CELL_LIMIT + 2**20
+"""Largest file read [bytes]: the five layers of the largest map, as they are."""
+
+_SUFFIX = ".npz"
+_TYPES = {
+    **dict.fromkeys(LAYERS, ("<f4", 2)),
+    "origin": ("<f4", 1),
+    "resolution": ("<f8", 0),
+    "threshold": ("<f4", 0),
+    "max_slope": ("<f4", 0),
+    "max_roughness": ("<f4", 0),
+    "is_given": ("|b1", 0),
+}
+_OPTIONAL = frozenset({"max_roughness"})
+_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+_ERRORS = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+
+
+def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
+    """Return the contents of the file at `path` [a name that ends in .npz].
+
+    Raises:
+        ValueError: another ending.
+    """
+    if path.suffix.lower() != _SUFFIX:
+        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in {_SUFFIX}")
+    plain = {name: np.asarray(value, _TYPES[name][0], order="C") for name, value in arrays.items()}
+    stream = io.BytesIO()
+    np.savez_compressed(stream, allow_pickle=False, **plain)
+    return stream.getvalue()
+
+
+def read(path: Path) -> bytes:
+    """Return the contents of a file.
+
+    Raises:
+        ValueError: a file that is missing, cannot be read or is too large.
+    """
+    where, accepted = name_of(path), "the file of a terrain map"
+    try:
+        if not path.is_file():  # to open a pipe would wait for ever
+            raise ValueError(f"{where} is not there or not a file; accepted: {accepted}")
+        with path.open("rb") as file:
+            data = file.read(BYTE_LIMIT + 1)
+    except OSError as error:
+        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+    if len(data) > BYTE_LIMIT:
+        raise ValueError(f"{where} is too large; accepted: at most {BYTE_LIMIT} bytes")
+    return data
+
+
+def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]], T]) -> T:
+    """Return what `build` makes of the arrays in the contents of the file at `path`.
+
+    Types, numbers of axes and sizes are as `pack` writes them, and the layers are of one shape; the
+    values are for `build` to check.
+
+    Raises:
+        ValueError: contents that are malformed or too large, and what `build` refuses.
+    """
+    try:
+        return build(_arrays(data))
+    except _ERRORS as error:
+        raise ValueError(
+            f"{name_of(path)} is not a terrain map ({reason_of(error)}); "
+            "accepted: what TerrainMap.save writes"
+        ) from None
+
+
+def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = archive.infolist()
+        names = [member.filename.removesuffix(".npy") for member in members]
+        missing = sorted(_TYPES.keys() - _OPTIONAL - set(names))
+        if missing:
+            raise ValueError(f"it lacks {', '.join(missing)}")
+        if len(set(names)) < len(names) or not set(names) <= _TYPES.keys():
+            raise ValueError(f"it holds more than {', '.join(_TYPES)}")
+        arrays = {
+            name: _array(archive, member, name) for name, member in zip(names, members, strict=True)
+        }
+    shapes = {arrays[name].shape for name in LAYERS}
+    if len(shapes) > 1:
+        raise ValueError(f"its layers have the shapes {sorted(shapes)}")
+    return arrays
+
+
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
+    if member.compress_type not in _PACKED:
+        raise ValueError(f"{name} is packed in a way that is not known")
+    with archive.open(member) as file:
+        # The header is looked at before room is made for what it promises.
+        if np.lib.format.read_magic(file) != (1, 0):
+            raise ValueError(f"{name} has another version of the format")
+        shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
+        kind, ndim = _TYPES[name]
+        if by_column or dtype != np.dtype(kind) or len(shape) != ndim:
+            raise ValueError(f"{name} has shape {shape} and type {dtype}")
+        count = math.prod(shape)
+        if not 0 < count <= CELL_LIMIT:
+            raise ValueError(f"{name} has shape {shape}, not 1 to {CELL_LIMIT} cells")
+        data = file.read(count * dtype.itemsize + 1)
+    if len(data) != count * dtype.itemsize:
+        raise ValueError(f"{name} has more or fewer values than its shape says")
+    return np.frombuffer(data, dtype).reshape(shape)

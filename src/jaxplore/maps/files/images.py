@@ -1,0 +1,114 @@
+"""Grey images that are not trusted: maps and heights come as pictures."""
+
+import struct
+import warnings
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageFile
+
+from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+
+PIXEL_LIMIT = 64_000_000
+"""Largest image read or written [pixels]."""
+
+_FORMATS = ("PPM", "PNG", "BMP")
+_MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
+_ERRORS = (*MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
+
+
+class Greys(NamedTuple):
+    """Pixels as an image has them, top row first: `level / full` is how bright each is, and
+    `opaque` is None without an alpha channel."""
+
+    level: NDArray[np.integer]
+    full: int
+    opaque: NDArray[np.bool_] | None
+
+    @property
+    def shade(self) -> NDArray[np.float32]:
+        """How bright each pixel is, (H, W) in [0, 1]: 0 is black."""
+        # A table per grey level: exact in float64, and a large image needs no float64 copy.
+        table = (np.arange(self.full + 1) / self.full).astype(np.float32)
+        shade: NDArray[np.float32] = table[self.level]
+        return shade
+
+
+def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
+    """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG or BMP.
+
+    How bright a pixel is, is the mean of red, green and blue over the greatest value there is.
+
+    Args:
+        path: of the file.
+        alpha_is_shade: an alpha channel counts as a fourth colour.
+
+    Raises:
+        ValueError: a file that is missing, malformed, of another format or too large; one line
+            that names it.
+    """
+    where, accepted = f"image {name_of(path)}", "a PGM, PNG or BMP image"
+    too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
+    # Pillow warns of large images, which are refused here, and of oddities it gets over.
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            if not path.is_file():  # to open a pipe would wait for ever
+                raise ValueError("it is not there or not a file")
+            with path.open("rb") as file:
+                image = Image.open(file, formats=_FORMATS)
+                large = image.width * image.height > PIXEL_LIMIT
+                if not large and image.mode in _MODES:
+                    return _levels(image, alpha_is_shade)
+        except Image.DecompressionBombError:
+            raise ValueError(too_large) from None
+        except _ERRORS as error:
+            reason = reason_of(error)
+            raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
+    if large:
+        raise ValueError(too_large)
+    raise ValueError(f"{where} has pixels of type {image.mode}; accepted: {accepted}")
+
+
+def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
+    maxval = _portable_maxval(image)
+    clear = image.info.get("transparency")
+    if image.mode in ("I", "I;16"):
+        grey = np.asarray(image)
+        levels = _unscaled(65535, maxval)[grey]
+        opaque = None if clear is None else grey != clear
+        if not alpha_is_shade or opaque is None:
+            return Greys(levels, maxval or 65535, opaque)
+        return Greys(3 * levels.astype(np.int32) + 65535 * opaque, 4 * 65535, opaque)
+    has_alpha = image.has_transparency_data
+    if image.mode in ("1", "L", "LA"):
+        mode, weight = "LA" if has_alpha else "L", 3
+    else:
+        mode, weight = "RGBA" if has_alpha else "RGB", 1
+    channels = np.asarray(image.convert(mode)).reshape(image.height, image.width, -1)
+    colour = channels[..., :-1] if has_alpha else channels
+    level = weight * _unscaled(255, maxval)[colour].sum(axis=-1, dtype=np.uint16)
+    full = 3 * (maxval or 255)
+    if not has_alpha:
+        return Greys(level, full, None)
+    alpha = channels[..., -1]
+    if alpha_is_shade:
+        level, full = level + alpha, full + 255
+    return Greys(level, full, alpha == 255)
+
+
+def _portable_maxval(image: ImageFile.ImageFile) -> int | None:
+    """Return the maxval of a portable map that Pillow is going to stretch to 8 or 16 bits."""
+    args = image.tile[0].args if image.tile else None
+    if image.format == "PPM" and isinstance(args, tuple) and isinstance(args[1], int):
+        return args[1]
+    return None
+
+
+def _unscaled(full: int, maxval: int | None) -> NDArray[np.uint16]:
+    # Pillow rounds value / maxval to 8 bits, enough to move a cell across a threshold; the
+    # rounding never merges two values, so it can be undone.
+    return np.rint(np.arange(full + 1) * ((maxval or full) / full)).astype(np.uint16)

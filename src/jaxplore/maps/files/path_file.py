@@ -1,0 +1,158 @@
+"""Path files: waypoints in CSV, with the widths of a track or not, and ROS paths in YAML."""
+
+import math
+from os import PathLike
+from pathlib import Path as FilePath
+
+import numpy as np
+
+from jaxplore.geometry.curves import path_through
+from jaxplore.geometry.path import Path
+from jaxplore.maps.files._files import name_of, read_bytes, read_yaml, show
+
+CSV_LIMIT = 10_000_000
+"""Largest CSV file read [bytes]."""
+YAML_LIMIT = 1_000_000
+"""Largest YAML file read [bytes]: some 5000 poses."""
+MOST_WAYPOINTS = 100_000
+COLUMNS = {
+    2: "x, y",
+    3: "x, y and a column that is not read",
+    4: "x, y, room to the right, room to the left",
+}
+
+
+def read_path(
+    path: str | PathLike[str],
+    *,
+    method: str = "cubic",
+    is_closed: bool | None = None,
+) -> Path:
+    """Return the path in a file, smooth through its waypoints.
+
+    - `.csv`, `.txt`: a waypoint a row, separated by commas, semicolons or spaces: x, y [m]. With
+      four columns, x, y, room to the right, room to the left [m], as in the centre lines of F1TENTH
+      and TUM. `#` begins a comment; a first row of names is one too.
+    - `.yaml`, `.yml`: a ROS `nav_msgs/Path` as `ros2 topic echo` prints it: `poses`, each with
+      `pose: position: x, y`, or with `position` itself. Heights and orientations are not read.
+
+    Waypoints that repeat the one before are left out: recorded paths have them where the robot
+    stood.
+
+    Args:
+        path: of the file.
+        method: see `path_through`.
+        is_closed: whether the path is a lap. When absent it is if the last waypoint is the first,
+            or no farther from it than twice the longest step, and the widths of a track are given.
+
+    Raises:
+        ValueError: a file that cannot be read, that holds something else or fewer waypoints than
+            two, and what `path_through` refuses; the file is named.
+    """
+    file = FilePath(path)
+    where = name_of(file)
+    suffix = file.suffix.lower()
+    if suffix in (".csv", ".txt"):
+        rows = _csv_rows(file)
+    elif suffix in (".yaml", ".yml"):
+        rows = _ros_rows(file)
+    else:
+        raise ValueError(f"path is {where}; accepted: a .csv, .txt, .yaml or .yml file")
+    if len(rows) > MOST_WAYPOINTS:
+        raise ValueError(f"{where} has {len(rows)} waypoints; accepted: at most {MOST_WAYPOINTS}")
+    if not np.isfinite(rows).all():
+        index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise ValueError(
+            f"{where}, waypoint {index + 1} is {rows[index].tolist()}; accepted: finite numbers"
+        )
+    repeats = (np.diff(rows[:, :2], axis=0) == 0.0).all(axis=1)
+    rows = rows[np.concatenate([[True], ~repeats])]
+    if len(rows) < 2:
+        raise ValueError(f"{where} has {len(rows)} different waypoints; accepted: two or more")
+    ends_meet = len(rows) > 3 and bool((rows[0, :2] == rows[-1, :2]).all())
+    if is_closed is None:
+        is_closed = ends_meet or (rows.shape[1] == 4 and _nearly_meets(rows[:, :2]))
+    if is_closed and ends_meet:
+        rows = rows[:-1]
+    widths = rows[:, [3, 2]] if rows.shape[1] == 4 else None
+    try:
+        return path_through(rows[:, :2], method=method, is_closed=is_closed, half_widths=widths)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def _nearly_meets(points: np.ndarray) -> bool:
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    return len(points) > 3 and math.dist(points[0], points[-1]) <= 2.0 * float(steps.max())
+
+
+def _csv_rows(file: FilePath) -> np.ndarray:
+    where = name_of(file)
+    data = read_bytes(file, "a path's CSV", CSV_LIMIT)
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ValueError(f"{where} is not text; accepted: numbers in UTF-8") from None
+    rows: list[list[float]] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        content = line.partition("#")[0].strip()
+        if not content:
+            continue
+        content = content.replace(";", ",")
+        cells = content.split(",") if "," in content else content.split()
+        try:
+            row = [float(cell) for cell in cells if cell.strip()]
+        except ValueError:
+            if not rows and not any(_is_number(cell) for cell in cells):
+                continue  # names of the columns
+            raise ValueError(
+                f"{where}, line {number} is {show(content)}; accepted: numbers"
+            ) from None
+        if rows and len(row) != len(rows[0]):
+            raise ValueError(
+                f"{where}, line {number} has {len(row)} columns; accepted: {len(rows[0])}, as in "
+                "the lines before"
+            )
+        if len(row) not in COLUMNS:
+            raise ValueError(
+                f"{where}, line {number} has {len(row)} columns; accepted: "
+                + "; ".join(f"{count}: {names}" for count, names in COLUMNS.items())
+            )
+        rows.append(row)
+    if not rows:
+        raise ValueError(f"{where} has no waypoints; accepted: two or more")
+    return np.array(rows, np.float64)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _ros_rows(file: FilePath) -> np.ndarray:
+    where = name_of(file)
+    poses = read_yaml(file, "path", YAML_LIMIT).get("poses")
+    if not isinstance(poses, list) or not poses:
+        raise ValueError(f"{where} has poses {show(poses)}; accepted: a list, as in nav_msgs/Path")
+    rows = []
+    for index, stamped in enumerate(poses):
+        pose = stamped.get("pose", stamped) if isinstance(stamped, dict) else None
+        position = pose.get("position") if isinstance(pose, dict) else None
+        try:
+            if not isinstance(position, dict):
+                raise TypeError
+            rows.append([_coordinate(position["x"]), _coordinate(position["y"])])
+        except (KeyError, TypeError):
+            raise ValueError(
+                f"{where}, poses[{index}] is {show(stamped)}; accepted: pose: position: x, y"
+            ) from None
+    return np.array(rows, np.float64)
+
+
+def _coordinate(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise TypeError
+    return float(value)

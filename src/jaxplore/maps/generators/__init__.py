@@ -1,0 +1,1 @@
+"""Generated maps: offices, caves, halls, mazes, rooms, warehouses."""

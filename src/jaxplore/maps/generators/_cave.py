@@ -1,0 +1,51 @@
+"""Caves, for `generate_map`."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from jaxplore.maps.generators._clutter import Mask, between, wall_cells, widest_part
+
+_LATTICE = 0.25
+"""Spacing at which the noise is drawn [m]: the same cave at any resolution."""
+_STEPS = 8
+
+
+def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
+    """Cut a cave: where smooth noise is above a level, as wide as the robot needs it."""
+    rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
+    wall = wall_cells(resolution)
+    inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
+    # The rock rises towards the edge of the map, so that it does not cut straight walls.
+    rim = ndimage.distance_transform_edt(inner) * resolution
+    rise -= 2.5 * np.exp(-rim / 0.9)
+    radius = between(0.75, 0.45, difficulty)
+    wanted = between(0.6, 0.45, difficulty) * occupied.size
+    low, high = 0.3, 0.95
+    best, was_enough = np.zeros_like(occupied), False
+    for _ in range(_STEPS):
+        share = (low + high) / 2
+        part = widest_part(inner & (rise > np.quantile(rise, 1.0 - share)), radius, resolution)
+        is_enough = bool(np.count_nonzero(part) >= wanted)
+        if is_enough or not was_enough:
+            best = part
+        was_enough |= is_enough
+        low, high = (low, share) if is_enough else (share, high)
+    occupied[:] = ~best
+
+
+def _noise(
+    rng: np.random.Generator, shape: tuple[int, ...], length: float, resolution: float
+) -> NDArray[np.float64]:
+    """Return smooth noise of unit variance, and some that is finer, on the cells of a map."""
+    lattice = [math.ceil(side * resolution / _LATTICE) for side in shape]
+    noise = np.zeros(lattice)
+    for scale, weight in ((length, 1.0), (0.35 * length, 0.3)):
+        part = ndimage.gaussian_filter(rng.standard_normal(lattice), scale / _LATTICE)
+        noise += weight * part / part.std()
+    zoomed: NDArray[np.float64] = ndimage.zoom(
+        noise, np.divide(shape, lattice).tolist(), order=1, mode="nearest", grid_mode=True
+    )
+    return zoomed

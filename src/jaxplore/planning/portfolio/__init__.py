@@ -1,0 +1,1 @@
+"""Several MPPI controllers side by side, and the fusion of their plans."""

@@ -1,0 +1,1 @@
+"""Complete controllers for common tasks, with tested numbers."""

@@ -1,0 +1,271 @@
+"""Portfolios for ground vehicles: the objectives of the design notes, and three ways to divide."""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import Vector
+from jaxplore.control.knots import Knots
+from jaxplore.control.mppi import MPPI
+from jaxplore.control.parameterisations import Parameterisation
+from jaxplore.control.proposals import GaussianProposal
+from jaxplore.control.smooth import Smooth
+from jaxplore.control.weighting import Softmax
+from jaxplore.costs.base import Cost
+from jaxplore.costs.collision import CollisionCost
+from jaxplore.costs.effort import ControlCost
+from jaxplore.costs.exploration import GuidanceCost, InformationCost
+from jaxplore.costs.heading_for import RegionCost, ToGoalCost
+from jaxplore.costs.moving import TrackedObstacleCost
+from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.costs.terrain import TerrainCost, TraversabilityCost
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.planning.portfolio.contextual import Contextual
+from jaxplore.planning.portfolio.fusion import Fusion
+from jaxplore.planning.portfolio.portfolio import Portfolio
+
+Weights = Mapping[str, Mapping[str, float]]
+
+ROLE_WEIGHTS: Weights = {
+    "explorer": {"information": 0.7, "goal": 0.1, "safety": 0.2},
+    "balanced": {"information": 0.4, "goal": 0.4, "safety": 0.2},
+    "exploiter": {"information": 0.1, "goal": 0.7, "safety": 0.2},
+    "cautious": {"information": 0.2, "goal": 0.2, "safety": 0.4, "terrain": 0.2},
+}
+"""Of the four roles, from the design notes for ground vehicles."""
+HORIZONS = {"short": 0.5, "middle": 1.0, "long": 2.0}
+"""Of a temporal decomposition, as multiples of the horizon."""
+REGIONS = {"left": 0.5 * math.pi, "forward": 0.0, "right": -0.5 * math.pi}
+"""Of a regional decomposition: directions from the heading [rad]."""
+REGION_WEIGHT = 0.3
+"""Of a member's own region, beside the balanced weights."""
+FLOORS = {
+    "information": 0.02,
+    "goal": 0.02,
+    "safety": 0.05,
+    "terrain": 0.05,
+    "movers": 0.05,
+    "effort": 0.05,
+    "region": 0.02,
+}
+"""Least spread of each objective, for each step of the horizon [its own unit]."""
+COLLISION = 100.0
+"""Cost of a rollout that is 5 cm too deep in something all along, in spreads of an objective."""
+
+
+class Mission(NamedTuple):
+    """What a vehicle is out for, which decides what its members weigh.
+
+    Args:
+        goal: (x, y) to reach [m]; none for one that only explores.
+        has_terrain: whether the ground is more than level.
+        has_movers: whether anything moves.
+    """
+
+    goal: Vector | None = None
+    has_terrain: bool = False
+    has_movers: bool = False
+
+
+def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
+    """Return the objectives of a mission by name.
+
+    | name | is | where |
+    | --- | --- | --- |
+    | information | 2 `InformationCost`, fading, + `GuidanceCost` | always |
+    | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
+    | safety | `ObstacleCost` without its hard part | always |
+    | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
+    | movers | `TrackedObstacleCost` without its hard part | if something moves |
+    | effort | `ControlCost` | always |
+
+    Without a goal, what there is to exploit is what is known of where information remains.
+
+    Args:
+        mission: what the vehicle is out for.
+        clearance: distance kept from obstacles [m].
+    """
+    chosen: dict[str, Cost] = {
+        "information": 2.0 * InformationCost(is_fading=True) + GuidanceCost(),
+        "goal": GuidanceCost() if mission.goal is None else ToGoalCost(),
+        "safety": ObstacleCost(clearance, collision=0.0),
+    }
+    if mission.has_terrain:
+        chosen["terrain"] = TerrainCost() + TraversabilityCost()
+    if mission.has_movers:
+        chosen["movers"] = TrackedObstacleCost(collision=0.0)
+    chosen["effort"] = ControlCost()
+    return chosen
+
+
+def ground_portfolio(
+    robot: Dynamics,
+    mission: Mission | None = None,
+    *,
+    members: tuple[str, ...] | Weights | None = None,
+    decomposition: str = "roles",
+    fusion: Fusion | str | None = None,
+    common: Mapping[str, float] | None = None,
+    effort: float = 0.02,
+    horizon: int = 30,
+    num_samples: int = 1000,
+    temperature: ArrayLike = 0.05,
+    noise_share: ArrayLike = 0.5,
+    dt: ArrayLike = 0.05,
+    parameterisation: Parameterisation | None = None,
+    clearance: ArrayLike = 0.4,
+    margin: ArrayLike = 0.02,
+) -> Portfolio:
+    """Return a portfolio for a ground vehicle.
+
+    Its members' weights are divided by what each objective varies, see `Portfolio`; the temperature
+    is in the same units. No member trades a collision for anything (`CollisionCost`).
+
+    | decomposition | members | what differs |
+    | --- | --- | --- |
+    | "roles" | explorer, balanced, exploiter, cautious | weights (`ROLE_WEIGHTS`) |
+    | "temporal" | short, middle, long | horizons (`HORIZONS`), weights of balanced |
+    | "regional" | left, forward, right | regions (`REGIONS`), weights of balanced |
+
+    Args:
+        robot: its model.
+        mission: what it is out for; exploring level ground among what stands still when absent.
+        members: some of the decomposition's by name, or weights of one's own by member and
+            objective; all of the decomposition when absent.
+        decomposition: how members divide the work.
+        fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
+            by name has the mission's goal.
+        common: weights of the common objective, by which plans compare; those of the exploiter when
+            absent. What there is to exploit is a cost to go, to the goal or to what is worth a
+            look, and so knows what lies beyond the horizon, as the information of a plan does not.
+            Of members that have none of these objectives, the mean of theirs.
+        effort: weight of "effort" in every member that does not give one.
+        horizon: model steps ahead, T.
+        num_samples: rollouts of each member, K.
+        temperature: of the softmax.
+        noise_share: standard deviation of the controls, as a share of half their range.
+        dt: model step [s].
+        parameterisation: of the controls; the controls themselves when absent.
+        clearance: distance kept from obstacles [m].
+        margin: room beyond the robot that is part of it [m].
+
+    Raises:
+        ValueError: an unknown decomposition, member or objective, and what the parts refuse.
+    """
+    mission = Mission() if mission is None else mission
+    terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
+    weights, horizons = _weights(decomposition, members, mission, effort), None
+    length = _checks.scalar("dt", dt, above=0.0) * _checks.positive_int("horizon", horizon)
+    if decomposition == "temporal":
+        horizons = jnp.stack([HORIZONS[name] * length for name in weights])
+    elif decomposition == "regional":
+        terms["region"] = [RegionCost(REGIONS[name]) for name in weights]
+        weights = {name: {**row, "region": REGION_WEIGHT} for name, row in weights.items()}
+    if common is None:
+        weighed = {name for row in weights.values() for name, weight in row.items() if weight > 0.0}
+        wanted = {"effort": effort, **_fitted(ROLE_WEIGHTS["exploiter"], mission)}
+        wanted = {name: weight for name, weight in wanted.items() if name in weighed}
+        common = wanted if wanted.keys() - {"effort"} else None
+    if fusion == "contextual":
+        fusion = Contextual(tuple(weights), goal=mission.goal)
+    return Portfolio(
+        _template(
+            robot,
+            (COLLISION / horizon) * CollisionCost(margin),
+            horizon=horizon,
+            num_samples=num_samples,
+            temperature=temperature,
+            noise_share=noise_share,
+            dt=dt,
+            parameterisation=parameterisation,
+        ),
+        terms,
+        weights,
+        common=common,
+        fusion=fusion,
+        horizons=horizons,
+        floors={name: FLOORS[name] * horizon for name in terms},
+    )
+
+
+def _template(
+    robot: Dynamics,
+    cost: Cost,
+    *,
+    horizon: int,
+    num_samples: int,
+    temperature: ArrayLike,
+    noise_share: ArrayLike,
+    dt: ArrayLike,
+    parameterisation: Parameterisation | None,
+) -> MPPI:
+    share = _checks.scalar("noise_share", noise_share, above=0.0)
+    std = share * 0.5 * (robot.control_max - robot.control_min)
+    # As much in sum over the horizon as noise on every control: see `Flight.noise_std`.
+    if isinstance(parameterisation, Smooth):
+        std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))
+    elif isinstance(parameterisation, Knots):
+        std = std * math.sqrt(parameterisation.num_knots / horizon)
+    return MPPI(
+        robot,
+        cost,
+        horizon=horizon,
+        num_samples=num_samples,
+        dt=dt,
+        proposal=GaussianProposal(std),
+        parameterisation=parameterisation,
+        # Likelihood ratios of tens of steps would leave one sample in a thousand.
+        weighting=Softmax(temperature, importance=0.0),
+    )
+
+
+def _weights(
+    decomposition: str,
+    members: tuple[str, ...] | Weights | None,
+    mission: Mission,
+    effort: float,
+) -> dict[str, dict[str, float]]:
+    """Return the weights by member and objective."""
+    balanced = ROLE_WEIGHTS["balanced"]
+    known: dict[str, Weights] = {
+        "roles": ROLE_WEIGHTS,
+        "temporal": dict.fromkeys(HORIZONS, balanced),
+        "regional": dict.fromkeys(REGIONS, balanced),
+    }
+    if decomposition not in known:
+        raise ValueError(f"decomposition is {decomposition!r}; accepted: {', '.join(known)}")
+    if isinstance(members, Mapping):
+        if decomposition != "roles":
+            raise ValueError(
+                f"members is {dict(members)!r} beside the decomposition {decomposition!r}; "
+                "accepted: weights of one's own with 'roles'"
+            )
+        for name, row in members.items():
+            if not any(row.values()):
+                raise ValueError(
+                    f"weights is {dict(row)!r} of member {name!r}; accepted: a weight that is not 0"
+                )
+        return {name: {"effort": effort, **row} for name, row in members.items()}
+    rows = known[decomposition]
+    chosen = tuple(rows) if members is None else tuple(members)
+    if not chosen:
+        raise ValueError(f"members is {members!r}; accepted: at least one of {', '.join(rows)}")
+    for name in chosen:
+        if name not in rows:
+            raise ValueError(f"member is {name!r}; accepted: {', '.join(rows)}")
+    return {name: {"effort": effort, **_fitted(rows[name], mission)} for name in chosen}
+
+
+def _fitted(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
+    """Return a role's weights for a mission: who keeps from walls keeps from what moves as well."""
+    fitted = dict(row)
+    if not mission.has_terrain:
+        # To go carefully on level ground is to keep clear.
+        fitted["safety"] = fitted["safety"] + fitted.pop("terrain", 0.0)
+    if mission.has_movers:
+        fitted["movers"] = row["safety"]
+    return fitted

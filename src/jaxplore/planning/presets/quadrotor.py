@@ -1,0 +1,307 @@
+"""Both architectures of informative MPPI for a quadrotor, with the design notes' numbers."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import Vector
+from jaxplore.control.knots import Knots
+from jaxplore.control.mixtures import BiasedProposal
+from jaxplore.control.mppi import MPPI
+from jaxplore.control.parameterisations import Parameterisation
+from jaxplore.control.proposals import GaussianProposal, Proposal
+from jaxplore.control.smooth import Smooth
+from jaxplore.control.weighting import Softmax
+from jaxplore.costs.base import Cost
+from jaxplore.costs.bounds import SpeedLimitCost
+from jaxplore.costs.effort import QuadraticControlCost
+from jaxplore.costs.exploration import (
+    GuidanceCost,
+    HomingCost,
+    LocalInformationCost,
+    PotentialCost,
+    StrategyReferenceCost,
+)
+from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.costs.tracking import GoalCost, StateCost
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.information.field_sensor import FieldSensor
+from jaxplore.information.gain import CellSensor
+from jaxplore.information.local_field import LocalFieldSensor
+from jaxplore.information.noise import GaussianNoise, UniformNoise
+from jaxplore.information.pose import PoseInformation
+from jaxplore.planning.strategy.followers import follower_for
+from jaxplore.planning.strategy.gradient_reference import GradientReference
+from jaxplore.planning.strategy.informative import InformativeMPPI, ShortRangeField
+from jaxplore.planning.strategy.random_walk import RandomWalk
+from jaxplore.planning.strategy.references import ClimbingReference, StrategicReference
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.lidar import Lidar
+
+ARCHITECTURES = ("two-layer", "parallel")
+BASELINE_WEIGHT = 10.0
+"""Of the distance from the target, where nothing else attracts [1/m]: as of guidance."""
+
+
+class Flight(NamedTuple):
+    """What all controllers of a comparison share: how they sample, and how they keep safe.
+
+    The cost of a rollout is the mean over its steps: so the temperature is in units of the cost of
+    a step, whatever the horizon.
+
+    Args:
+        horizon: model steps ahead, T.
+        num_samples: rollouts, K.
+        temperature: of the softmax.
+        noise_std: (nu,) of the controls; when absent 5 % of the range of the first and 3 % of the
+            range of the others (2 N and 0.6 rad/s for the default quadrotor). With P `Knots`, each
+            of which lasts for T / P steps, `std sqrt(P / T)`, which spreads the sum of the controls
+            as much. With `Smooth`, whose rates add up from command to command,
+            `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
+        dt: model step [s].
+        control_period: between commands [s].
+        parameterisation: of the controls; the controls themselves when absent.
+        altitude: z to keep, for robots that have one [m].
+        max_speed: that costs nothing [m/s].
+        clearance: kept from obstacles [m].
+        obstacle_weight: of `ObstacleCost`.
+        height_weight: of the squared error of z.
+        speed_weight: of `SpeedLimitCost`.
+        control_weight: of the squared controls, from those of a robot left alone.
+    """
+
+    horizon: int = 40
+    num_samples: int = 1000
+    temperature: ArrayLike = 0.1
+    noise_std: Vector | None = None
+    dt: ArrayLike = 0.05
+    control_period: ArrayLike = 0.02
+    parameterisation: Parameterisation | None = None
+    altitude: ArrayLike = -2.0
+    max_speed: ArrayLike = 2.0
+    clearance: ArrayLike = 0.6
+    obstacle_weight: ArrayLike = 20.0
+    height_weight: ArrayLike = 10.0
+    speed_weight: ArrayLike = 10.0
+    control_weight: ArrayLike = 0.01
+
+    def cost(self, robot: Dynamics) -> Cost:
+        """Return what keeps a robot safe."""
+        total: Cost = (
+            self.obstacle_weight * ObstacleCost(self.clearance)
+            + self.speed_weight * SpeedLimitCost(self.max_speed)
+            + self.control_weight * QuadraticControlCost(jnp.ones(robot.control_size))
+        )
+        if "z" in robot.state_names:
+            total = total + self.height_weight * StateCost({"z": 1.0}, {"z": self.altitude})
+        return total
+
+    def noise(self, robot: Dynamics) -> GaussianProposal:
+        """Return the proposal around the last solution.
+
+        Raises:
+            ValueError: a horizon, a model step or a standard deviation that is not positive.
+        """
+        horizon = _checks.positive_int("horizon", self.horizon)
+        dt = _checks.scalar("dt", self.dt, above=0.0)
+        if self.noise_std is None:
+            share = jnp.full(robot.control_size, 0.03).at[0].set(0.05)
+            std = share * (robot.control_max - robot.control_min)
+        else:
+            given = GaussianProposal(self.noise_std).noise_std  # which checks it
+            assert given is not None
+            std = given
+        if isinstance(self.parameterisation, Smooth):
+            std = std / (dt * math.sqrt(0.5 * horizon))
+        elif isinstance(self.parameterisation, Knots):
+            std = std * math.sqrt(self.parameterisation.num_knots / horizon)
+        return GaussianProposal(std)
+
+    def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal) -> MPPI:
+        """Return MPPI with these numbers."""
+        return MPPI(
+            robot,
+            (1.0 / self.horizon) * cost,
+            horizon=self.horizon,
+            num_samples=self.num_samples,
+            dt=self.dt,
+            control_period=self.control_period,
+            proposal=proposal,
+            parameterisation=self.parameterisation,
+            weighting=Softmax(self.temperature),
+        )
+
+
+class FieldNumbers(NamedTuple):
+    """The information fields of informative MPPI.
+
+    Args:
+        field_of_view: of both sensors [rad].
+        field_beams: beams of the far look that the field around the robot evaluates.
+        field_range: their reach [m].
+        field_noise: standard deviation of their range [m]; banded at 3 of them.
+        field_spacing: between nodes [m].
+        field_extent: half the side of the field [m].
+        field_headings: headings evaluated.
+        field_period: between strategies [s].
+        local_beams: beams of the short look (Uniform-FSMI).
+        local_range: their reach [m].
+        local_extent: half the side of the window in which they are known [m]: as far as a rollout
+            gets. Beyond it they are worth nothing.
+    """
+
+    field_of_view: float = math.pi / 2.0
+    field_beams: int = 12
+    field_range: float = 10.0
+    field_noise: float = 0.1
+    field_spacing: float = 0.5
+    field_extent: float = 5.0
+    field_headings: int = 8
+    field_period: ArrayLike = 0.2
+    local_beams: int = 6
+    local_range: float = 2.5
+    local_extent: float = 4.0
+
+    def sensor(self, model: CellSensor, resolution: float) -> LocalFieldSensor:
+        """Return the sensor of the field around the robot."""
+        far = Lidar(self.field_beams, self.field_range, self.field_of_view)
+        noise = GaussianNoise(self.field_noise, truncation=3.0) if self.field_noise > 0.0 else None
+        return LocalFieldSensor(
+            PoseInformation(far, model, noise=noise),
+            resolution,
+            extent=self.field_extent,
+            spacing=self.field_spacing,
+            num_headings=self.field_headings,
+        )
+
+    def lookout(self, resolution: float) -> ShortRangeField:
+        """Return the field of short looks."""
+        near = Lidar(self.local_beams, self.local_range, self.field_of_view)
+        # As many directions as there are beams in a full turn.
+        turn = max(1, round(2.0 * math.pi / near.beam_spacing))
+        stride = max(1, round(0.2 / resolution))
+        nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
+        sensor = FieldSensor(near, resolution, turn, stride, noise=UniformNoise(0), method="scan")
+        return ShortRangeField(sensor, nodes, 16)
+
+
+def informative_mppi(
+    robot: Dynamics,
+    architecture: str = "two-layer",
+    *,
+    resolution: float,
+    sensor_model: CellSensor | None = None,
+    goal: Vector | None = None,
+    flight: Flight | None = None,
+    fields: FieldNumbers | None = None,
+    bias_fraction: ArrayLike = 0.5,
+    likelihood_ratio: bool = False,
+    reference: StrategicReference | None = None,
+    reference_speed: ArrayLike = 2.0,
+    reference_steps: int = 40,
+    by_heading: bool = False,
+    goal_when_explored: bool = True,
+    reference_weight: ArrayLike = 1.0,
+    local_weight: ArrayLike = 10.0,
+    field_weight: ArrayLike = 20.0,
+    guidance_weight: ArrayLike = 10.0,
+    goal_weight: ArrayLike = 0.2,
+) -> InformativeMPPI:
+    """Return informative MPPI with the costs and numbers of the quadrotor design notes.
+
+    Two-layer: MPPI tracks a reference that climbs the information field, half of its samples around
+    the controls that follow it. Parallel: MPPI reads the field, without reference and bias. Both
+    also pay for guidance, the way through the whole map to what remains, which the notes do not
+    have.
+
+    Args:
+        robot: its model.
+        architecture: "two-layer" or "parallel".
+        resolution: side of a map cell [m].
+        sensor_model: what a measurement does to the robot's map; `line_of_sight` when absent.
+        goal: (x, y) or (x, y, z) to go to in the end [m]; none when absent.
+        flight: numbers of MPPI and of keeping safe.
+        fields: numbers of the information fields.
+        bias_fraction: share of the samples around the reference's controls.
+        likelihood_ratio: whether these are weighed by their likelihood ratio. Without, the plan
+            leans on the reference, as Biased-MPPI does.
+        reference: where the two-layer architecture sends the robot; up the field when absent.
+        reference_speed: along it [m/s].
+        reference_steps: of `flight.dt`.
+        by_heading: read the field at the robot's heading instead of its best one.
+        goal_when_explored: whether the goal attracts only when nothing worthwhile is left to see.
+        reference_weight: of the squared distance from the reference [1/m^2].
+        local_weight: of the information of a short look [1/nat].
+        field_weight: of the information field [1/nat].
+        guidance_weight: of the guidance [1/m].
+        goal_weight: of the distance from the goal [1/m].
+
+    Raises:
+        ValueError: an unknown architecture, a value that a part does not accept.
+    """
+    if architecture not in ARCHITECTURES:
+        raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
+    flight = Flight() if flight is None else flight
+    fields = FieldNumbers() if fields is None else fields
+    model = InverseSensorModel.line_of_sight() if sensor_model is None else sensor_model
+    cost = (
+        flight.cost(robot)
+        + field_weight * PotentialCost(by_heading)
+        + local_weight * LocalInformationCost()
+        + guidance_weight * GuidanceCost()
+    )
+    if goal is not None:
+        cost = cost + goal_weight * (HomingCost(goal) if goal_when_explored else GoalCost(goal))
+    proposal: Proposal = flight.noise(robot)
+    follower = None
+    if architecture == "parallel":
+        reference = None
+    else:
+        cost = cost + reference_weight * StrategyReferenceCost()
+        follower = follower_for(robot)
+        default = jnp.broadcast_to(robot.default_control, (flight.horizon, robot.control_size))
+        proposal = BiasedProposal(
+            flight.noise(robot), default, bias_fraction, likelihood_ratio=likelihood_ratio
+        )
+        if reference is None:
+            walk = GradientReference(reference_speed, reference_steps, flight.dt)
+            reference = ClimbingReference(walk)
+    return InformativeMPPI(
+        flight.mppi(robot, cost, proposal),
+        fields.sensor(model, resolution),
+        fields.lookout(resolution),
+        model,
+        reference=reference,
+        follower=follower,
+        strategy_period=fields.field_period,
+        altitude=flight.altitude,
+    )
+
+
+def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MPPI:
+    """Return MPPI that goes to a goal and knows of no information: a baseline.
+
+    Args:
+        robot: its model.
+        goal: (x, y) or (x, y, z) [m].
+        flight: numbers of MPPI and of keeping safe.
+    """
+    flight = Flight() if flight is None else flight
+    cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
+    return flight.mppi(robot, cost, flight.noise(robot))
+
+
+def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
+    """Return a robot that wanders as fast and as safely as an explorer: a baseline.
+
+    Args:
+        robot: its model.
+        flight: numbers of MPPI and of keeping safe.
+    """
+    flight = Flight() if flight is None else flight
+    mppi = flight.mppi(robot, flight.cost(robot), flight.noise(robot))
+    # Of the mean over steps, like all other terms.
+    return RandomWalk(mppi, BASELINE_WEIGHT / flight.horizon)

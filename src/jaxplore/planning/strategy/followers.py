@@ -1,0 +1,156 @@
+"""The laws by which ground robots follow positions, and which law is for which model."""
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore.dynamics._vectors import angle, length
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.differential_drive import DifferentialDrive
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.dynamics.unicycle import Unicycle
+from jaxplore.geometry.angles import sin_cos
+from jaxplore.planning.strategy.follower import SLOW, Follower, expected, nearing
+from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
+
+
+class UnicycleFollower(Follower):
+    """Tracking law for `Unicycle`, in the robot's frame:
+
+        (u_x, u_y) = R(-yaw) (velocity + k (target - p))
+        v = max(u_x, 0),   omega = k_yaw atan2(u_y, u_x) |u|^2 / (|u|^2 + 0.1^2)
+
+    The speed is that of Kanayama et al.; their turn rate needs a target that moves, this one turns
+    to where the robot should go, so that it also reaches a point. It fades with |u|: at rest on the
+    target no direction is preferred. A target behind is turned to on the spot.
+
+    Source: Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous
+    mobile robot", ICRA 1990, whose v is u_x.
+
+    Args:
+        position_gain: k [1/s].
+        heading_gain: k_yaw [1/s]; below `1 / dt`.
+
+    Raises:
+        ValueError: a gain that is not positive.
+    """
+
+    position_gain: Scalar
+    heading_gain: Scalar
+
+    def __init__(self, position_gain: ArrayLike = 1.5, heading_gain: ArrayLike = 4.0) -> None:
+        self.position_gain = _checks.scalar("position_gain", position_gain, above=0.0)
+        self.heading_gain = _checks.scalar("heading_gain", heading_gain, above=0.0)
+
+    def control(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        target: Float[Array, " D"],
+        velocity: Float[Array, " D"],
+    ) -> ControlVector:
+        """Return speed and turn rate (2,)."""
+        expected(dynamics, Unicycle)
+        x, y, yaw = state
+        wanted = [
+            velocity[i] + self.position_gain * (target[i] - place) for i, place in enumerate((x, y))
+        ]
+        speed, turn, confidence = _steering(yaw, *wanted)
+        return jnp.stack([speed, self.heading_gain * confidence * turn])
+
+
+class DifferentialDriveFollower(Follower):
+    """Tracking law for `DifferentialDrive`: that of `UnicycleFollower`, and a loop for each speed:
+
+        a = k_v (v_wanted - v) + drag v,   alpha = k_omega (omega_wanted - omega) + drag omega
+
+    with v_wanted and omega_wanted as there, but for k and k_yaw that fall with the distance and the
+    angle to go, so that braking takes about half of the greatest acceleration.
+
+    Source: Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous
+    mobile robot", ICRA 1990.
+
+    Args:
+        position_gain: k [1/s]; half of `speed_gain` or less, a quarter for no overshoot.
+        heading_gain: k_yaw [1/s]; half of `turn_rate_gain` or less.
+        speed_gain: k_v [1/s]; below `1 / dt`.
+        turn_rate_gain: k_omega [1/s]; below `1 / dt`.
+
+    Raises:
+        ValueError: a gain that is not positive.
+    """
+
+    position_gain: Scalar
+    heading_gain: Scalar
+    speed_gain: Scalar
+    turn_rate_gain: Scalar
+
+    def __init__(
+        self,
+        position_gain: ArrayLike = 1.2,
+        heading_gain: ArrayLike = 3.0,
+        speed_gain: ArrayLike = 5.0,
+        turn_rate_gain: ArrayLike = 8.0,
+    ) -> None:
+        self.position_gain = _checks.scalar("position_gain", position_gain, above=0.0)
+        self.heading_gain = _checks.scalar("heading_gain", heading_gain, above=0.0)
+        self.speed_gain = _checks.scalar("speed_gain", speed_gain, above=0.0)
+        self.turn_rate_gain = _checks.scalar("turn_rate_gain", turn_rate_gain, above=0.0)
+
+    def control(
+        self,
+        dynamics: Dynamics,
+        state: StateVector,
+        target: Float[Array, " D"],
+        velocity: Float[Array, " D"],
+    ) -> ControlVector:
+        """Return both accelerations (2,)."""
+        model = expected(dynamics, DifferentialDrive)
+        x, y, yaw, v, omega = state
+        braking, turn_braking = 0.5 * model.control_max
+        away = (target[0] - x, target[1] - y)
+        gain = nearing(self.position_gain, length(*away), braking)
+        speed, turn, confidence = _steering(
+            yaw, velocity[0] + gain * away[0], velocity[1] + gain * away[1]
+        )
+        turn_rate = confidence * nearing(self.heading_gain, jnp.abs(turn), turn_braking) * turn
+        return jnp.stack(
+            [
+                self.speed_gain * (speed - v) + model.drag * v,
+                self.turn_rate_gain * (turn_rate - omega) + model.drag * omega,
+            ]
+        )
+
+
+def follower_for(dynamics: Dynamics) -> Follower:
+    """Return the follower of a model, with its default gains.
+
+    Raises:
+        ValueError: a model that has none.
+    """
+    followers: dict[type[Dynamics], type[Follower]] = {
+        Quadrotor: QuadrotorFollower,
+        DifferentialDrive: DifferentialDriveFollower,
+        Unicycle: UnicycleFollower,
+    }
+    for model, follower in followers.items():
+        if isinstance(dynamics, model):
+            return follower()
+    raise ValueError(
+        f"dynamics is a {type(dynamics).__name__}; accepted: "
+        + ", ".join(model.__name__ for model in followers)
+    )
+
+
+def _steering(yaw: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Return how a robot that drives forwards takes up a velocity (x, y) of the world.
+
+    Its speed [m/s], the angle to turn by [rad], and how much the angle counts, between 0 and 1.
+    """
+    sin, cos = sin_cos(yaw)
+    ahead, aside = cos * x + sin * y, cos * y - sin * x
+    squared = x * x + y * y
+    confidence = squared / (squared + SLOW * SLOW)
+    return jnp.maximum(ahead, 0.0), angle(ahead, aside), confidence

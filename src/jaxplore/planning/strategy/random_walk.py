@@ -1,0 +1,116 @@
+"""A robot that wanders: what any explorer must beat."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
+from jaxplore.belief.belief import Belief
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.draft import MPPIState
+from jaxplore.control.mppi import MPPI
+from jaxplore.costs.base import SumCost
+from jaxplore.costs.tracking import GoalCost
+
+
+class RandomWalkState(NamedTuple):
+    """The state of MPPI, the `target` (x, y) [m] and the commands given since the first one."""
+
+    mppi: MPPIState
+    target: Position
+    step: Count
+
+
+class RandomWalk(Controller):
+    """MPPI towards a target that is drawn anew every so often, in any direction.
+
+    With the costs of an explorer that are not about information it keeps as clear and as slow.
+
+    Args:
+        mppi: with the costs besides the distance from the target.
+        weight: of the distance from the target [1/m].
+        distance: of targets from the robot [m].
+        period: time between targets [s].
+
+    Raises:
+        ValueError: a value that is not positive.
+    """
+
+    mppi: MPPI
+    distance: Scalar
+    period: Scalar
+
+    def __init__(
+        self,
+        mppi: MPPI,
+        weight: ArrayLike = 1.0,
+        distance: ArrayLike = 3.0,
+        period: ArrayLike = 2.0,
+    ) -> None:
+        pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
+        self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))
+        self.distance = _checks.scalar("distance", distance, above=0.0)
+        self.period = _checks.scalar("period", period, above=0.0)
+
+    def init(self) -> RandomWalkState:
+        """Return the state before the first step."""
+        return RandomWalkState(self.mppi.init(), jnp.zeros(2), jnp.zeros((), jnp.int32))
+
+    def at_period(self, control_period: ArrayLike) -> "RandomWalk":
+        """Return this controller for commands that are `control_period` seconds apart."""
+        mppi = self.mppi.at_period(control_period)
+        same: RandomWalk = eqx.tree_at(lambda walk: walk.mppi, self, mppi)
+        return same
+
+    def step(
+        self,
+        state: RandomWalkState,
+        observation: StateVector,
+        belief: Belief | None = None,
+        *,
+        key: Key,
+    ) -> tuple[ControlVector, RandomWalkState, Info]:
+        """Plan once, towards a new target if one is due."""
+        mppi, target, inner_key = self._prepare(state, observation, key)
+        control, inner, info = mppi.step(state.mppi, observation, belief, key=inner_key)
+        # The count begins with the first target: who is lost at first draws one when found.
+        has_target = (state.step > 0) | jnp.isfinite(self.mppi.dynamics.position(observation)).all()
+        step = jnp.where(has_target, state.step + 1, 0)
+        return control, RandomWalkState(inner, target, step), info
+
+    def inspect(
+        self,
+        state: RandomWalkState,
+        observation: StateVector,
+        belief: Belief | None = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return what `step` sees with the same arguments."""
+        mppi, _, inner_key = self._prepare(state, observation, key)
+        return mppi.inspect(
+            state.mppi, observation, belief, key=inner_key, num_trajectories=num_trajectories
+        )
+
+    def _prepare(
+        self, state: RandomWalkState, observation: StateVector, key: Key
+    ) -> tuple[MPPI, Position, Key]:
+        target_key, inner_key = jax.random.split(key)
+        every = jnp.maximum(jnp.round(self.period / self.mppi.control_period), 1.0)
+        angle = jax.random.uniform(target_key, maxval=2.0 * jnp.pi)
+        offset = self.distance * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        drawn = self.mppi.dynamics.position(observation) + offset
+        is_due = (state.step % every.astype(jnp.int32) == 0) & jnp.isfinite(drawn).all()
+        target = jnp.where(is_due, drawn, state.target)
+        mppi: MPPI = eqx.tree_at(_goal, self.mppi, target)
+        return mppi, target, inner_key
+
+
+def _goal(mppi: MPPI) -> Any:
+    cost: Any = mppi.cost
+    return cost.costs[0].cost.goal

@@ -1,0 +1,109 @@
+"""What animations of any kind draw on the ground."""
+
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from PIL import ImageDraw
+
+from jaxplore.report.drawing.palette import FAINT, PAPER, ROBOT, STRONG, Colour
+from jaxplore.report.drawing.window import outline_at
+from jaxplore.report.exploration.canvas import SUPERSAMPLING, pairs
+
+STRONG_SHARE = 0.02
+"""Rollouts of at least this share of the heaviest one's weight are drawn boldly."""
+LEAST_RADIUS = 6.5
+"""Smallest robot that is drawn [pixels]."""
+
+
+@runtime_checkable
+class Surface(Protocol):
+    """Where things on the ground are in a supersampled picture."""
+
+    @property
+    def scale(self) -> float:
+        """Pixels that are shown per metre."""
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
+
+
+def draw_line(
+    surface: Surface,
+    draw: ImageDraw.ImageDraw,
+    points: np.ndarray,
+    colour: Colour,
+    thickness: float,
+) -> None:
+    """Draw a line through world points (N, 2) [m], less those that are not finite.
+
+    Args:
+        surface: where they are.
+        draw: draws there.
+        points: (N, 2) [m].
+        colour: of the line.
+        thickness: [pixels that are shown].
+    """
+    whole = points[np.isfinite(points).all(axis=-1)]
+    if len(whole) > 1:
+        draw.line(pairs(surface.pixels(whole)), colour, round(thickness * SUPERSAMPLING), "curve")
+
+
+def draw_rollouts(
+    surface: Surface, draw: ImageDraw.ImageDraw, samples: np.ndarray, weights: np.ndarray
+) -> None:
+    """Draw rollouts, the heavy ones boldly and last.
+
+    Args:
+        surface: where they are.
+        draw: draws there.
+        samples: (S, T, 2) positions [m].
+        weights: (S,); one that is not a number is 0.
+    """
+    known = np.nan_to_num(weights)
+    bold = STRONG_SHARE * known.max(initial=0.0)
+    for index in np.argsort(known):
+        is_strong = known[index] > 0.0 and known[index] >= bold
+        colour, thickness = (STRONG, 1.5) if is_strong else (FAINT, 1.0)
+        draw_line(surface, draw, samples[index], colour, thickness)
+
+
+def draw_body(
+    surface: Surface,
+    draw: ImageDraw.ImageDraw,
+    footprint: np.ndarray,
+    radius: float,
+    position: np.ndarray,
+    heading: float,
+) -> None:
+    """Draw a robot, a rectangle or a disc, with an arrow ahead.
+
+    One that is small in the picture is drawn larger, in its own shape.
+
+    Args:
+        surface: where it is.
+        draw: draws there.
+        footprint: (4, 2) corners of a rectangle in its own frame [m]; (0, 2) of a disc.
+        radius: of the disc [m].
+        position: (2,) [m].
+        heading: [rad]; without one that is finite it is a disc without an arrow.
+    """
+    middle, edge = surface.pixels(position), round(1.2 * SUPERSAMPLING)
+    reach = max(radius * surface.scale, LEAST_RADIUS) * SUPERSAMPLING
+    is_turned = bool(np.isfinite(heading))
+    if len(footprint) and is_turned:
+        width = float(np.ptp(footprint[:, 1]))
+        larger = max(1.0, LEAST_RADIUS / (0.5 * width * surface.scale))
+        corners = surface.pixels(outline_at(larger * footprint, position, heading))
+        draw.polygon(pairs(corners), ROBOT, PAPER, edge)
+        middle, reach = corners.mean(axis=0), 0.5 * larger * width * surface.scale * SUPERSAMPLING
+    else:
+        x, y = middle.tolist()
+        draw.ellipse((x - reach, y - reach, x + reach, y + reach), ROBOT, PAPER, edge)
+    if is_turned:
+        unit = np.array([np.cos(heading), np.sin(heading)])
+        ahead = surface.pixels(position + unit) - surface.pixels(position)
+        ahead /= max(float(np.hypot(*ahead)), 1e-6)
+        aside = np.array([ahead[1], -ahead[0]])
+        tips = [middle + 0.72 * reach * ahead]
+        tips += [middle + reach * (-0.35 * ahead + side * 0.5 * aside) for side in (-1.0, 1.0)]
+        draw.polygon(pairs(np.stack(tips)), PAPER)

@@ -1,0 +1,1 @@
+"""Metrics, figures and animation of an exploration run."""

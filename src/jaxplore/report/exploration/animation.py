@@ -1,0 +1,173 @@
+"""An animated GIF of a run: the map grows, the robot looks ahead and drives."""
+
+from collections.abc import Callable
+from functools import partial
+from os import PathLike
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from jaxplore.report.drawing.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    MOVER,
+    MOVER_EDGE,
+    TARGET,
+    belief_colours,
+)
+from jaxplore.report.drawing.drawing import draw_body, draw_line, draw_rollouts
+from jaxplore.report.drawing.footer import draw_footer
+from jaxplore.report.drawing.gif import evenly_chosen, write_gif
+from jaxplore.report.drawing.palette import (
+    HEAT,
+    HEAT_LEVELS,
+    HIDDEN_WALL,
+    LIDAR_AREA,
+    LIDAR_RAY,
+    MAX_HEAT,
+    PAPER,
+    PLAN,
+    REFERENCE,
+    TRAIL,
+    shared_palette,
+)
+from jaxplore.report.exploration.canvas import SUPERSAMPLING, Canvas, make_canvas, pairs
+from jaxplore.simulation.recording import Frame, Recording
+
+NUM_RAYS = 45
+STAR = 7.0
+"""Radius of a target [pixels]."""
+
+
+def write_animation(
+    recording: Recording,
+    path: str | PathLike[str],
+    *,
+    max_frames: int = 120,
+    width: int = 720,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a run as an animated GIF that plays in browsers and in a README.
+
+    Args:
+        recording: of the run.
+        path: of the file.
+        max_frames: at most; evenly chosen, the first and the last one among them.
+        width: of the picture [pixels]; tall or small maps get less.
+        on_progress: called with the share that is done, 0 to 1.
+
+    Raises:
+        ValueError: less than one frame, or a width below 320 pixels.
+    """
+    if max_frames < 1:
+        raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
+    canvas = make_canvas(recording, width)
+    write_gif(
+        path,
+        evenly_chosen(recording.frames, max_frames),
+        partial(_draw, canvas),
+        partial(shared_palette, recording),
+        on_progress,
+    )
+
+
+def frame_image(recording: Recording, frame: Frame, *, width: int = 720) -> Image.Image:
+    """Return one look at a run, as it is drawn in the animation.
+
+    Args:
+        recording: of the run.
+        frame: one of its frames.
+        width: of the picture [pixels]; tall or small maps get less.
+
+    Raises:
+        ValueError: a width below 320 pixels.
+    """
+    return _draw(make_canvas(recording, width), frame)
+
+
+def _draw(canvas: Canvas, frame: Frame) -> Image.Image:
+    factor = SUPERSAMPLING
+    columns, rows = canvas.map_size
+    ground = _ground(canvas, frame).resize(
+        (columns * factor, rows * factor), Image.Resampling.NEAREST
+    )
+    _draw_robot(canvas, frame, ImageDraw.Draw(ground, "RGBA"))
+    image = Image.new("RGB", (canvas.width, canvas.height), PAPER)
+    image.paste(ground.reduce(factor), (canvas.left, 0))
+    draw_footer(canvas, frame, image)
+    return image
+
+
+def _ground(canvas: Canvas, frame: Frame) -> Image.Image:
+    """Return the belief, the true walls yet to be seen, the information and ground that may not be
+    entered, a pixel per cell."""
+    drawn = np.ix_(*canvas.sample)
+    level = canvas.window.crop(frame.probability, 128.0)[drawn]
+    colours = belief_colours()[level // 16 * 16 + (level >= 240) * 15].astype(np.float32)
+    unknown = np.abs(level.astype(int) - 128) < 8
+    colours[unknown] = belief_colours()[128]
+    colours[unknown & canvas.hidden_walls] = HIDDEN_WALL
+    information = _smooth(np.nan_to_num(frame.information)).ravel()[canvas.corners]
+    heat = np.clip((information * canvas.shares).sum(0) / canvas.brightest, 0.0, 1.0)
+    alpha = np.round(heat * HEAT_LEVELS) / HEAT_LEVELS * MAX_HEAT
+    alpha = np.where(level < 64, alpha, 0.0)[..., None]
+    colours += alpha * (np.asarray(HEAT, np.float32) - colours)
+    closed = canvas.closed & (level < 192)
+    colours[closed] += CLOSED_SHARE * (np.asarray(CLOSED, np.float32) - colours[closed])
+    # Row 0 is at the bottom.
+    return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
+
+
+def _draw_robot(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None:
+    """Draw, from the ground up, what it sees, where it was, what it weighs up, and itself."""
+    recording = canvas.recording
+    names = recording.state_names
+    here = frame.state[[names.index("x"), names.index("y")]]
+
+    line = partial(draw_line, canvas, draw)
+    seen = frame.scan[np.isfinite(frame.scan).all(axis=-1)]
+    if len(seen) > 1:
+        draw.polygon(pairs(canvas.pixels(np.concatenate([here[None], seen]))), LIDAR_AREA)
+    for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
+        line(np.stack([here, end]), LIDAR_RAY, 0.5)
+    line(recording.positions[: frame.step + 1], TRAIL, 1.5)
+    _draw_targets(canvas, draw)
+    _draw_movers(canvas, frame, draw)
+    draw_rollouts(canvas, draw, frame.samples, frame.weights)
+    if len(frame.reference) > 1:
+        line(frame.reference, REFERENCE, 3.0)
+    line(frame.plan, PLAN, 2.0)
+    if recording.goal is not None:
+        x, y = canvas.pixels(recording.goal)
+        for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
+            reach = size * SUPERSAMPLING
+            draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
+    footprint, radius = recording.footprint, recording.robot_radius
+    draw_body(canvas, draw, footprint, radius, here, frame.heading)
+
+
+def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
+    spikes = np.arange(10)
+    angles = np.pi * (spikes / 5.0 - 0.5)
+    reach = STAR * SUPERSAMPLING * np.where(spikes % 2, 0.42, 1.0)
+    star = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    for middle in canvas.pixels(canvas.recording.targets):
+        draw.polygon(pairs(middle + 1.35 * star), PAPER)
+        draw.polygon(pairs(middle + star), TARGET)
+
+
+def _draw_movers(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None:
+    radii = canvas.recording.mover_radii.tolist()
+    for middle, radius in zip(frame.movers, radii, strict=True):
+        if np.isfinite(middle).all():
+            x, y = canvas.pixels(middle).tolist()
+            reach = max(radius * canvas.scale, 3.0) * SUPERSAMPLING
+            box = (x - reach, y - reach, x + reach, y + reach)
+            draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * SUPERSAMPLING))
+
+
+def _smooth(values: np.ndarray) -> np.ndarray:
+    """Return means over three by three nodes: the field's finest grain is noise to the eye."""
+    padded = np.pad(values, 1, mode="edge")
+    rows = padded[:-2] + padded[1:-1] + padded[2:]
+    return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)

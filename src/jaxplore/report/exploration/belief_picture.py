@@ -1,0 +1,76 @@
+"""A picture of what a robot knows, and of the robot in it."""
+
+import dataclasses
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from jaxplore.report.drawing.colours import belief_colours
+from jaxplore.report.drawing.drawing import draw_body, draw_line
+from jaxplore.report.drawing.palette import LIDAR_RAY, TRAIL
+from jaxplore.report.drawing.window import to_frame
+from jaxplore.report.exploration.canvas import SUPERSAMPLING
+
+MOST_RAYS = 45
+
+
+@dataclasses.dataclass(frozen=True)
+class Sheet:
+    """Where world points are in a supersampled picture of a whole grid.
+
+    Args:
+        origin: pose of the grid [m, m, rad].
+        height: of the grid [m].
+        scale: pixels that are shown per metre.
+    """
+
+    origin: np.ndarray
+    height: float
+    scale: float
+
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
+        placed = to_frame(points, self.origin)
+        placed[..., 1] = self.height - placed[..., 1]
+        return np.asarray(placed * self.scale * SUPERSAMPLING)
+
+
+def belief_picture(
+    probability: np.ndarray,
+    origin: np.ndarray,
+    resolution: float,
+    *,
+    path: np.ndarray,
+    heading: float,
+    radius: float,
+    footprint: np.ndarray,
+    scan: np.ndarray,
+    width: int = 640,
+) -> np.ndarray:
+    """Return a picture (rows, columns, 3) in 256 levels.
+
+    Args:
+        probability: (H, W) of the belief.
+        origin: pose of the grid [m, m, rad].
+        resolution: side of a cell [m].
+        path: (N, 2) where the robot was, the last row where it is [m].
+        heading: of the robot [rad].
+        radius: of the robot [m].
+        footprint: (4, 2) corners of a rectangle in the robot's frame [m]; (0, 2) of a disc.
+        scan: (B, 2) where beams ended [m].
+        width: of the picture [pixels]; a multiple of a cell's is taken.
+    """
+    rows, columns = probability.shape
+    side = max(1, round(width / columns))
+    level = np.round(255.0 * probability).astype(np.uint8)
+    # Row 0 is at the bottom.
+    image = Image.fromarray(belief_colours()[level[::-1]])
+    size = (columns * side * SUPERSAMPLING, rows * side * SUPERSAMPLING)
+    image = image.resize(size, Image.Resampling.NEAREST)
+    draw = ImageDraw.Draw(image, "RGBA")
+    sheet = Sheet(np.asarray(origin, np.float64), rows * resolution, side / resolution)
+    for end in scan[:: max(1, len(scan) // MOST_RAYS)]:
+        draw_line(sheet, draw, np.stack([path[-1], end]), LIDAR_RAY, 0.5)
+    draw_line(sheet, draw, path, TRAIL, 1.5)
+    draw_body(sheet, draw, footprint, radius, path[-1], heading)
+    return np.asarray(image.reduce(SUPERSAMPLING))

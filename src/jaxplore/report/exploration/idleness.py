@@ -1,0 +1,95 @@
+"""Picture of how long ago each place was seen."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
+from jaxplore.report.drawing.series import style_time
+from jaxplore.report.drawing.window import Window
+from jaxplore.report.exploration.missions import judged_from
+from jaxplore.report.exploration.progress import at_instants
+from jaxplore.simulation.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+HEIGHT, CURVE_WIDTH = 3.4, 4.2
+"""Height of the panels and width of the one over time [inch]; the map's width follows its shape."""
+
+
+def idleness_figure(recording: Recording) -> "Figure":
+    """Return a map of the time since each reachable cell was seen, and its mean and worst so far.
+
+    What was never seen counts from the start. The shaded first half does not count in the metrics.
+    A map that is turned is drawn along its own axes.
+
+    Args:
+        recording: of a robot that keeps watch.
+
+    Raises:
+        ValueError: a recording without idleness.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import ListedColormap
+    from matplotlib.figure import Figure
+
+    if recording.idleness is None:
+        raise ValueError("recording has no idleness; accepted: that of a robot that keeps watch")
+    window = Window.around_reachable(recording)
+    left, bottom = window.corner
+    right, top = window.corner + np.asarray(window.size)
+    extent = (float(left), float(right), float(bottom), float(top))
+    across = float(np.clip(HEIGHT * window.size[0] / window.size[1], 1.6, 1.8 * HEIGHT))
+    figure = Figure(figsize=(across + 1.6 + CURVE_WIDTH, HEIGHT + 1.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    place, curve = figure.subplots(1, 2, width_ratios=[across + 1.0, CURVE_WIDTH])
+
+    time = np.arange(recording.num_steps + 1) * recording.control_period
+    duration = max(float(time[-1]), recording.control_period)
+    walls = window.crop(np.asarray(recording.world) > OCCUPIED_THRESHOLD, False)
+    place.imshow(
+        np.ma.masked_where(~walls, walls),
+        cmap=ListedColormap([shade(OCCUPIED)]),
+        extent=extent,
+        origin="lower",
+        interpolation="nearest",
+    )
+    idle = window.crop(np.asarray(recording.idleness, np.float64), 0.0)
+    counts = window.crop(np.asarray(recording.reachable, bool), False)
+    shown = place.imshow(
+        np.ma.masked_where(~counts, np.minimum(idle, duration)),
+        cmap="YlOrRd",
+        vmin=0.0,
+        extent=extent,
+        origin="lower",
+        interpolation="nearest",
+    )
+    if not counts.any():
+        shown.set_clim(0.0, duration)
+    track = window.place(recording.positions) + window.corner
+    place.plot(*track[-1], marker="s", color=SERIES[0], markersize=8.0, markeredgecolor="white")
+    prefix = "grid " if window.is_turned else ""
+    place.set(
+        xlim=(left, right),
+        ylim=(bottom, top),
+        xlabel=f"{prefix}x [m]",
+        ylabel=f"{prefix}y [m]",
+        title="at the end",
+    )
+    figure.colorbar(shown, ax=place, label="not seen for [s]", shrink=0.9, pad=0.02)
+
+    records = recording.records
+    for values, colour, label in (
+        (records.worst_idleness, SERIES[1], "worst"),
+        (records.mean_idleness, SERIES[0], "mean"),
+    ):
+        curve.plot(time, at_instants(values, 0.0), color=colour, linewidth=1.8, label=label)
+    begin = judged_from(recording) * recording.control_period
+    curve.axvspan(0.0, begin, color="0.2", alpha=0.07, linewidth=0.0, label="not counted")
+    style_time(curve, duration)
+    curve.set(ylabel="not seen for [s]", title="of the reachable cells")
+    curve.set_ylim(bottom=0.0)
+    curve.legend(fontsize=9, framealpha=0.95)
+    return figure

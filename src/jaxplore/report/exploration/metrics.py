@@ -1,0 +1,301 @@
+"""The numbers by which a run is judged."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report.compute import Compute as Compute
+from jaxplore.report.compute import compute_cost, software
+from jaxplore.report.exploration.missions import (
+    fusion_means,
+    idleness,
+    last_target_at,
+    member_means,
+)
+from jaxplore.report.exploration.progress import at_instants, longest_stall, progress
+from jaxplore.report.motion import command_jerk, episodes
+from jaxplore.simulation.recording import Recording
+
+LEVELS = (50, 90, 95, 99)
+"""Coverages [%] at which time and path are compared."""
+CURVE_PERIOD = 0.5
+"""Time between the points of the coverage curve [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Metrics:
+    """What a run achieved, and at what cost. `print` shows it as a table.
+
+    Args:
+        duration: simulated [s].
+        num_steps: control periods done.
+        coverage: share of the reachable cells known to be free, at the end.
+        target_coverage: at which exploration is finished; None if it never is.
+        is_finished: the target was reached, or with a goal its end: at the goal, the map known.
+        finished_at: when that was [s]; None if it was not.
+        is_interrupted: the user stopped the run.
+        time_to: for each level of coverage ("50", "90", "95", "99" percent) when it was first
+            reached [s]; None if never. The record of step k holds the coverage measured at the
+            beginning of that step, so the time is k control periods.
+        path_to: the distance travelled until then [m].
+        path_length: in all [m].
+        initial_entropy: of the belief over the reachable cells before the first step [nat].
+        final_entropy: the same at the end [nat].
+        initial_unknown: share of the map's cells with `4 p (1 - p) > 1/2` before the first step.
+        final_unknown: the same at the end.
+        information_per_metre: entropy lost over the reachable cells for each metre travelled
+            [nat/m]; None if the robot did not move.
+        goal_distance: from the goal at the end [m]; None if there is no goal.
+        command_jerk: root mean square over steps and controls of the second difference of the
+            commands, `(u_{t+1} - 2 u_t + u_{t-1}) / period^2`, in halves of the range between
+            their bounds [1/s^2].
+        fault_steps: steps during which a fault of the scenario was active.
+        collisions: contacts; successive steps in contact are one.
+        collision_steps: steps that would have led into something.
+        minimum_clearance: from the robot's edge to the nearest solid cell [m], as far as the
+            record looks.
+        mean_effective_sample_size: over the steps.
+        minimum_effective_sample_size: over the steps.
+        non_finite_steps: steps without a single finite rollout.
+        untraversable_steps: steps that ended with some of the robot on ground that may not be
+            entered.
+        num_targets: how many places there were to see.
+        targets_seen: how many of them were seen.
+        last_target_at: when the last of all was seen [s]; None if some were not.
+        mean_idleness: of the reachable cells, the time since each was seen, mean over the second
+            half of the run: the first is needed to see everything once [s]. None if nobody keeps
+            watch.
+        worst_idleness: the longest of them in the second half [s].
+        members: of a controller that holds several, by name: mean `share` in the control, and
+            means of its `uncertainty` [half ranges], `effective_sample_size` and `cost` where they
+            were finite. None of any other controller.
+        diversity: mean distance between two members' controls [half ranges].
+        replaced: share of the steps in which a member's plan took the place of the mixture.
+        reachable_area: [m^2].
+        longest_stall: longest time in which the positions fit into a square of side
+            `2 * STALL_RADIUS` along the world's axes while the best coverage so far did not rise
+            [s].
+        compute: wall-clock cost.
+        seed: of the run, if known.
+        versions: of the software, and the machine.
+        coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
+            half second, the end included.
+    """
+
+    duration: float
+    num_steps: int
+    coverage: float
+    target_coverage: float | None
+    is_finished: bool
+    finished_at: float | None
+    is_interrupted: bool
+    time_to: dict[str, float | None]
+    path_to: dict[str, float | None]
+    path_length: float
+    initial_entropy: float | None
+    final_entropy: float | None
+    initial_unknown: float
+    final_unknown: float
+    information_per_metre: float | None
+    goal_distance: float | None
+    command_jerk: float | None
+    fault_steps: int
+    collisions: int
+    collision_steps: int
+    minimum_clearance: float | None
+    mean_effective_sample_size: float | None
+    minimum_effective_sample_size: float | None
+    non_finite_steps: int
+    untraversable_steps: int
+    num_targets: int
+    targets_seen: int
+    last_target_at: float | None
+    mean_idleness: float | None
+    worst_idleness: float | None
+    members: dict[str, dict[str, float | None]] | None
+    diversity: float | None
+    replaced: float | None
+    reachable_area: float
+    longest_stall: float
+    compute: Compute
+    seed: int | None
+    versions: dict[str, str | int | None]
+    coverage_curve: dict[str, list[float | None]] = dataclasses.field(repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain Python values that JSON can hold."""
+        return dataclasses.asdict(self)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what matters as (name, text), for tables."""
+        ends = (
+            self.target_coverage is not None or self.num_targets or self.goal_distance is not None
+        )
+        end = ", finished" if self.is_finished else ", not finished" if ends else ""
+        rows = [
+            ("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}"),
+            ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
+            ("path", f"{self.path_length:.2f} m"),
+        ]
+        if self.finished_at is not None and self.goal_distance is not None:
+            rows.append(("finished", f"after {self.finished_at:.2f} s"))
+        if self.goal_distance is not None:
+            rows.append(("goal", f"{self.goal_distance:.2f} m away"))
+        if self.is_interrupted:
+            rows.append(("interrupted", "by the user"))
+        for level, seconds in self.time_to.items():
+            path = self.path_to[level]
+            reached = seconds is not None and path is not None
+            rows.append((f"  to {level} %", f"{seconds:.2f} s, {path:.2f} m" if reached else "-"))
+        rows += self._mission_rows()
+        compute, versions = self.compute, self.versions
+        sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
+        rows += [
+            ("entropy", f"{text(self.initial_entropy, 0)} -> {text(self.final_entropy, 0)} nat"),
+            (
+                "unknown",
+                f"{percent(self.initial_unknown)} -> {percent(self.final_unknown)} of all cells",
+            ),
+            ("information", f"{text(self.information_per_metre, 1)} nat/m"),
+            ("command jerk", f"{text(self.command_jerk, 1)} ranges/s²"),
+            ("collisions", f"{self.collisions} ({self.collision_steps} steps)"),
+            *(
+                [("untraversable", f"{self.untraversable_steps} steps")]
+                if self.untraversable_steps
+                else []
+            ),
+            ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
+            ("longest stall", f"{self.longest_stall:.2f} s"),
+            ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
+            ("non-finite", f"{self.non_finite_steps} steps"),
+            *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
+            *self._member_rows(),
+            *compute.rows(),
+            ("seed", "-" if self.seed is None else str(self.seed)),
+            ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
+            ("device", str(versions["device"])),
+        ]
+        return rows
+
+    def _mission_rows(self) -> list[tuple[str, str]]:
+        rows = []
+        if self.num_targets:
+            seen, last = f"{self.targets_seen} of {self.num_targets} seen", self.last_target_at
+            rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
+        if self.mean_idleness is not None:
+            both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
+            rows.append(("idleness", f"{both}, in the second half"))
+        return rows
+
+    def _member_rows(self) -> list[tuple[str, str]]:
+        if self.members is None:
+            return []
+        replaced = f"replaced in {percent(self.replaced)} of the steps"
+        rows = [("members", f"{text(self.diversity, 3)} apart, {replaced}")]
+        for name, mean in self.members.items():
+            size, spread = text(mean["effective_sample_size"], 1), text(mean["uncertainty"], 3)
+            share = percent(mean["share"])
+            rows.append((f"  {name}", f"{share}, {size} effective, uncertainty {spread}"))
+        return rows
+
+    def __str__(self) -> str:
+        rows = self.rows()
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics:
+    """Return the metrics of a run.
+
+    Args:
+        recording: of a run, finished or not; one without a step counts what is known at its start.
+        seed: to note down.
+    """
+    records, period, steps = recording.records, recording.control_period, recording.num_steps
+    time, coverage, entropy, path = progress(recording)
+    reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
+    in_contact = np.asarray(records.is_collision, bool)
+    sample_size = np.asarray(records.effective_sample_size, np.float64)
+    sample_size = sample_size[np.isfinite(sample_size)]
+    stride = max(1, round(CURVE_PERIOD / period))
+    kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
+    unknown = at_instants(records.unknown, recording.initial_unknown)
+    curve = {
+        "time": time,
+        "coverage": coverage,
+        "entropy": entropy,
+        "path": path,
+        "unknown": unknown,
+    }
+    finished_at = _finished_at(recording, float(coverage[-1]))
+    mean_idleness, worst_idleness = idleness(recording)
+    diversity, replaced = fusion_means(recording)
+    return Metrics(
+        duration=steps * period,
+        num_steps=steps,
+        coverage=float(coverage[-1]),
+        target_coverage=recording.target_coverage,
+        is_finished=finished_at is not None,
+        finished_at=finished_at,
+        is_interrupted=recording.is_interrupted,
+        time_to={name: None if k is None else k * period for name, k in reached.items()},
+        path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
+        path_length=float(path[-1]),
+        initial_entropy=finite(recording.initial_entropy),
+        final_entropy=finite(entropy[-1]),
+        initial_unknown=recording.initial_unknown,
+        final_unknown=float(records.unknown[-1]) if steps else recording.initial_unknown,
+        information_per_metre=(
+            finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
+        ),
+        goal_distance=_goal_distance(recording),
+        command_jerk=command_jerk(
+            records.control, recording.control_half_range, recording.control_period
+        ),
+        fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
+        collisions=episodes(in_contact),
+        collision_steps=int(in_contact.sum()),
+        minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
+        mean_effective_sample_size=finite(sample_size.mean()) if sample_size.size else None,
+        minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
+        non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
+        untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
+        num_targets=len(recording.targets),
+        targets_seen=int(records.targets_seen[-1]) if steps else 0,
+        last_target_at=last_target_at(recording),
+        mean_idleness=mean_idleness,
+        worst_idleness=worst_idleness,
+        members=member_means(recording),
+        diversity=diversity,
+        replaced=replaced,
+        reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
+        longest_stall=longest_stall(recording.positions, coverage) * period,
+        compute=compute_cost(recording.timing, period),
+        seed=seed,
+        versions=software(),
+        coverage_curve={
+            name: [finite(value, digits=5) for value in values[kept]]
+            for name, values in curve.items()
+        },
+    )
+
+
+def _finished_at(recording: Recording, coverage: float) -> float | None:
+    if recording.finished_step is not None:
+        return recording.finished_step * recording.control_period
+    target = recording.target_coverage
+    if recording.goal is not None or len(recording.targets) or target is None:
+        return None
+    return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
+
+
+def _goal_distance(recording: Recording) -> float | None:
+    if recording.goal is None:
+        return None
+    return float(np.hypot(*(recording.positions[-1] - recording.goal)))
+
+
+def _first(mask: np.ndarray) -> int | None:
+    return int(mask.argmax()) if mask.any() else None

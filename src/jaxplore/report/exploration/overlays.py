@@ -1,0 +1,177 @@
+"""What is drawn over a map: the ground, targets, moving obstacles, the robot's outline."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.report.drawing.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    FREE,
+    MOVER,
+    MOVER_EDGE,
+    TARGET,
+    blend,
+    shade,
+)
+from jaxplore.report.drawing.window import Window, outline_at
+from jaxplore.simulation.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+CONTOURS = 8
+"""Contour lines of the elevation, about."""
+LEAST_RELIEF = 0.02
+"""Ground that differs less in height has no contour lines [m]."""
+MAX_CONTOUR_CELLS = 250
+"""Cells along each axis that contour lines are found from, about."""
+CONTOUR = "#6b7f5e"
+"""Colour of contour lines."""
+
+
+def closed_cells(recording: Recording, window: Window) -> np.ndarray:
+    """Return the window's cells (R, C) of open ground that may not be entered."""
+    if recording.traversable is None:
+        return np.zeros(window.shape, bool)
+    is_open = np.asarray(recording.world) <= OCCUPIED_THRESHOLD
+    return window.crop(is_open & ~np.asarray(recording.traversable, bool), False)
+
+
+def add_ground(axes: "Axes", recording: Recording, window: Window) -> None:
+    """Draw contour lines with their heights, and hatch what may not be entered."""
+    if recording.elevation is not None:
+        _add_contours(axes, np.asarray(recording.elevation), window)
+    closed = closed_cells(recording, window)
+    if not closed.any():
+        return
+    # A row of cells around, so that the hatched area is closed at the picture's edge too.
+    x, y = _middles(window, around=1)
+    hatched = axes.contourf(
+        x,
+        y,
+        np.pad(closed, 1).astype(np.float64),
+        levels=[0.5, 1.5],
+        colors="none",
+        hatches=["////"],
+        zorder=1.2,
+    )
+    hatched.set_edgecolor(shade(CLOSED))
+    hatched.set_linewidth(0.0)
+    axes.fill(
+        [np.nan],
+        [np.nan],
+        facecolor=shade(blend(CLOSED, FREE, CLOSED_SHARE)),
+        edgecolor=shade(CLOSED),
+        hatch="////",
+        linewidth=0.0,
+        label="not traversable",
+    )
+
+
+def _add_contours(axes: "Axes", elevation: np.ndarray, window: Window) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    stride = max(1, -(-max(window.shape) // MAX_CONTOUR_CELLS))
+    height = window.crop(elevation.astype(np.float64), np.nan)[::stride, ::stride]
+    if min(height.shape) < 2 or not np.isfinite(height).any():
+        return
+    lowest, highest = float(np.nanmin(height)), float(np.nanmax(height))
+    levels = np.asarray(MaxNLocator(CONTOURS).tick_values(lowest, highest))
+    levels = levels[(levels > lowest) & (levels < highest)]
+    if highest - lowest < LEAST_RELIEF or not levels.size:
+        return
+    x, y = _middles(window)
+    lines = axes.contour(
+        x[::stride],
+        y[::stride],
+        height,
+        levels=levels,
+        colors=CONTOUR,
+        linewidths=0.6,
+        linestyles="solid",
+        alpha=0.9,
+        zorder=1.3,
+    )
+    axes.clabel(lines, fontsize=6, fmt=lambda level: f"{level:g}", inline_spacing=2)
+    axes.plot([], [], color=CONTOUR, linewidth=0.8, label="height [m]")
+
+
+def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return x (C,) and y (R,) of the middles of cells, with so many more on each side [m]."""
+    rows, columns = (np.arange(-around, count + around) + 0.5 for count in window.shape)
+    return (
+        window.corner[0] + window.resolution * columns,
+        window.corner[1] + window.resolution * rows,
+    )
+
+
+def add_targets(axes: "Axes", recording: Recording, window: Window) -> None:
+    """Draw what was to be seen."""
+    if len(recording.targets):
+        x, y = (window.place(recording.targets) + window.corner).T
+        axes.plot(
+            x,
+            y,
+            marker="*",
+            color=shade(TARGET),
+            markersize=12.0,
+            markeredgecolor="white",
+            linestyle="none",
+            label="target",
+            zorder=4.0,
+        )
+
+
+def add_movers(axes: "Axes", recording: Recording, window: Window) -> None:
+    """Draw moving obstacles where they were last, and the places they were at in the frames."""
+    from matplotlib.patches import Circle
+
+    if not len(recording.mover_radii):
+        return
+    places = np.stack([frame.movers for frame in recording.frames])
+    places = window.place(places) + window.corner
+    dark = shade(MOVER)
+    for trail, radius in zip(places.swapaxes(0, 1), recording.mover_radii.tolist(), strict=True):
+        axes.plot(*trail.T, color=dark, linewidth=0.7, linestyle=":", zorder=1.6)
+        disc = Circle(
+            (float(trail[-1, 0]), float(trail[-1, 1])),
+            radius,
+            facecolor=dark,
+            edgecolor=shade(MOVER_EDGE),
+            linewidth=1.2,
+            zorder=3.0,
+        )
+        axes.add_patch(disc)
+    axes.plot(
+        [],
+        [],
+        marker="o",
+        color=dark,
+        markeredgecolor=shade(MOVER_EDGE),
+        markersize=7.0,
+        linestyle=":",
+        linewidth=0.7,
+        label="moving obstacle",
+    )
+
+
+def add_footprint(axes: "Axes", recording: Recording, window: Window) -> None:
+    """Draw the outline of a robot that is a rectangle, at the start and at the end."""
+    from matplotlib.patches import Polygon
+
+    if not len(recording.footprint) or "yaw" not in recording.state_names:
+        return
+    yaw = recording.state_names.index("yaw")
+    states = np.concatenate([recording.start[None], recording.records.state])[[0, -1]]
+    for position, heading in zip(recording.positions[[0, -1]], states[:, yaw], strict=True):
+        corners = outline_at(recording.footprint, position, float(heading))
+        outline = Polygon(
+            window.place(corners) + window.corner,
+            fill=False,
+            edgecolor=shade(MOVER),
+            linewidth=1.2,
+            zorder=4.5,
+        )
+        axes.add_patch(outline)

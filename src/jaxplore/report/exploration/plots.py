@@ -1,0 +1,234 @@
+"""Pictures of a run as a whole."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import scipy.ndimage
+
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
+from jaxplore.report.drawing.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    MISSED,
+    OUTLINE,
+    TARGET,
+    belief_colours,
+    shade,
+)
+from jaxplore.report.drawing.window import Window
+from jaxplore.report.exploration.metrics import LEVELS, compute_metrics
+from jaxplore.report.exploration.overlays import (
+    add_footprint,
+    add_ground,
+    add_movers,
+    add_targets,
+    closed_cells,
+)
+from jaxplore.report.exploration.progress import at_instants, progress
+from jaxplore.simulation.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MAX_SEGMENTS = 2000
+"""Pieces of the path that are coloured by time."""
+
+
+def true_outline(recording: Recording, window: Window) -> np.ndarray:
+    """Return the edges (N, 2, 2) between solid cells and the free space that reachable cells are
+    part of, in metres from the window's corner along the grid's axes."""
+    labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
+    seen = np.unique(labels[np.asarray(recording.reachable, bool)])
+    inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)
+    row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    upright = np.stack([column, row, column, row + 1], axis=-1)
+    row, column = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    level = np.stack([column, row, column + 1, row], axis=-1)
+    edges = np.concatenate([upright, level]).reshape(-1, 2, 2)
+    return np.asarray(edges * recording.resolution)
+
+
+def map_figure(recording: Recording) -> "Figure":
+    """Return the final belief with the robot's path and the outline of the true free space.
+
+    In red, the walls that were not seen. Where there are any: the height of the ground as contour
+    lines and, hatched, ground that may not be entered; targets; moving obstacles at their last
+    places, with the places they were at in the frames; a rectangular robot's outline at the
+    start and at the end.
+
+    A map that is turned is drawn along its own axes.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    window = Window.around_reachable(recording)
+    size = np.asarray(window.size)
+    left, bottom = window.corner
+    right, top = window.corner + size
+    inches = np.clip(9.0 * size / size.max(), [3.2, 2.0], 9.0)
+    figure = Figure(figsize=(inches[0] + 1.8, inches[1] + 1.1), layout="compressed")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+
+    levels = np.round(255.0 * window.crop(recording.belief, 0.5)).astype(np.uint8)
+    colours = belief_colours()[levels]
+    closed = closed_cells(recording, window)
+    tint = CLOSED_SHARE * (np.asarray(CLOSED) - colours[closed].astype(np.float64))
+    colours[closed] = np.round(colours[closed] + tint).astype(np.uint8)
+    colours[window.crop(_unseen_walls(recording), False)] = MISSED
+    axes.imshow(
+        colours,
+        extent=(left, right, bottom, top),
+        origin="lower",
+        interpolation="nearest",
+    )
+    time, coverage, _, path = progress(recording)
+    stride = max(1, -(-len(time) // MAX_SEGMENTS))
+    kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
+    track = (window.place(recording.positions) + window.corner)[kept]
+    duration = max(float(time[-1]), recording.control_period)
+    lines = LineCollection(
+        np.stack([track[:-1], track[1:]], axis=1).tolist(), cmap="viridis", linewidths=1.8
+    )
+    lines.set_array(time[kept[:-1]])
+    lines.set_clim(0.0, duration)
+    lines.set_capstyle("round")
+    axes.add_collection(lines, autolim=False)
+    marks: dict[str, Any] = {
+        "markersize": 9.0,
+        "markeredgecolor": "white",
+        "linestyle": "none",
+        "zorder": 5.0,
+    }
+    axes.plot(*track[0], marker="o", color="#2a9d5c", label="start", **marks)
+    if recording.goal is not None:
+        spot = (window.place(recording.goal[None]) + window.corner)[0]
+        axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **marks)
+    axes.plot(*track[-1], marker="s", color="#e07a1f", label="end", **marks)
+    outline = true_outline(recording, window) + window.corner
+    axes.add_collection(
+        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7, zorder=1.5), autolim=False
+    )
+    axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
+    axes.plot([], [], "s", color=shade(MISSED), markersize=5.0, label="wall not seen")
+    add_ground(axes, recording, window)
+    add_targets(axes, recording, window)
+    add_movers(axes, recording, window)
+    add_footprint(axes, recording, window)
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    prefix = "grid " if window.is_turned else ""
+    axes.set_xlabel(f"{prefix}x [m]")
+    axes.set_ylabel(f"{prefix}y [m]")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=4 if len(labels) <= 5 or inches[0] > 5.0 else 3,
+        frameon=False,
+        fontsize=9,
+    )
+    figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
+    title = f"{100.0 * coverage[-1]:.1f} % covered, {time[-1]:.1f} s, {path[-1]:.1f} m"
+    if len(recording.targets):
+        title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def _targets_seen(recording: Recording) -> np.ndarray:
+    """Return (N + 1,) how many targets had been seen at each instant."""
+    return at_instants(recording.records.targets_seen, 0.0)
+
+
+def _unseen_walls(recording: Recording) -> np.ndarray:
+    """Return the solid cells that face the free space around the reachable cells and that the
+    belief does not hold to be solid."""
+    from scipy.ndimage import binary_dilation, binary_propagation
+
+    free = (recording.world < 0.5) | recording.reachable
+    # What lies behind the walls' faces can neither be seen nor missed.
+    open_space = binary_propagation(recording.reachable, mask=free)
+    faces = (recording.world > OCCUPIED_THRESHOLD) & binary_dilation(open_space)
+    return np.asarray(faces & (recording.belief < OCCUPIED_THRESHOLD))
+
+
+def coverage_figure(recording: Recording) -> "Figure":
+    """Return coverage and entropy over time, and when each level of coverage was reached.
+
+    With targets, below, how many of them had been seen.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    blue, brown = "#1f6fb2", "#b5651d"
+    time, coverage, entropy, path = progress(recording)
+    metrics = compute_metrics(recording)
+    has_targets = len(recording.targets) > 0
+    figure = Figure(figsize=(8.0, 6.0 if has_targets else 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, 1, height_ratios=[3.2, 1.0]) if has_targets else None
+    axes = figure.add_subplot() if grid is None else figure.add_subplot(grid[0])
+    duration = max(float(time[-1]), recording.control_period)
+    right = axes.twinx()
+    right.plot(time, entropy, color=brown, linewidth=1.4)
+    right.set_ylabel("entropy [nat]", color=brown)
+    right.tick_params(axis="y", colors=brown)
+    highest = max(recording.initial_entropy, float(np.nanmax(entropy)), 1e-6)
+    right.set_ylim(0.0, 1.05 * highest)
+    # The coverage is drawn last, over the entropy.
+    axes.set_zorder(right.get_zorder() + 1)
+    axes.patch.set_visible(False)
+    axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0)
+    if recording.target_coverage is not None:
+        level = 100.0 * recording.target_coverage
+        axes.axhline(level, color="0.6", linewidth=0.8, linestyle="--")
+    for level, colour in zip(LEVELS, ("#7fb7be", "#3d9a8b", "#2a7f5f", "#14532d"), strict=True):
+        seconds, metres = metrics.time_to[str(level)], metrics.path_to[str(level)]
+        if seconds is None or metres is None:
+            axes.plot([], [], "o", color="0.8", label=f"{level} %: not reached")
+            continue
+        axes.plot([seconds, seconds], [0.0, level], color=colour, linewidth=0.8, linestyle=":")
+        label = f"{level} %: {seconds:.1f} s, {metres:.1f} m"
+        axes.plot(
+            [seconds],
+            [level],
+            "o",
+            color=colour,
+            markersize=6.5,
+            label=label,
+            zorder=5,
+            clip_on=False,
+        )
+    axes.legend(loc="center right", fontsize=9, framealpha=0.95)
+    axes.set(xlim=(0.0, duration), ylim=(0.0, 104.0), xlabel="time [s]")
+    axes.set_ylabel("coverage [%]", color=blue)
+    axes.tick_params(axis="y", colors=blue)
+    axes.grid(color="0.2", alpha=0.12, linewidth=0.6)
+    above = axes.twiny()
+    ticks = np.linspace(0.0, duration, 7)
+    above.set_xlim(0.0, duration)
+    above.set_xticks(ticks, [f"{metres:.1f}" for metres in np.interp(ticks, time, path)])
+    above.set_xlabel("distance travelled [m]")
+    if grid is not None:
+        axes.set_xlabel("")
+        axes.tick_params(axis="x", labelbottom=False)
+        below = figure.add_subplot(grid[1], sharex=axes)
+        _draw_targets_seen(below, recording, time)
+    return figure
+
+
+def _draw_targets_seen(axes: "Axes", recording: Recording, time: np.ndarray) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    most = len(recording.targets)
+    colour = shade(TARGET)
+    axes.step(time, _targets_seen(recording), where="post", color=colour, linewidth=2.0)
+    axes.axhline(most, color="0.6", linewidth=0.8, linestyle="--", zorder=0.5)
+    axes.set(ylim=(0.0, 1.12 * most), xlabel="time [s]")
+    axes.set_ylabel(f"targets seen\nof {most}", color=colour)
+    axes.tick_params(axis="y", colors=colour)
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

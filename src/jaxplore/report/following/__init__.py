@@ -1,0 +1,1 @@
+"""Metrics, figures and animation of a path-following run."""

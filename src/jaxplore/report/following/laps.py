@@ -1,0 +1,58 @@
+"""Laps and speeds of a run along a path: what its pictures and its numbers share."""
+
+import numpy as np
+
+from jaxplore.simulation.following.follow import PathRecording
+
+
+def num_laps(recording: PathRecording) -> int:
+    """Return how many laps are to be driven; 0 of an open path."""
+    return round(recording.end / recording.length) if recording.is_closed else 0
+
+
+def lap_starts(recording: PathRecording) -> np.ndarray:
+    """Return when laps begin (L + 1,) [s]: at the start, and whenever a lap is completed.
+
+    Lap k, from 0 on, lasts from entry k to entry k + 1, where the progress first reaches k + 1
+    lengths of the path; between two steps it grows linearly. A robot that starts behind or beyond
+    the line has a longer or a shorter first lap. The last entry is the end of the last completed
+    lap. An open path has only the start.
+    """
+    time, progress = recording.time, np.asarray(recording.progress, np.float64)
+    starts, laps = [0.0], num_laps(recording)
+    for number in range(1, laps + 1):
+        # As shares of the end, so that a run that is finished has its last lap to the bit.
+        line = recording.end * (number / laps)
+        has_passed = progress >= line
+        if not has_passed.any():
+            break
+        after = int(has_passed.argmax())
+        if after == 0:
+            starts.append(0.0)
+            continue
+        before = after - 1
+        share = (line - progress[before]) / (progress[after] - progress[before])
+        starts.append(float(time[before] + share * recording.control_period))
+    return np.asarray(starts)
+
+
+def lap_times(recording: PathRecording) -> list[float]:
+    """Return how long each completed lap took [s], the first one from the start of the run; none of
+    an open path."""
+    return [float(seconds) for seconds in np.diff(lap_starts(recording))]
+
+
+def speeds(recording: PathRecording) -> np.ndarray:
+    """Return the speed (N + 1,) at the start and after each step [m/s], never negative.
+
+    That of the state, v or (vx, vy); of a robot whose state has none, the distance from step to
+    step over the control period, 0 at the start.
+    """
+    names = recording.state_names
+    states = np.concatenate([recording.start[None], recording.records.state]).astype(np.float64)
+    for own in (("v",), ("vx", "vy")):
+        if set(own) <= set(names):
+            columns = [names.index(name) for name in own]
+            return np.asarray(np.linalg.norm(states[:, columns], axis=1))
+    moves = np.diff(recording.positions.astype(np.float64), axis=0)
+    return np.concatenate([[0.0], np.hypot(moves[:, 0], moves[:, 1]) / recording.control_period])

@@ -1,0 +1,235 @@
+"""The numbers by which a run along a path is judged."""
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+
+from jaxplore.report._numbers import finite, finite_mean, text
+from jaxplore.report.compute import Compute, compute_cost, software
+from jaxplore.report.following.laps import lap_times, speeds
+from jaxplore.report.motion import command_jerk, episodes
+from jaxplore.simulation.following.follow import PathRecording
+
+CURVE_PERIOD = 0.5
+"""Time between the points of the curves [s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PathMetrics:
+    """How a robot followed a path, and at what cost. `print` shows it as a table.
+
+    Errors are absolute values over all steps; of a run without a step they are None.
+
+    Args:
+        duration: simulated [s].
+        num_steps: control periods done.
+        is_finished: the robot came to the end, or drove its laps.
+        finished_at: when that was [s]; None if it was not.
+        is_interrupted: the user stopped the run.
+        progress: arc length passed since the start, by the nearest point of the path [m].
+        to_go: arc length from there to the end [m].
+        lap_times: of the laps that were completed [s]; empty of an open path.
+        mean_contouring: distance across the path at phi, by the object that plans [m].
+        max_contouring: the greatest [m].
+        mean_lag: distance along the path at phi [m].
+        max_lag: the greatest [m].
+        mean_deviation: distance from the nearest point of the path [m].
+        max_deviation: the greatest [m].
+        corridor_violations: times that some of the robot left the corridor; successive steps are
+            one.
+        corridor_violation_steps: steps that ended so.
+        minimum_room: from the robot's edge to the corridor's [m], negative beyond; None without
+            one.
+        collisions: contacts with obstacles; successive steps are one.
+        collision_steps: steps that ended so.
+        minimum_gap: from the robot's edge to the nearest obstacle [m]; None without any.
+        mean_speed: of the robot, over the steps [m/s].
+        max_speed: the greatest [m/s].
+        rms_lateral_acceleration: root mean square [m/s^2]; None of a model that does not say.
+        max_lateral_acceleration: the greatest [m/s^2].
+        rms_longitudinal_acceleration: [m/s^2].
+        rms_jerk: of the change of both accelerations from step to step, over the control period
+            [m/s^3].
+        command_jerk: root mean square of the commands' second differences, in halves of the range
+            between their bounds [1/s^2].
+        mean_effective_sample_size: over the steps.
+        minimum_effective_sample_size: over the steps.
+        non_finite_steps: steps without a single finite rollout.
+        compute: wall-clock cost.
+        seed: of the run, if known.
+        versions: of the software, and the machine.
+        curves: "time" [s], "progress", "contouring", "lag", "room" and "gap" [m] every half second,
+            the end included.
+    """
+
+    duration: float
+    num_steps: int
+    is_finished: bool
+    finished_at: float | None
+    is_interrupted: bool
+    progress: float
+    to_go: float
+    lap_times: list[float]
+    mean_contouring: float | None
+    max_contouring: float | None
+    mean_lag: float | None
+    max_lag: float | None
+    mean_deviation: float | None
+    max_deviation: float | None
+    corridor_violations: int
+    corridor_violation_steps: int
+    minimum_room: float | None
+    collisions: int
+    collision_steps: int
+    minimum_gap: float | None
+    mean_speed: float | None
+    max_speed: float | None
+    rms_lateral_acceleration: float | None
+    max_lateral_acceleration: float | None
+    rms_longitudinal_acceleration: float | None
+    rms_jerk: float | None
+    command_jerk: float | None
+    mean_effective_sample_size: float | None
+    minimum_effective_sample_size: float | None
+    non_finite_steps: int
+    compute: Compute
+    seed: int | None
+    versions: dict[str, str | int | None]
+    curves: dict[str, list[float | None]] = dataclasses.field(repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain Python values that JSON can hold."""
+        return dataclasses.asdict(self)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what matters as (name, text), for tables."""
+        end = (
+            f"finished after {text(self.finished_at, 2)} s" if self.is_finished else "not finished"
+        )
+        rows = [
+            ("progress", f"{self.progress:.2f} m, {max(self.to_go, 0.0):.2f} m to go, {end}"),
+            ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
+        ]
+        if self.is_interrupted:
+            rows.append(("interrupted", "by the user"))
+        if self.lap_times:
+            best, mean = min(self.lap_times), float(np.mean(self.lap_times))
+            rows.append(
+                (
+                    "laps",
+                    f"{len(self.lap_times)}, the best in {best:.2f} s, {mean:.2f} s on average",
+                )
+            )
+        for name in ("contouring", "lag", "deviation"):
+            both = [text(getattr(self, f"{kind}_{name}"), 3) for kind in ("mean", "max")]
+            rows.append((name, f"{both[0]} m on average, {both[1]} m at most"))
+        if self.minimum_room is not None:
+            times = f"{self.corridor_violations} violations ({self.corridor_violation_steps} steps)"
+            rows.append(("corridor", f"{times}, {self.minimum_room:.3f} m of room at least"))
+        if self.minimum_gap is not None:
+            times = f"{self.collisions} contacts ({self.collision_steps} steps)"
+            rows.append(("obstacles", f"{times}, {self.minimum_gap:.3f} m away at least"))
+        compute, versions = self.compute, self.versions
+        lateral = [text(self.rms_lateral_acceleration, 2), text(self.max_lateral_acceleration, 2)]
+        sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
+        rows += [
+            ("speed", f"{text(self.mean_speed, 2)} m/s, {text(self.max_speed, 2)} m/s at most"),
+            ("lateral", f"{lateral[0]} m/s² RMS, {lateral[1]} m/s² at most"),
+            ("longitudinal", f"{text(self.rms_longitudinal_acceleration, 2)} m/s² RMS"),
+            ("jerk", f"{text(self.rms_jerk, 1)} m/s³ RMS"),
+            ("command jerk", f"{text(self.command_jerk, 1)} ranges/s²"),
+            ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
+            ("non-finite", f"{self.non_finite_steps} steps"),
+            *compute.rows(),
+            ("seed", "-" if self.seed is None else str(self.seed)),
+            ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
+            ("device", str(versions["device"])),
+        ]
+        return rows
+
+    def __str__(self) -> str:
+        rows = self.rows()
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def compute_path_metrics(recording: PathRecording, *, seed: int | None = None) -> PathMetrics:
+    """Return the metrics of a run along a path.
+
+    Args:
+        recording: of a run, finished or not; one without a step too.
+        seed: to note down.
+    """
+    records, period, steps = recording.records, recording.control_period, recording.num_steps
+    time, progress = recording.time, recording.progress
+    way, speed = float(progress[-1] - progress[0]), speeds(recording)[1:]
+    is_finished = bool(progress[-1] >= recording.end)
+    room, gap = (np.asarray(each, np.float64) for each in (records.room, records.gap))
+    felt = np.asarray(records.acceleration, np.float64).reshape(-1, 2)
+    jerk = np.diff(felt, axis=0) / period
+    sizes = np.asarray(records.effective_sample_size, np.float64)
+    stride = max(1, round(CURVE_PERIOD / period))
+    kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
+    measured = {
+        "contouring": records.contouring,
+        "lag": records.lag,
+        "room": records.room,
+        "gap": records.gap,
+    }
+    curves = {"time": time, "progress": progress} | {
+        # Nothing was measured before the first step.
+        name: np.concatenate([[np.nan], values])
+        for name, values in measured.items()
+    }
+    return PathMetrics(
+        duration=steps * period,
+        num_steps=steps,
+        is_finished=is_finished,
+        finished_at=steps * period if is_finished else None,
+        is_interrupted=recording.is_interrupted,
+        progress=way,
+        to_go=float(recording.end - progress[-1]),
+        lap_times=lap_times(recording),
+        mean_contouring=finite_mean(np.abs(records.contouring)),
+        max_contouring=_greatest(records.contouring),
+        mean_lag=finite_mean(np.abs(records.lag)),
+        max_lag=_greatest(records.lag),
+        mean_deviation=finite_mean(np.abs(records.deviation)),
+        max_deviation=_greatest(records.deviation),
+        corridor_violations=episodes(room < 0.0),
+        corridor_violation_steps=int((room < 0.0).sum()),
+        minimum_room=finite(np.min(room, initial=np.inf)),
+        collisions=episodes(gap < 0.0),
+        collision_steps=int((gap < 0.0).sum()),
+        minimum_gap=finite(np.min(gap, initial=np.inf)),
+        mean_speed=finite_mean(speed),
+        max_speed=_greatest(speed),
+        rms_lateral_acceleration=_rms(felt[:, 1]),
+        max_lateral_acceleration=_greatest(felt[:, 1]),
+        rms_longitudinal_acceleration=_rms(felt[:, 0]),
+        rms_jerk=_rms(np.hypot(jerk[:, 0], jerk[:, 1])),
+        command_jerk=command_jerk(records.control, recording.control_half_range, period),
+        mean_effective_sample_size=finite_mean(sizes),
+        minimum_effective_sample_size=finite(np.min(sizes, initial=np.inf)),
+        non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
+        compute=compute_cost(recording.timing, period),
+        seed=seed,
+        versions=software(),
+        curves={
+            name: [finite(value, digits=5) for value in values[kept]]
+            for name, values in curves.items()
+        },
+    )
+
+
+def _greatest(values: Any) -> float | None:
+    """Return the greatest absolute value; None if nothing is finite."""
+    numbers = np.abs(np.asarray(values, np.float64))
+    numbers = numbers[np.isfinite(numbers)]
+    return float(numbers.max()) if numbers.size else None
+
+
+def _rms(values: np.ndarray) -> float | None:
+    mean = finite_mean(values**2)
+    return None if mean is None else float(np.sqrt(mean))

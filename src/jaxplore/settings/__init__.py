@@ -1,0 +1,1 @@
+"""Settings: every number of a run, checked."""

@@ -1,0 +1,1 @@
+"""A scenario as a reinforcement-learning environment."""

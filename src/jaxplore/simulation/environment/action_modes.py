@@ -1,0 +1,288 @@
+"""What an action of an environment means: a control, or a place to drive to."""
+
+import abc
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ControlVector, Key, Pose, Scalar, StateVector, Vector
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.goal_field import goal_field
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.perception import LAYERS, Perception
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.mppi import MPPI
+from jaxplore.control.rollout import Trajectory
+from jaxplore.costs.effort import ControlCost
+from jaxplore.costs.heading_for import ToGoalCost
+from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.angles import sin_cos
+
+ActionVector = Float[Array, "A"]
+
+
+class ActionMode(eqx.Module):
+    """How an action (A,) from outside becomes a controller that carries it out.
+
+    All controllers of a mode have states of the same structure, so that one goes on from another's.
+    """
+
+    @property
+    @abc.abstractmethod
+    def low(self) -> ActionVector:
+        """Least action (A,)."""
+
+    @property
+    @abc.abstractmethod
+    def high(self) -> ActionVector:
+        """Greatest action (A,)."""
+
+    @property
+    @abc.abstractmethod
+    def initial_controller(self) -> Controller:
+        """A controller whose initial state is the one to begin with."""
+
+    @abc.abstractmethod
+    def controller(
+        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+    ) -> Controller:
+        """Return the controller that carries an action out.
+
+        Args:
+            action: (A,), clipped to the bounds.
+            pose: of the robot, as it knows it (x, y, yaw) [m, m, rad].
+            belief: what it knows.
+            perception: that made it.
+        """
+
+    @abc.abstractmethod
+    def at_period(self, control_period: ArrayLike) -> "ActionMode":
+        """Return this mode for commands that are `control_period` seconds apart."""
+
+
+class ControlMode(ActionMode):
+    """An action is a control of the robot, held until the next action.
+
+    Args:
+        robot: its model.
+    """
+
+    robot: Dynamics
+
+    @property
+    def low(self) -> ActionVector:
+        """The robot's least controls (nu,)."""
+        return self.robot.control_min
+
+    @property
+    def high(self) -> ActionVector:
+        """The robot's greatest controls (nu,)."""
+        return self.robot.control_max
+
+    @property
+    def initial_controller(self) -> Controller:
+        """A robot left alone."""
+        return Hold(self.robot.default_control)
+
+    def controller(
+        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+    ) -> Controller:
+        """Return the controller that gives this control."""
+        return Hold(jnp.clip(action, self.low, self.high))
+
+    def at_period(self, control_period: ArrayLike) -> "ControlMode":
+        """Return this mode, which depends on no period."""
+        return self
+
+
+class WaypointMode(ActionMode):
+    """An action is a place (x, y) in the robot's frame, ahead and to the left [m].
+
+    A controller drives there along the shortest way through what is not known to be occupied, as
+    known when the action is given: see `goal_field`. Of a place in a wall, as near to it as the
+    robot gets.
+
+    Args:
+        drive: the controller; its costs read `Belief.to_goal`, see `waypoint_mppi`.
+        reach: greatest x and y of an action [m].
+
+    Raises:
+        ValueError: a reach that is not positive.
+    """
+
+    drive: Controller
+    reach: Scalar
+
+    def __init__(self, drive: Controller, reach: ArrayLike = 3.0) -> None:
+        self.drive = drive
+        self.reach = _checks.scalar("reach", reach, above=0.0)
+
+    @property
+    def low(self) -> ActionVector:
+        """Minus the reach (2,)."""
+        return jnp.stack([-self.reach, -self.reach])
+
+    @property
+    def high(self) -> ActionVector:
+        """The reach (2,)."""
+        return jnp.stack([self.reach, self.reach])
+
+    @property
+    def initial_controller(self) -> Controller:
+        """The controller that drives."""
+        return self.drive
+
+    def controller(
+        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+    ) -> Controller:
+        """Return the controller that drives to this place."""
+        ahead, left = jnp.clip(action, self.low, self.high)
+        sin, cos = sin_cos(pose[2])
+        offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
+        ground = perception.ground
+        way = goal_field(
+            belief.grid,
+            None if ground is None else ~ground.is_traversable,
+            pose[:2] + offset,
+            perception.required_clearance,
+            unknown_factor=perception.unknown_factor,
+            max_clearance=perception.max_clearance,
+            stride=perception.field_sensor.stride,
+            num_layers=LAYERS,
+        )
+        return AlongWay(self.drive, way)
+
+    def at_period(self, control_period: ArrayLike) -> "WaypointMode":
+        """Return this mode for commands that are `control_period` seconds apart."""
+        return WaypointMode(self.drive.at_period(control_period), self.reach)
+
+
+class Hold(Controller):
+    """Gives one control (nu,), come what may."""
+
+    control: ControlVector
+
+    def init(self) -> tuple[()]:
+        """Return nothing: it remembers nothing."""
+        return ()
+
+    def step(
+        self, state: tuple[()], observation: StateVector, belief: Any = None, *, key: Key
+    ) -> tuple[ControlVector, tuple[()], Info]:
+        """Return the control."""
+        one = jnp.ones(())
+        info = Info(self.control[None], one[None], jnp.zeros(1), one, jnp.array(True))
+        return self.control, state, info
+
+    def inspect(
+        self,
+        state: tuple[()],
+        observation: StateVector,
+        belief: Any = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return a plan that stands still: without a model there is no other."""
+        still = jnp.stack([observation, observation])
+        alone = Trajectory(still, self.control[None], {})
+        return SampledPlan(alone, alone, still[None], jnp.ones(1))
+
+    def at_period(self, control_period: ArrayLike) -> "Hold":
+        """Return this controller, which depends on no period."""
+        return self
+
+
+class AlongWay(Controller):
+    """Another controller, to whose belief a way to a goal is added.
+
+    Args:
+        drive: the controller.
+        way: cost to go to the goal [m]; in the place of `Belief.to_goal`.
+    """
+
+    drive: Controller
+    way: GuidanceField
+
+    def init(self) -> Any:
+        """Return the state of the controller before the first step."""
+        return self.drive.init()
+
+    def step(
+        self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
+    ) -> tuple[ControlVector, Any, Info]:
+        """Return the control, the controller's new state and what it says about the step."""
+        guided = dataclasses.replace(belief, to_goal=self.way)
+        return self.drive.step(state, observation, guided, key=key)
+
+    def inspect(
+        self,
+        state: Any,
+        observation: StateVector,
+        belief: Any = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return what `step` sees with the same arguments."""
+        guided = dataclasses.replace(belief, to_goal=self.way)
+        return self.drive.inspect(
+            state, observation, guided, key=key, num_trajectories=num_trajectories
+        )
+
+    def at_period(self, control_period: ArrayLike) -> "AlongWay":
+        """Return this controller for commands that are `control_period` seconds apart."""
+        return AlongWay(self.drive.at_period(control_period), self.way)
+
+
+def waypoint_mppi(
+    robot: Dynamics,
+    *,
+    horizon: int = 30,
+    num_samples: int = 256,
+    temperature: ArrayLike = 0.3,
+    noise_std: Vector | None = None,
+    dt: ArrayLike = 0.05,
+    clearance: ArrayLike = 0.4,
+    obstacle_weight: ArrayLike = 1.0,
+    guidance_weight: ArrayLike = 1.0,
+    control_weight: ArrayLike = 0.01,
+) -> MPPI:
+    """Return MPPI that drives along `Belief.to_goal` and keeps clear of what is not known free.
+
+    Args:
+        robot: its model, of a robot on the ground.
+        horizon: model steps ahead, T.
+        num_samples: rollouts, K.
+        temperature: of the softmax.
+        noise_std: (nu,) of the controls; half the range between their bounds when absent.
+        dt: model step [s].
+        clearance: distance kept from obstacles [m]; see `ObstacleCost`.
+        obstacle_weight: of `ObstacleCost`.
+        guidance_weight: of `ToGoalCost`.
+        control_weight: of `ControlCost`.
+
+    Raises:
+        ValueError: a robot that flies, a value that a part does not accept.
+    """
+    if "z" in robot.state_names:
+        raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
+    if noise_std is None:
+        noise_std = 0.5 * (robot.control_max - robot.control_min)
+    return MPPI(
+        robot,
+        obstacle_weight * ObstacleCost(clearance)
+        + guidance_weight * ToGoalCost()
+        + control_weight * ControlCost(),
+        horizon=horizon,
+        num_samples=num_samples,
+        temperature=temperature,
+        noise_std=noise_std,
+        dt=dt,
+    )

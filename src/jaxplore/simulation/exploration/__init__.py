@@ -1,0 +1,1 @@
+"""Exploration of an unknown map, as a scenario."""

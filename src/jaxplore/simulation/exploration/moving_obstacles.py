@@ -1,0 +1,121 @@
+"""Obstacles that move: where each of them is at any time."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+
+from jaxplore import _checks
+from jaxplore._types import Position, Scalar
+from jaxplore.maps.world import MovingObstacle
+
+
+class MovingObstacleState(NamedTuple):
+    """Where discs are and how they move: `positions` (M, 2) [m], `velocities` (M, 2) [m/s]."""
+
+    positions: Float[Array, "M 2"]
+    velocities: Float[Array, "M 2"]
+
+
+class MovingObstacles(eqx.Module):
+    """Discs on closed paths at constant speed.
+
+    A disc goes round the polyline through its corners and back from the last to the first. With L
+    the length of a round, at time t it has come
+
+        s(t) = (phase * L + speed * t) mod L
+
+    along the path, and its velocity is its speed along the segment on which it is; at a corner,
+    the one that begins there. On a path of no length it stands still.
+
+    Everything is an array leaf: other paths with as many corners do not recompile.
+
+    Args:
+        movers: the discs; none is fine.
+        phase: (M,) share of a round at time 0, in [0, 1); 0, the first corner, when absent.
+
+    Raises:
+        ValueError: a phase that is not M numbers in [0, 1).
+    """
+
+    corners: Float[Array, "M P 2"]
+    """Of the paths [m]; the last is repeated where a path has fewer than the longest."""
+    arc: Float[Array, "M P+1"]
+    """Length of the path up to each corner, and of the whole round [m]."""
+    speed: Float[Array, " M"]
+    radius: Float[Array, " M"]
+    phase: Float[Array, " M"]
+
+    def __init__(
+        self, movers: Sequence[MovingObstacle], phase: ArrayLike | Sequence[float] | None = None
+    ):
+        most = max((len(mover.path) for mover in movers), default=1)
+        rows = [[*mover.path, *mover.path[-1:] * (most - len(mover.path))] for mover in movers]
+        corners = np.array(rows, np.float64).reshape(-1, most, 2)
+        steps = np.roll(corners, -1, axis=1) - corners
+        arc = np.zeros((len(movers), most + 1))
+        arc[:, 1:] = np.cumsum(np.hypot(steps[..., 0], steps[..., 1]), axis=1)
+        self.corners = jnp.asarray(corners, jnp.float32)
+        self.arc = jnp.asarray(arc, jnp.float32)
+        self.speed = jnp.asarray([mover.speed for mover in movers], jnp.float32)
+        self.radius = jnp.asarray([mover.radius for mover in movers], jnp.float32)
+        self.phase = _phases(np.zeros(len(movers)) if phase is None else phase, len(movers))
+
+    @classmethod
+    def none(cls) -> "MovingObstacles":
+        """Return no movers."""
+        return cls(())
+
+    def with_phase(self, phase: ArrayLike | Sequence[float]) -> "MovingObstacles":
+        """Return the same movers from another start: (M,) shares of a round at time 0, in [0, 1).
+
+        Raises:
+            ValueError: not M numbers in [0, 1).
+        """
+        checked = _phases(phase, self.phase.shape[0])
+        same: MovingObstacles = eqx.tree_at(lambda movers: movers.phase, self, checked)
+        return same
+
+    def at(self, time: Scalar) -> MovingObstacleState:
+        """Return where the discs truly are at a time since the start [s], and their velocities."""
+        travelled = self.phase * self.arc[:, -1] + self.speed * time
+        positions, directions = jax.vmap(_place)(self.corners, self.arc, travelled)
+        return MovingObstacleState(positions, self.speed[:, None] * directions)
+
+    def discs(self, time: Scalar) -> Float[Array, "M 3"]:
+        """Return (x, y, radius) of each disc at a time since the start [m]."""
+        return jnp.concatenate([self.at(time).positions, self.radius[:, None]], axis=-1)
+
+
+def _place(
+    corners: Float[Array, "P 2"], arc: Float[Array, " P+1"], travelled: Scalar
+) -> tuple[Position, Position]:
+    """Return where a disc is on its path, and the direction in which it goes (0 on a point)."""
+    length = arc[-1]
+    rest = jnp.mod(travelled, jnp.where(length > 0.0, length, 1.0))
+    rest = jnp.where(rest < length, rest, 0.0)  # rounding may leave a whole round
+    # From the right: a segment of no length, as the padding has, is never the one found.
+    found = jnp.searchsorted(arc, rest, side="right") - 1
+    index = jnp.clip(found, 0, len(corners) - 1)
+    start, end = corners[index], corners[(index + 1) % len(corners)]
+    along = end - start
+    squared = along @ along
+    is_point = squared <= 0.0
+    direction = along / jnp.sqrt(jnp.where(is_point, 1.0, squared))
+    position = start + (rest - arc[index]) * direction
+    return jnp.where(is_point, start, position), jnp.where(is_point, 0.0, direction)
+
+
+def _phases(value: ArrayLike | Sequence[float], size: int) -> Array:
+    phase = _checks.vector("phase", value, size)
+    if not _checks.is_traced(phase):
+        given = np.asarray(value, np.float64)
+        if not ((given >= 0.0) & (given < 1.0)).all():
+            raise ValueError(f"phase is {given.tolist()}; accepted: numbers in [0, 1)")
+    return phase

@@ -1,0 +1,98 @@
+"""Where the robot could go if it knew the world."""
+
+import jax.numpy as jnp
+import numpy as np
+import scipy.ndimage
+
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
+
+
+def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> np.ndarray:
+    """Return the cells (H, W) to which the centre of a disc can get from a start.
+
+    Free cells whose centres are at least `radius` from the nearest solid cell's face (centre
+    distance less half a cell), 8-connected to the start.
+
+    Args:
+        world: whatever it does not know to be free is solid, as is everything off the map.
+        start: (x, y, ...) [m].
+        radius: of the disc [m].
+
+    Raises:
+        ValueError: a start where the disc cannot stand.
+    """
+    free = np.asarray(world.is_free)
+    row, column = (int(index) for index in world.frame.to_cell(jnp.asarray(start[:2], jnp.float32)))
+    where = f"start is ({start[0]:g}, {start[1]:g})"
+    if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1]):
+        corners = np.asarray(
+            world.frame.to_world(
+                jnp.asarray(
+                    [[0, 0], free.shape, [0, free.shape[1]], [free.shape[0], 0]], jnp.float32
+                )
+            )
+        )
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        raise ValueError(
+            f"{where}, off the map; accepted: free space within "
+            f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}"
+        )
+    if not free[row, column]:
+        kind = "in a wall" if bool(world.is_occupied[row, column]) else "in unknown space"
+        raise ValueError(
+            f"{where}, {kind}; accepted: free space{_nearest(world, free, radius, start)}"
+        )
+    distance = _face_distance(free, world.resolution)
+    room = free & (distance >= radius - 1e-6)
+    # The robot may stand between the centres of cells: those around it count as well.
+    near = np.zeros_like(free)
+    near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
+    labels, _ = scipy.ndimage.label(room, structure=np.ones((3, 3), int))
+    beginnings = np.unique(labels[near & room])
+    clearance = disc_clearance(
+        ~world.is_free,
+        world.frame.to_grid(jnp.asarray(start[:2], jnp.float32)),
+        jnp.asarray(radius, jnp.float32),
+        world.resolution,
+        clearance_reach(radius, world.resolution),
+    )
+    if beginnings.size == 0 or float(clearance) < 0.0:
+        raise ValueError(
+            f"{where}, where a robot of radius {radius:g} m touches something; "
+            f"accepted: free space{_nearest(world, free, radius, start)}"
+        )
+    return np.isin(labels, beginnings)
+
+
+def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:
+    padded = np.pad(free, 1)
+    distance = np.asarray(scipy.ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
+    return (distance - 0.5) * resolution
+
+
+def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
+    """Return the position (x, y) [m] with the most room for a disc.
+
+    Raises:
+        ValueError: the map has no place for it.
+    """
+    distance = _face_distance(np.asarray(world.is_free), world.resolution)
+    row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
+    if distance[row, column] < radius:
+        raise ValueError(
+            f"the map has no place for a robot of radius {radius:g} m; accepted: a map with "
+            "connected free space"
+        )
+    x, y = np.asarray(world.frame.cell_centre(jnp.asarray([row, column])))
+    return float(x), float(y)
+
+
+def _nearest(world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray) -> str:
+    """Return a hint: the nearest place where the robot has room."""
+    cells = np.argwhere(free & (_face_distance(free, world.resolution) >= radius + 0.1))
+    if cells.size == 0:
+        return f"; this map has no place for a robot of radius {radius:g} m"
+    centres = np.asarray(world.frame.cell_centre(jnp.asarray(cells)))
+    x, y = centres[np.argmin(np.hypot(*(centres - start[:2]).T))]
+    return f", for example ({x:.2f}, {y:.2f})"

@@ -1,0 +1,146 @@
+"""Obstacles that move along a path, or stand on it."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._checks import array, one_each
+from jaxplore._types import Scalar, Vector
+from jaxplore.belief.obstacles import Obstacles
+from jaxplore.geometry.outlines import Outlines
+from jaxplore.geometry.path import Path, PathPoint
+
+
+class Traffic(eqx.Module):
+    """N obstacles beside a path, each at a constant offset and rate. At time t the n-th is at
+
+        phi_n(t) = phi_n + rate_n t,   p_n = the point offset_n to the left of phi_n(t)
+
+    heading along the path. Of a rate of 0 it stands, of a negative one it comes towards the robot.
+
+    Args:
+        path: along which they move.
+        phi: (N,) where they are at the start, by arc length [m].
+        offsets: (N,) to the left of the path [m].
+        rates: (N,) along the path [m/s].
+        outlines: of obstacles at (0, 0) that head along x; or give `radii`.
+        radii: (N,) or one number, of discs [m].
+
+    Raises:
+        ValueError: shapes that do not fit, numbers that are not finite, negative radii, both or
+            neither of two alternatives, an offset beyond the room beside the path.
+    """
+
+    path: Path
+    phi: Float[Array, " N"]
+    offsets: Float[Array, " N"]
+    rates: Float[Array, " N"]
+    outlines: Outlines
+
+    def __init__(
+        self,
+        path: Path,
+        phi: Vector,
+        offsets: Vector,
+        rates: Vector,
+        outlines: Outlines | None = None,
+        *,
+        radii: Vector | None = None,
+    ) -> None:
+        self.path = path
+        self.phi = array("phi", phi, ("N",), may_be_empty=True)
+        number = self.phi.shape[0]
+        self.offsets = one_each("offsets", offsets, number)
+        self.rates = one_each("rates", rates, number)
+        if (outlines is None) == (radii is None):
+            raise ValueError(f"outlines is {outlines!r}, radii is {radii!r}; accepted: one of them")
+        if outlines is None:
+            outlines = Outlines.discs(jnp.zeros((number, 2)), one_each("radii", radii, number))
+        elif outlines.number != number:
+            raise ValueError(f"outlines has {outlines.number}; accepted: {number}, one for each")
+        self.outlines = outlines
+        if not _checks.is_traced(self.offsets, path.half_widths):
+            _check_offsets(path, np.asarray(self.offsets))
+
+    @classmethod
+    def random(
+        cls,
+        path: Path,
+        number: int,
+        *,
+        seed: int,
+        radius: float = 0.2,
+        rates: tuple[float, float] = (0.5, 1.5),
+        clear: float = 6.0,
+    ) -> "Traffic":
+        """Return discs spread over a path, at random offsets within its room, up to half of it.
+
+        Args:
+            path: with half widths.
+            number: N.
+            seed: of where they are.
+            radius: [m].
+            rates: least and greatest [m/s].
+            clear: length of the path from its start without any [m].
+
+        Raises:
+            ValueError: a path without room for them, numbers that are not positive.
+        """
+        count = _checks.whole_number("number", number, at_least=0)
+        size = _checks.number("radius", radius, above=0.0)
+        length, free = float(path.length), _checks.number("clear", clear, at_least=0.0)
+        narrow = float(np.asarray(path.half_widths).min())
+        if not (np.isfinite(narrow) and narrow > size):
+            raise ValueError(
+                f"path has {narrow:.3g} m on either side; accepted: half widths above the radius "
+                f"of the obstacles, {size:g}"
+            )
+        slow, fast = (float(rate) for rate in rates)
+        if not (np.isfinite([slow, fast]).all() and slow <= fast):
+            raise ValueError(f"rates is {tuple(rates)}; accepted: the least and the greatest")
+        if free >= length:
+            raise ValueError(f"clear is {clear!r}; accepted: less than the length, {length:g}")
+        rng = np.random.default_rng(seed)
+        share = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / max(count, 1)
+        sides = rng.uniform(-1.0, 1.0, count) * 0.5 * (narrow - size)
+        return cls(
+            path,
+            free + (length - free) * share,
+            sides,
+            rng.uniform(slow, fast, count),
+            radii=size,
+        )
+
+    @property
+    def number(self) -> int:
+        """How many there are, N."""
+        return self.phi.shape[0]
+
+    def at(self, time: Scalar) -> Obstacles:
+        """Return where they truly are at a time since the start [s], and how they move."""
+
+        def place(phi: Scalar, offset: Scalar, rate: Scalar, corners: Array) -> tuple[Array, ...]:
+            point: PathPoint = self.path.at(phi + rate * time)
+            ahead = jnp.stack([point.cos, point.sin])
+            centre = point.position + offset * point.normal
+            turned = corners[:, :1] * ahead + corners[:, 1:] * point.normal
+            # To the left of a bend to the left the way is shorter.
+            velocity = rate * (1.0 - point.curvature * offset) * ahead
+            return centre, turned + centre, velocity, rate * point.curvature
+
+        everything = (self.phi, self.offsets, self.rates, self.outlines.corners)
+        centres, corners, velocities, turn_rates = jax.vmap(place)(*everything)
+        outlines = Outlines(corners, self.outlines.radii)
+        return Obstacles(outlines, velocities, turn_rates, centres=centres)
+
+
+def _check_offsets(path: Path, offsets: np.ndarray) -> None:
+    left, right = np.asarray(path.half_widths).min(axis=0)
+    for index, offset in enumerate(offsets):
+        if not -right <= offset <= left:
+            raise ValueError(
+                f"offsets[{index}] is {offset:g}; accepted: {-right:g} to {left:g}, on the path"
+            )

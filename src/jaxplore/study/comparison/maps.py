@@ -1,0 +1,175 @@
+"""The maps of a benchmark: ROS maps in a folder, and where a robot starts on them."""
+
+import contextlib
+import dataclasses
+import hashlib
+import math
+import os
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxplore.maps.files._files import read_yaml
+from jaxplore.maps.files.packing import image_of
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.settings.exploration import read_settings
+
+STARTS = "starts.yaml"
+"""File of a folder of maps that says where to start: NAME: [x, y, yaw]."""
+
+Start = tuple[float, float, float]
+"""Pose (x, y, yaw) [m, m, rad]."""
+
+_SUFFIXES = (".yaml", ".yml")
+
+
+@dataclasses.dataclass(frozen=True)
+class MapFile:
+    """A ROS map on the disk.
+
+    Args:
+        name: of the map in the results.
+        path: of its YAML file; absolute.
+        content: hash of that file and of its image. A missing image counts as an empty one: the
+            map can be named, not read.
+        start: where the robot begins; the most open spot, heading along x, when absent.
+    """
+
+    name: str
+    path: str
+    content: str
+    start: Start | None = None
+
+
+def maps_in(folder: str | os.PathLike[str]) -> tuple[MapFile, ...]:
+    """Return the ROS maps in a folder and in the folders in it, by name.
+
+    A map is a YAML file with an image and a resolution. Its name is that of the file without the
+    ending, or that of its folder where two files have the same name or it is just `map`; both,
+    FOLDER-FILE, where that is taken as well. Starts are those of the folder's `starts.yaml`.
+
+    Raises:
+        ValueError: no folder, no maps in it, two maps that cannot be told apart, starts that are
+            not accepted.
+    """
+    top = Path(os.path.realpath(folder))
+    try:
+        inner = sorted(path for path in top.iterdir() if path.is_dir() and path.name[0] != ".")
+        files = [path for each in (top, *inner) for path in sorted(each.iterdir())]
+    except OSError as error:
+        raise ValueError(
+            f"folder of maps {os.fspath(folder)!r} cannot be read: {error.strerror}; accepted: a "
+            "folder with ROS maps"
+        ) from None
+    paths = [path for path in files if path.suffix.lower() in _SUFFIXES and _is_map(path)]
+    if not paths:
+        raise ValueError(
+            f"folder of maps {os.fspath(folder)!r} holds no ROS map, neither do the folders in it; "
+            "accepted: YAML files with an image and a resolution"
+        )
+    maps = tuple(
+        MapFile(name, str(path), _content(path))
+        for name, path in sorted(zip(_names(paths), paths, strict=True))
+    )
+    file = top / STARTS
+    return with_starts(maps, file) if file.is_file() else maps
+
+
+def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tuple[MapFile, ...]:
+    """Return maps with the starts that a YAML file gives by their names.
+
+    Args:
+        maps: one that the file does not name keeps the start it has.
+        file: a mapping, NAME: [x, y, yaw] [m, m, rad].
+
+    Raises:
+        ValueError: a file that cannot be read, a name that is no map's, a start that is not three
+            finite numbers.
+    """
+    starts = {str(name): value for name, value in read_settings(file).items()}
+    known = [each.name for each in maps]
+    for name in starts:
+        if name not in known:
+            raise ValueError(
+                f"{os.fspath(file)} has a start on {name!r}; accepted: the maps {', '.join(known)}"
+            )
+    return tuple(
+        dataclasses.replace(each, start=_start(file, each.name, starts[each.name]))
+        if each.name in starts
+        else each
+        for each in maps
+    )
+
+
+def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
+    """Return a ROS map as runs have it: a finer one is resampled, a coarser one is kept.
+
+    Args:
+        path: of its YAML file.
+        resolution: side of a cell [m].
+
+    Raises:
+        ValueError: a map that cannot be read.
+    """
+    grid = OccupancyGrid.from_ros(path)
+    is_finer = grid.resolution < resolution * (1.0 - 1e-6)
+    return grid.resample(resolution) if is_finer else grid
+
+
+def grids_of(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
+    """Return the maps that can be read by their names, as runs have them; see `read_grid`."""
+    grids = {}
+    for each in maps:
+        with contextlib.suppress(ValueError):
+            grids[each.name] = read_grid(each.path, resolution)
+    return grids
+
+
+def _is_map(path: Path) -> bool:
+    try:
+        entries = read_yaml(path)
+    except ValueError:
+        return False
+    return "image" in entries and "resolution" in entries
+
+
+def _content(path: Path) -> str:
+    image = image_of(path)
+    parts = [path.read_bytes(), b"" if image is None else image.read_bytes()]
+    whole = hashlib.sha256()
+    for part in parts:
+        whole.update(hashlib.sha256(part).digest())
+    return whole.hexdigest()[:20]
+
+
+def _names(paths: list[Path]) -> list[str]:
+    stems = Counter(path.stem for path in paths)
+    short = [
+        path.parent.name if path.stem == "map" or stems[path.stem] > 1 else path.stem
+        for path in paths
+    ]
+    times = Counter(short)
+    names = [
+        name if times[name] == 1 else f"{path.parent.name}-{path.stem}"
+        for name, path in zip(short, paths, strict=True)
+    ]
+    for name, number in Counter(names).items():
+        if number > 1:
+            same = [str(path) for each, path in zip(names, paths, strict=True) if each == name]
+            raise ValueError(f"two maps have the name {name}: {', '.join(same)}; accepted: one")
+    return names
+
+
+def _start(file: str | os.PathLike[str], name: str, value: Any) -> Start:
+    reason = (
+        f"{os.fspath(file)}: the start on {name} is {value!r}; accepted: [x, y, yaw], finite "
+        "numbers [m, m, rad]"
+    )
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        raise ValueError(reason)
+    for each in value:
+        if isinstance(each, bool) or not isinstance(each, int | float) or not math.isfinite(each):
+            raise ValueError(reason)
+    x, y, yaw = map(float, value)
+    return x, y, yaw

@@ -1,0 +1,285 @@
+"""The results of a benchmark as one page that needs nothing else: tables, curves, and the paths of
+runs, each of which is replayed at a click."""
+
+import base64
+import html
+import importlib.resources
+import io
+import json
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.report.drawing.colours import OUTLINE, SERIES, UNKNOWN, belief_colours
+from jaxplore.study.comparison.rows import Row
+from jaxplore.study.comparison.table import NEEDED, failures, map_tables
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SHOWN = (
+    *NEEDED,
+    "curve_time",
+    "curve_coverage",
+    "duration",
+    "positions_x",
+    "positions_y",
+    "seen_time",
+    "seen",
+    "settings",
+    "time_limit",
+)
+"""Columns of the results that the page is made from."""
+Part = tuple[slice, slice]
+"""Rows and columns of a map."""
+
+RIM = 2
+"""Unknown cells that are drawn around what is known of a map."""
+CURVE_POINTS = 200
+DOTS_PER_INCH = 110
+STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #2b303a; max-width: 76em; margin: 2em auto;
+  padding: 0 1em; }
+h1, h2 { font-weight: 600; } h2 { margin-top: 2.5em; border-top: 1px solid #d8dbe0;
+  padding-top: 1em; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
+th, td { text-align: right; vertical-align: top; padding: .35em .9em; white-space: pre-line; }
+th { font-weight: 600; border-bottom: 2px solid #2b303a; }
+td { border-bottom: 1px solid #e4e6ea; white-space: pre; }
+th:first-child, td:first-child { text-align: left; }
+td:first-child { font-weight: 600; }
+.wide { overflow-x: auto; } img { max-width: 100%; margin-top: 1em; }
+.failed { color: #b3263f; }
+.runs { display: flex; flex-wrap: wrap; gap: 1em; margin-top: 1em; } .runs figure { margin: 0; }
+.runs button { border: 1px solid #d8dbe0; border-radius: 4px; background: none; padding: 2px;
+  cursor: pointer; display: block; }
+.runs button:hover, .runs button:focus { border-color: #1f6fb2; }
+.runs img { margin: 0; display: block; } figcaption { font-size: .85em; text-align: center; }
+dialog { border: 1px solid #d8dbe0; border-radius: 6px; max-width: 95vw; }
+dialog canvas { max-width: 100%; max-height: 75vh; display: block; margin: auto; }
+dialog h3 { margin: 0 0 .5em; font-weight: 600; } dialog form { display: flex; gap: 1em;
+  align-items: center; margin-top: .5em; } dialog input { flex: 1; }
+"""
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+"""What a browser lets the page do: nothing but show what is in it."""
+DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="map"></canvas>
+<form method="dialog"><button type="button" data-part="toggle">Play</button>
+<input type="range" min="0" value="0" step="any" aria-label="time" data-part="time">
+<span data-part="told"></span><button>Close</button></form></dialog>"""
+
+
+def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) -> str:
+    """Return an HTML page that loads nothing: pictures are in it.
+
+    For each map a table as `map_tables` makes it, coverage over time (median and quartiles over
+    seeds), and the path of each explorer's first seed, which a click replays: the map as it was
+    seen, and the robot in it.
+
+    Args:
+        results: rows with the columns `SHOWN`.
+        maps: by name, as the runs had them; one that is missing has no paths.
+        title: of the page.
+    """
+    told = html.escape(title)
+    parts = [
+        "<!DOCTYPE html>",
+        f'<html lang="en"><head><meta charset="utf-8"><title>{told}</title>',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        f"<style>{STYLE}</style></head><body><h1>{told}</h1>",
+        "<p>Medians [quartiles] over seeds; below them the ratio to nearest-frontier's median and "
+        "the interval that holds 95 % of it, bootstrapped over paired seeds. A run that does not "
+        "get somewhere is infinitely late.</p>",
+    ]
+    for line in failures(results):
+        parts.append(f'<p class="failed">{html.escape(line)}</p>')
+    replays: list[dict[str, Any]] = []
+    parts_shown = {name: known_part(grid) for name, grid in maps.items()}
+    for table in map_tables(results):
+        runs = [row for row in results if row["map"] == table.map and row["error"] is None]
+        parts.append(f"<h2>{html.escape(table.map)}</h2>")
+        parts.append(_table(table.rows))
+        parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
+        if table.map in maps:
+            grid, part = maps[table.map], parts_shown[table.map]
+            parts.append('<div class="runs">')
+            for name, own in _by_explorer(runs).items():
+                drawn = _picture(path_figure(own[0], grid, part), f"Path of {name} on {table.map}")
+                drawn = (
+                    f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
+                    "</button>"
+                )
+                told = f"{html.escape(name)}, seed {own[0]['seed']}"
+                parts.append(f"<figure>{drawn}<figcaption>{told}</figcaption></figure>")
+                replays.append(_replay(own[0], grid, part))
+            parts.append("</div>")
+    if replays:
+        parts.append(DIALOG)
+        pictures = {
+            name: _coloured(maps[name], parts_shown[name])
+            for name in sorted({each["map"] for each in replays})
+        }
+        parts.append(_script(replays, pictures))
+    return "\n".join([*parts, "</body></html>", ""])
+
+
+def curves_figure(runs: Sequence[Row]) -> "Figure":
+    """Return coverage over time by explorer: medians, and bands between the quartiles.
+
+    A run that has ended keeps its last value. The axis ends when three of four runs have ended: the
+    last of those that walk at random would leave no room for the others.
+
+    Args:
+        runs: rows of one map.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    most = np.percentile([row["duration"] for row in runs], 75, method="higher") if runs else 1.0
+    time = np.linspace(0.0, max(float(most), 1e-3), CURVE_POINTS)
+    for number, (name, own) in enumerate(_by_explorer(runs).items()):
+        curves = [np.interp(time, row["curve_time"], row["curve_coverage"]) for row in own]
+        low, median, high = np.percentile(100.0 * np.asarray(curves), [25, 50, 75], axis=0)
+        colour, style = SERIES[number % len(SERIES)], ("-", "--", ":")[number // len(SERIES) % 3]
+        axes.fill_between(time, low, high, color=colour, alpha=0.15, linewidth=0.0)
+        axes.plot(time, median, color=colour, linestyle=style, linewidth=1.7, label=name)
+    axes.set(xlim=(0.0, time[-1]), ylim=(0.0, 104.0), xlabel="time [s]", ylabel="coverage [%]")
+    axes.grid(color="0.2", alpha=0.12, linewidth=0.6)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9)
+    return figure
+
+
+def known_part(grid: OccupancyGrid) -> Part:
+    """Return the rows and columns of a map in which anything is known, with a rim of two cells."""
+    is_known = np.asarray(grid.is_free | grid.is_occupied)
+    rows, columns = (
+        _around(np.flatnonzero(is_known.any(axis=axis)), size)
+        for axis, size in zip((1, 0), grid.shape, strict=True)
+    )
+    return rows, columns
+
+
+def _around(places: np.ndarray, size: int) -> slice:
+    if not len(places):
+        return slice(0, size)
+    return slice(max(0, int(places[0]) - RIM), min(size, int(places[-1]) + 1 + RIM))
+
+
+def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
+    """Return the path of a run on the true map.
+
+    A map that is turned is drawn along its own axes.
+
+    Args:
+        row: of the run.
+        grid: the map.
+        part: what is drawn of it.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    coloured = _coloured(grid, part)
+    height, width, _ = coloured.shape
+    tall = min(max(height / width, 0.4), 1.8)
+    figure = Figure(figsize=(2.6, 2.6 * tall), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.imshow(coloured, origin="lower", interpolation="nearest")
+    # Pixels have their centres at whole numbers.
+    across, along = (place - 0.5 for place in _in_cells(row, grid, part))
+    axes.plot(across, along, color=OUTLINE, linewidth=1.2)
+    axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
+    axes.plot(across[-1:], along[-1:], "s", color="#e07a1f", markersize=4)
+    axes.set_axis_off()
+    return figure
+
+
+def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
+    """Return the colours (rows, columns, 3) of a part of a map."""
+    colours: np.ndarray = belief_colours()[
+        np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
+    ]
+    return colours
+
+
+def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the robot was along the columns and rows of a part of a map [cells]."""
+    x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
+    across, along = (
+        (cos * x + sin * y) / grid.resolution,
+        (cos * y - sin * x) / grid.resolution,
+    )
+    rows, columns = part
+    return across - columns.start, along - rows.start
+
+
+def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
+    """Return what the page's script needs of a run: pixels count from the upper left."""
+    across, along = _in_cells(row, grid, part)
+    # The row's picture has its first row above; a part counts from below.
+    seen = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1][part][::-1]
+    radius = json.loads(row["settings"])["robot"]["radius"]
+    return {
+        "map": row["map"],
+        "title": f"{row['explorer']} on {row['map']}, seed {row['seed']}",
+        "time": row["curve_time"],
+        "coverage": np.round(row["curve_coverage"], 4).tolist(),
+        "across": np.round(across, 2).tolist(),
+        "down": np.round(len(seen) - along, 2).tolist(),
+        "radius": radius / grid.resolution,
+        "seen_time": row["seen_time"],
+        "seen": _png(seen),
+    }
+
+
+def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, np.ndarray]) -> str:
+    """Return the data of replays, on pictures of maps, and what plays them."""
+    pictures = {name: _png(coloured[::-1]) for name, coloured in maps.items()}
+    data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
+    # Nothing that a map or an explorer is called can end the script.
+    told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    code = (importlib.resources.files("jaxplore.study.comparison") / "page.js").read_text("utf-8")
+    return f'<script type="application/json" id="runs">{told}</script>\n<script>{code}</script>'
+
+
+def _by_explorer(runs: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the runs of each explorer, the first seed first."""
+    ordered = sorted(runs, key=lambda row: (row["explorer"], row["seed"]))
+    grouped: dict[str, list[Row]] = {}
+    for row in ordered:
+        grouped.setdefault(row["explorer"], []).append(row)
+    return grouped
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    def line(cells: Sequence[str], kind: str) -> str:
+        return "<tr>" + "".join(f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
+
+    header, *others = rows
+    body = "".join(line(row, "td") for row in others)
+    return f'<div class="wide"><table>{line(header, "th")}{body}</table></div>'
+
+
+def _picture(figure: "Figure", alternative: str) -> str:
+    data = io.BytesIO()
+    figure.savefig(data, format="png", dpi=DOTS_PER_INCH)
+    return f'<img alt="{html.escape(alternative)}" src="{_url(data.getvalue())}">'
+
+
+def _png(picture: np.ndarray) -> str:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, format="PNG", optimize=True)
+    return _url(file.getvalue())
+
+
+def _url(picture: bytes) -> str:
+    """Return a PNG as an address that holds it."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"

@@ -1,0 +1,199 @@
+"""Results as rows of a table: one run, one row."""
+
+import io
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxplore.report.exploration.metrics import CURVE_PERIOD, LEVELS, Metrics
+from jaxplore.report.exploration.progress import progress
+from jaxplore.settings.exploration import Settings
+from jaxplore.simulation.recording import Recording
+from jaxplore.study.comparison.replay import replay_of
+from jaxplore.study.comparison.tasks import FORMAT, Task, canonical
+from jaxplore.study.workers.packages import package
+
+Row = dict[str, Any]
+"""A run by the names of the columns; None where there is no value."""
+
+KEYS = ("map", "explorer", "seed")
+"""Columns by which results are sorted."""
+
+COLUMNS = {
+    "format": "int32",
+    "id": "string",
+    "map": "string",
+    "explorer": "string",
+    "seed": "int64",
+    "error": "string",
+    "is_finished": "bool",
+    "coverage": "double",
+    **{f"time_to_{level}": "double" for level in LEVELS},
+    **{f"path_to_{level}": "double" for level in LEVELS},
+    "path_length": "double",
+    "duration": "double",
+    "final_entropy": "double",
+    "area_under_curve": "double",
+    "collisions": "int64",
+    "collisions_per_100m": "double",
+    "minimum_clearance": "double",
+    "information_per_metre": "double",
+    "command_jerk": "double",
+    "step_ms_p50": "double",
+    "step_ms_p99": "double",
+    "loop_step_ms": "double",
+    "compile_seconds": "double",
+    "time_limit": "double",
+    "curve_time": "list",
+    "curve_coverage": "list",
+    "curve_path": "list",
+    "curve_entropy": "list",
+    "positions_x": "list",
+    "positions_y": "list",
+    "seen_time": "list",
+    "seen": "binary",
+    "settings": "string",
+    "versions": "string",
+}
+"""Type of each column; `list` are numbers, several a run, and `binary` is a PNG.
+
+`format` is the version of all this. `error` says in one line why there is no run; then nothing
+stands in the columns of results. Times are in s, paths and distances in m, coverage is a share of
+the reachable cells and entropy in nat, as in `Metrics`. `area_under_curve` is the mean coverage
+over the time limit; a run that has ended keeps its last value. Curves and positions are those at
+the start, every half second and at the end. `seen` says when each cell was first seen, by the index
+of an instant in `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
+run, the software and the machine.
+"""
+
+TIMING = ("step_ms_p50", "step_ms_p99", "loop_step_ms", "compile_seconds")
+"""Columns of wall-clock times: all others are the same to the bit when a run is repeated."""
+
+
+def row_of(task: Task, recording: Recording, metrics: Metrics, *, settings: Settings) -> Row:
+    """Return the row of a run.
+
+    Args:
+        task: what was to be done.
+        recording: of the run.
+        metrics: of the same run.
+        settings: of the run, its start included.
+    """
+    time, coverage, _, _ = progress(recording)
+    stride = max(1, round(CURVE_PERIOD / recording.control_period))
+    kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
+    replay = replay_of(recording)
+    compute, curve, path = metrics.compute, metrics.coverage_curve, metrics.path_length
+    return {
+        **_beginning(task, None),
+        "is_finished": metrics.is_finished,
+        "coverage": metrics.coverage,
+        **{f"time_to_{level}": metrics.time_to[str(level)] for level in LEVELS},
+        **{f"path_to_{level}": metrics.path_to[str(level)] for level in LEVELS},
+        "path_length": path,
+        "duration": metrics.duration,
+        "final_entropy": metrics.final_entropy,
+        "area_under_curve": _mean_over(time, coverage, settings.time_limit),
+        "collisions": metrics.collisions,
+        "collisions_per_100m": 100.0 * metrics.collisions / path if path > 0.0 else None,
+        "minimum_clearance": metrics.minimum_clearance,
+        "information_per_metre": metrics.information_per_metre,
+        "command_jerk": metrics.command_jerk,
+        "step_ms_p50": compute.step_ms_p50,
+        "step_ms_p99": compute.step_ms_p99,
+        "loop_step_ms": compute.loop_step_ms,
+        "compile_seconds": compute.compile_seconds,
+        "time_limit": settings.time_limit,
+        **{f"curve_{name}": curve[name] for name in ("time", "coverage", "path", "entropy")},
+        "positions_x": recording.positions[kept, 0].tolist(),
+        "positions_y": recording.positions[kept, 1].tolist(),
+        "seen_time": replay.times,
+        "seen": replay.picture,
+        "settings": canonical(settings.model_dump(mode="json")),
+        "versions": canonical(metrics.versions),
+    }
+
+
+def failed_row(task: Task, error: str) -> Row:
+    """Return the row of a task that came to nothing.
+
+    Args:
+        task: what was to be done.
+        error: why; made one line.
+    """
+    row: Row = dict.fromkeys(COLUMNS)
+    row |= _beginning(task, " ".join(error.split()) or "unknown")
+    entries = {**task.entries, "map": task.path}
+    row |= {"time_limit": task.settings.get("time_limit"), "settings": canonical(entries)}
+    return row
+
+
+class Result(NamedTuple):
+    """A row as it is sent and stored.
+
+    Args:
+        id: of its task.
+        map: name of the map.
+        error: why there is no run; None if there is one.
+        data: the row as a Parquet file.
+    """
+
+    id: str
+    map: str
+    error: str | None
+    data: bytes
+
+
+def result_of(row: Row) -> Result:
+    """Return a row as it is sent and stored.
+
+    Raises:
+        ValueError: pyarrow is not installed.
+    """
+    pyarrow, parquet = package("pyarrow", "benchmark"), package("pyarrow.parquet", "benchmark")
+    file = io.BytesIO()
+    parquet.write_table(pyarrow.Table.from_pylist([row], schema=schema()), file)
+    return Result(row["id"], row["map"], row["error"], file.getvalue())
+
+
+def schema() -> Any:
+    """Return the columns as a schema of pyarrow.
+
+    Raises:
+        ValueError: pyarrow is not installed.
+    """
+    pyarrow = package("pyarrow", "benchmark")
+    kinds = {
+        "int32": pyarrow.int32(),
+        "int64": pyarrow.int64(),
+        "string": pyarrow.string(),
+        "bool": pyarrow.bool_(),
+        "double": pyarrow.float64(),
+        "list": pyarrow.list_(pyarrow.float64()),
+        "binary": pyarrow.binary(),
+    }
+    return pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
+
+
+def settings_of(row: Row) -> dict[str, Any]:
+    """Return the settings of a row, from which `jaxplore run --settings` repeats the run."""
+    entries: dict[str, Any] = json.loads(row["settings"])
+    return entries
+
+
+def _beginning(task: Task, error: str | None) -> Row:
+    return {
+        "format": FORMAT,
+        "id": task.id,
+        "map": task.map,
+        "explorer": task.explorer,
+        "seed": task.seed,
+        "error": error,
+    }
+
+
+def _mean_over(time: np.ndarray, values: np.ndarray, time_limit: float) -> float:
+    """Return the mean of a step function from 0 to the time limit; the last value lasts."""
+    instants = np.append(np.minimum(time, time_limit), time_limit)
+    return float(np.sum(np.diff(instants) * values.astype(np.float64)) / time_limit)

@@ -1,0 +1,196 @@
+"""What is to be made small: sums of a report's metrics."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from jaxplore.parameters import nearest
+from jaxplore.report.exploration.metrics import LEVELS, Compute, Metrics
+from jaxplore.report.following.metrics import PathMetrics
+
+type Numbers = Mapping[str, float | None]
+"""Of one episode, by name; None for what never happened."""
+
+_TERM = re.compile(
+    r"\s*(?P<sign>[+-])?\s*(?:(?P<weight>\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)\s*\*\s*)?"
+    r"(?P<name>[A-Za-z_][\w.-]*)\s*"
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Objective:
+    """A weighted sum of metrics; less is better. What is to be large has a negative weight.
+
+    Args:
+        terms: weight and metric, at least one.
+
+    Raises:
+        ValueError: no terms, a weight that is not finite.
+    """
+
+    terms: tuple[tuple[float, str], ...]
+
+    def __post_init__(self) -> None:
+        if not self.terms or not all(math.isfinite(weight) for weight, _ in self.terms):
+            raise ValueError(
+                f"terms of an objective are {self.terms}; accepted: metrics with finite weights"
+            )
+
+    @classmethod
+    def parse(cls, text: str) -> "Objective":
+        """Return an objective from a text such as `time_to.90 + 100*collisions - coverage`.
+
+        Raises:
+            ValueError: a text that is no such sum.
+        """
+        terms: list[tuple[float, str]] = []
+        position = 0
+        while position < len(text):
+            found = _TERM.match(text, position)
+            if found is None or (terms and not found["sign"]):
+                raise ValueError(
+                    f"objective is {text!r}; accepted: a sum of metrics with weights, such as "
+                    "time_to.90 + 100*collisions"
+                )
+            sign = -1.0 if found["sign"] == "-" else 1.0
+            terms.append((sign * float(found["weight"] or 1.0), found["name"].rstrip("-.")))
+            position = found.end()
+        return cls(tuple(terms))
+
+    def __str__(self) -> str:
+        text = ""
+        for weight, name in self.terms:
+            size = "" if abs(weight) == 1.0 else f"{abs(weight):g}*"
+            sign = (" - " if weight < 0 else " + ") if text else ("-" if weight < 0 else "")
+            text += f"{sign}{size}{name}"
+        return text
+
+    @property
+    def is_about_time(self) -> bool:
+        """Whether who takes longer is worse: times are among what is to be small."""
+        times = ("finished_at", "last_target_at", "duration")
+        return any(
+            weight > 0.0 and (name in times or name.startswith("time_to."))
+            for weight, name in self.terms
+        )
+
+    def check(self, known: Sequence[str]) -> None:
+        """Refuse metrics that no report has.
+
+        Args:
+            known: metrics; all that begin with one that ends with a dot are, too.
+
+        Raises:
+            ValueError: a metric that there is not; the nearest ones are named.
+        """
+        groups = tuple(each for each in known if each.endswith("."))
+        for _, name in self.terms:
+            if name not in known and not name.startswith(groups or ("\0",)):
+                raise ValueError(
+                    f"metric {name} is not known; accepted: such as {nearest(name, tuple(known))}"
+                )
+
+    def value(self, metrics: Numbers) -> float:
+        """Return what an episode is worth; not a number where a metric has none.
+
+        Raises:
+            ValueError: a metric that there is not; the nearest ones are named.
+        """
+        total = 0.0
+        for weight, name in self.terms:
+            if name not in metrics:
+                raise ValueError(
+                    f"metric {name} is not known; accepted: such as {nearest(name, dict(metrics))}"
+                )
+            value = metrics[name]
+            total += math.nan if value is None else weight * value
+        return total
+
+    def mean(self, episodes: Sequence[Numbers]) -> float:
+        """Return the mean over episodes; not a number of none."""
+        values = [self.value(each) for each in episodes]
+        return math.fsum(values) / len(values) if values else math.nan
+
+
+def known_metrics(*, is_path: bool) -> tuple[str, ...]:
+    """Return the names of the numbers of a report; what ends with a dot begins several.
+
+    Args:
+        is_path: of a run along a path, or across a map.
+    """
+    names: list[str] = []
+    for field in dataclasses.fields(PathMetrics if is_path else Metrics):
+        if field.name in ("time_to", "path_to"):
+            names += [f"{field.name}.{level}" for level in LEVELS]
+        elif field.name == "compute":
+            names += [f"compute.{each.name}" for each in dataclasses.fields(Compute)]
+        elif field.name == "members":
+            names.append("members.")
+        elif field.name not in _NO_NUMBERS:
+            names.append(field.name)
+    return tuple(names)
+
+
+_NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
+
+
+def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:
+    """Return the numbers of a report by dotted names, as in `time_to.90`.
+
+    Lists and texts are left out; yes is 1 and no is 0; what is not finite is None.
+    """
+    numbers: dict[str, float | None] = {}
+    for name, value in metrics.items():
+        if isinstance(value, Mapping):
+            numbers |= flat(value, f"{prefix}{name}.")
+        elif value is None:
+            numbers[f"{prefix}{name}"] = None
+        elif isinstance(value, bool | int | float):
+            numbers[f"{prefix}{name}"] = float(value) if math.isfinite(value) else None
+    return numbers
+
+
+def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
+    """Return the metrics with times for what did not happen before the time was up.
+
+    A time counts as `limit (1 + missing)`, later the more was missing: of coverage for `time_to.L`
+    and for exploring, of the way along a path, of the targets, of the distance to the goal. So a
+    search from settings with which nobody ever finishes knows in which direction it gets better.
+
+    Args:
+        metrics: of one episode.
+        limit: the scenario's time limit [s].
+    """
+    filled = dict(metrics)
+    coverage = metrics.get("coverage")
+    for name, value in metrics.items():
+        if value is None and name.startswith("time_to.") and coverage is not None:
+            level = float(name.removeprefix("time_to.")) / 100.0
+            filled[name] = limit * (1.0 + max(level - coverage, 0.0))
+    for name in ("finished_at", "last_target_at"):
+        is_asked = name != "last_target_at" or bool(metrics.get("num_targets"))
+        if name in metrics and metrics[name] is None and is_asked:
+            filled[name] = limit * (1.0 + _missing(metrics))
+    return filled
+
+
+def _missing(metrics: Numbers) -> float:
+    """Return how much of a mission was left undone, from 0 to 1."""
+
+    def number(name: str) -> float:
+        value = metrics.get(name)
+        return 0.0 if value is None else value
+
+    if "to_go" in metrics:
+        left = max(number("to_go"), 0.0)
+        return left / max(left + max(number("progress"), 0.0), 1e-9)
+    if number("num_targets"):
+        return 1.0 - number("targets_seen") / number("num_targets")
+    if metrics.get("goal_distance") is not None:
+        away = number("goal_distance")
+        return min(
+            1.0, 0.5 * number("final_unknown") + 0.5 * away / (away + number("path_length") + 1e-9)
+        )
+    return max(0.0, number("target_coverage") - number("coverage"))

@@ -1,0 +1,202 @@
+"""Pictures of a search: how it went, what mattered, and where good settings are."""
+
+import io
+import math
+import warnings
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxplore.report.drawing.colours import SERIES
+from jaxplore.study.tuning.strategies import Diversity
+from jaxplore.study.tuning.study import Study
+from jaxplore.study.tuning.trials import Trial
+from jaxplore.study.workers.packages import package
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DOTS_PER_INCH = 120
+_FEW_DECADES = 300.0
+"""Ratio of values between which there is room for labels at 1, 2, 5, 10, 20 ..."""
+
+
+def importances(study: Study) -> dict[str, float]:
+    """Return how much of the differences between good and bad candidates each parameter explains.
+
+    Shares that add up to 1, by PED-ANOVA; empty where too few candidates have a value. Of several
+    objectives, those of the first.
+
+    Source: Watanabe, Bansal, Hutter, "PED-ANOVA: efficiently quantifying hyperparameter importance
+    in arbitrary subspaces", IJCAI 2023.
+    """
+    module = package("optuna.importance", "tuning")
+    done = [each for each in study.trials() if each.state == "done"]
+    if len(done) < 10 or len({each.values[0] for each in done}) < 2:
+        return {}
+    target = None
+    if len(study.search.objectives) > 1:
+
+        def target(trial: Any) -> float:
+            return float(trial.values[0])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that it is experimental
+        try:
+            found = module.get_param_importances(study.optuna, target=target)
+        except (RuntimeError, ValueError):
+            return {}
+    return {name: float(share) for name, share in found.items() if math.isfinite(share)}
+
+
+def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
+    """Return the pictures of a search, with the chosen candidate, by the names of their files."""
+    found = {"convergence": _convergence(study), "slices": _slices(study, chosen, 0)}
+    for number in range(1, len(study.search.objectives)):
+        found[f"slices-{number + 1}"] = _slices(study, chosen, number)
+    shares = importances(study)
+    if shares:
+        found["importance"] = _bars(shares)
+    if len(study.search.objectives) > 1:
+        found["front"] = _front(study, chosen)
+    if isinstance(study.strategy, Diversity) and len(study.search.measures) <= 2:
+        found["archive"] = _archive(study, study.strategy)
+    return found
+
+
+_DONE, _GIVEN_UP, _CHOSEN = SERIES[0], "0.7", SERIES[1]
+
+
+def _convergence(study: Study) -> "Figure":
+    figure, axes = _axes(1)
+    trials = study.trials()
+    for state, colour, label in (
+        ("given up", _GIVEN_UP, "given up early"),
+        ("done", _DONE, "tried out"),
+    ):
+        some = [each for each in trials if each.state == state]
+        numbers, values = [each.number for each in some], [each.values[0] for each in some]
+        axes[0].scatter(numbers, values, s=14, color=colour, label=label)
+    done = [each for each in trials if each.state == "done"]
+    least = np.minimum.accumulate([each.values[0] for each in done])
+    axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
+    axes[0].set_xlabel("candidate")
+    _scale(axes[0], "y", [each.values[0] for each in done])
+    axes[0].set_ylabel(_label(study))
+    axes[0].legend(loc="upper right")
+    return figure
+
+
+def _slices(study: Study, chosen: Trial, number: int) -> "Figure":
+    """Draw one of the objectives, counted from 0, by each parameter."""
+    parameters = study.search.space.parameters
+    figure, axes = _axes(len(parameters))
+    trials = [each for each in study.trials() if each.state == "done"]
+    values = [each.values[number] for each in trials]
+    for each, at in zip(parameters, axes, strict=True):
+        places = [trial.candidate[each.name] for trial in trials]
+        star: Any = chosen.candidate[each.name]
+        if each.choices is not None:
+            names = [str(choice) for choice in each.choices]
+            places, star = [names.index(str(place)) for place in places], names.index(str(star))
+            at.set_xticks(range(len(names)), names)
+        elif each.is_log:
+            assert each.low is not None
+            assert each.high is not None
+            _logarithmic(at, "x", each.high / each.low)
+        at.scatter(places, values, s=14, color=_DONE)
+        at.scatter([star], [chosen.values[number]], s=60, marker="*", color=_CHOSEN, zorder=3)
+        at.set_xlabel(each.name)
+        _scale(at, "y", values)
+    axes[0].set_ylabel(_label(study, number))
+    return figure
+
+
+def _bars(shares: dict[str, float]) -> "Figure":
+    figure, axes = _axes(1)
+    names = list(shares)[::-1]
+    axes[0].barh(names, [shares[name] for name in names], color=_DONE)
+    axes[0].set_xlabel("importance (PED-ANOVA), shares of 1")
+    return figure
+
+
+def _front(study: Study, chosen: Trial) -> "Figure":
+    first, second, *_ = study.search.objectives
+    figure, axes = _axes(1)
+    done = [each for each in study.trials() if each.state == "done"]
+    front = sorted(study.front(), key=lambda each: each.values)
+    for some, colour, label in ((done, _GIVEN_UP, "tried out"), (front, _DONE, "front")):
+        across, up = [each.values[0] for each in some], [each.values[1] for each in some]
+        axes[0].scatter(across, up, s=18, color=colour, label=label)
+    axes[0].scatter(*chosen.values[:2], s=80, marker="*", color=_CHOSEN, label="chosen", zorder=3)
+    axes[0].set_xlabel(str(first))
+    axes[0].set_ylabel(str(second))
+    axes[0].legend()
+    return figure
+
+
+def _axes(number: int) -> tuple["Figure", list[Any]]:
+    """Return a figure with so many axes beside each other, which share the vertical one."""
+    from matplotlib.figure import Figure
+
+    columns = min(number, 4)
+    rows = -(-number // columns)
+    figure = Figure(figsize=(max(6.4, 3.0 * columns), 3.6 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharey=True, squeeze=False).reshape(-1)
+    for each in axes:
+        each.grid(alpha=0.3)
+    for each in axes[number:]:
+        each.set_visible(False)
+    return figure, list(axes[:number])
+
+
+def _scale(axes: Any, which: str, values: list[float]) -> None:
+    """Use a logarithmic scale where the worst are far away: the best would all lie on one line."""
+    if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
+        _logarithmic(axes, which, max(values) / min(values))
+
+
+def _logarithmic(axes: Any, which: str, ratio: float) -> None:
+    """Use a logarithmic scale for values that far apart.
+
+    Matplotlib's own labels, 2 x 10^0, 3 x 10^0, run into each other.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    getattr(axes, f"set_{which}scale")("log")
+    axis = getattr(axes, f"{which}axis")
+    subs = (1.0, 2.0, 5.0) if ratio < _FEW_DECADES else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=9))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _label(study: Study, number: int = 0) -> str:
+    label = str(study.search.objectives[number])
+    # A long sum would not fit beside the axis.
+    return label if len(label) <= 36 else "objective"
+
+
+def _archive(study: Study, strategy: Diversity) -> "Figure":
+    archive, measures = strategy.archive, study.search.measures
+    found = archive.data(["index", "objective"])
+    best = np.full(archive.cells, np.nan)
+    best[found["index"]] = -found["objective"]
+    label = f"best {_label(study)}"
+    figure, axes = _axes(1)
+    axes[0].set_xlabel(measures[0].metric)
+    if len(measures) == 1:
+        axes[0].stairs(best, archive.boundaries[0], baseline=None, color=_DONE, linewidth=3)
+        axes[0].set_ylabel(label)
+        return figure
+    cells = axes[0].pcolormesh(*archive.boundaries, best.reshape(archive.dims).T, cmap="viridis_r")
+    axes[0].set_ylabel(measures[1].metric)
+    figure.colorbar(cells, label=label)
+    return figure
+
+
+def png(figure: "Figure") -> bytes:
+    """Return a figure as a picture."""
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
+    return file.getvalue()

@@ -1,0 +1,234 @@
+"""What is searched: numbers between bounds, whole numbers, and choices."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import yaml
+
+from jaxplore.study.workers.packages import package
+
+type Value = float | int | str | bool
+type Candidate = dict[str, Value]
+"""A value for each parameter by its name; hashable values that JSON can hold."""
+
+AROUND = 10.0
+"""Without bounds a positive number is searched from its value over this to its value times this."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """One thing that is searched.
+
+    Args:
+        name: a setting, or the path of a number of the controller; `name[i]` of one element.
+        low: least value.
+        high: greatest value.
+        is_log: equal ratios count the same, not equal differences.
+        is_whole: whole numbers only.
+        choices: instead of bounds, the values there are.
+
+    Raises:
+        ValueError: bounds that are missing, not finite or reversed; a logarithm of what is not
+            positive; no whole number between them; fewer than two choices, or one twice.
+    """
+
+    name: str
+    low: float | None = None
+    high: float | None = None
+    is_log: bool = False
+    is_whole: bool = False
+    choices: tuple[Value, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.choices is not None:
+            if len(self.choices) < 2 or len(set(map(repr, self.choices))) != len(self.choices):
+                raise ValueError(
+                    f"choices of {self.name} are {list(self.choices)}; accepted: different values, "
+                    "at least two"
+                )
+            return
+        if self.low is None or self.high is None:
+            raise ValueError(
+                f"bounds of {self.name} are {self.low} and {self.high}; accepted: two numbers"
+            )
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(
+                f"bounds of {self.name} are {self.low:g} and {self.high:g}; accepted: finite ones, "
+                "the lower first"
+            )
+        if self.is_whole and math.ceil(self.low) > math.floor(self.high):
+            raise ValueError(
+                f"bounds of {self.name} are {self.low:g} and {self.high:g}; accepted: some with a "
+                "whole number between them"
+            )
+        if self.is_log and self.low <= 0.0:
+            raise ValueError(
+                f"lower bound of {self.name} is {self.low:g} on a logarithmic scale; accepted: a "
+                "number > 0"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of choices; 0 of a number."""
+        return 0 if self.choices is None else len(self.choices)
+
+    def value(self, place: float) -> Value:
+        """Return the value at a place in [0, 1]: `low` at 0, `high` at 1; choices in equal parts.
+
+        Of a number `x = low + u (high - low)`, on a logarithmic scale `x = low (high / low)^u`.
+        """
+        place = min(max(float(place), 0.0), 1.0)
+        if self.choices is not None:
+            return self.choices[min(int(place * self.size), self.size - 1)]
+        low, high = self._ends()
+        value = low + place * (high - low)
+        return self.clipped(math.exp(value) if self.is_log else value)
+
+    def place(self, value: Value) -> float:
+        """Return where in [0, 1] a value is: the inverse of `value`; the nearest end outside."""
+        if self.choices is not None:
+            index = self.choices.index(value) if value in self.choices else 0
+            return (index + 0.5) / self.size
+        low, high = self._ends()
+        number = float(value)
+        if self.is_log:
+            number = math.log(max(number, 1e-300))
+        return min(max((number - low) / (high - low), 0.0), 1.0)
+
+    def _ends(self) -> tuple[float, float]:
+        """Return what 0 and 1 stand for, logarithms on a logarithmic scale."""
+        assert self.low is not None
+        assert self.high is not None
+        low, high = self.low, self.high
+        if self.is_whole:
+            # Every whole number has as much room, the first and the last too.
+            low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
+        return (math.log(low), math.log(high)) if self.is_log else (low, high)
+
+    def clipped(self, value: Value) -> Value:
+        """Return the value nearest to one that may be outside of the bounds."""
+        if self.choices is not None:
+            return value if value in self.choices else self.choices[0]
+        assert self.low is not None
+        assert self.high is not None
+        if self.is_whole:
+            return min(max(round(float(value)), math.ceil(self.low)), math.floor(self.high))
+        return min(max(float(value), self.low), self.high)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values, to compare and to write down."""
+        if self.choices is not None:
+            return {"choices": list(self.choices)}
+        scale = {"log": True} if self.is_log else {}
+        return {
+            "low": self.low,
+            "high": self.high,
+            **scale,
+            **({"whole": True} if self.is_whole else {}),
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Space:
+    """All parameters that are searched together, as a cube with sides from 0 to 1.
+
+    Args:
+        parameters: at least one, of different names.
+
+    Raises:
+        ValueError: no parameters, or a name twice.
+    """
+
+    parameters: tuple[Parameter, ...]
+
+    def __post_init__(self) -> None:
+        names = [each.name for each in self.parameters]
+        if not names or len(set(names)) != len(names):
+            raise ValueError(f"parameters are {names}; accepted: different names, at least one")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(each.name for each in self.parameters)
+
+    def candidate(self, places: Sequence[float] | np.ndarray) -> Candidate:
+        """Return the values at a point of the cube, (N,)."""
+        return {
+            each.name: each.value(float(place))
+            for each, place in zip(self.parameters, places, strict=True)
+        }
+
+    def places(self, candidate: Mapping[str, Value]) -> np.ndarray:
+        """Return the point (N,) of the cube at which the values are."""
+        return np.array([each.place(candidate[each.name]) for each in self.parameters])
+
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(:log|:whole|:log:whole)?")
+
+
+def parse_parameter(text: str, start: Value | None = None) -> Parameter:
+    """Return a parameter from a text.
+
+    Args:
+        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for ten times less
+            to ten times more than it is now.
+        start: what it is now. A whole number stays one.
+
+    Raises:
+        ValueError: a text that is none of these; bounds or choices that are not accepted.
+    """
+    name, separator, rest = (part.strip() for part in text.partition("="))
+    is_whole = isinstance(start, int) and not isinstance(start, bool)
+    if not separator:
+        if isinstance(start, bool | str | None) or not start > 0:
+            raise ValueError(
+                f"{name} is {start!r} now and has no bounds; accepted: {name}=LOW:HIGH, or "
+                f"{name}=A,B for choices"
+            )
+        low, high = start / AROUND, start * AROUND
+        if is_whole:
+            low = max(1, round(low))
+        return Parameter(name, low, high, is_log=True, is_whole=is_whole)
+    found = _RANGE.fullmatch(rest)
+    if found is not None:
+        scale = found[3] or ""
+        return Parameter(
+            name,
+            float(found[1]),
+            float(found[2]),
+            is_log="log" in scale,
+            is_whole=is_whole or "whole" in scale,
+        )
+    if "," not in rest:
+        raise ValueError(
+            f"--tune is {text!r}; accepted: NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME"
+        )
+    try:
+        values = tuple(yaml.safe_load(part) for part in rest.split(","))
+    except yaml.YAMLError:
+        values = ()
+    if not all(isinstance(value, float | int | str) for value in values) or not values:
+        raise ValueError(f"--tune is {text!r}; accepted: numbers or words between commas")
+    return Parameter(name, choices=values)
+
+
+def distribution(parameter: Parameter) -> Any:
+    """Return a parameter as Optuna has it.
+
+    Raises:
+        ValueError: Optuna is not installed.
+    """
+    distributions = package("optuna.distributions", "tuning")
+    if parameter.choices is not None:
+        return distributions.CategoricalDistribution(parameter.choices)
+    assert parameter.low is not None
+    assert parameter.high is not None
+    if parameter.is_whole:
+        low, high = math.ceil(parameter.low), math.floor(parameter.high)
+        return distributions.IntDistribution(low, high, log=parameter.is_log)
+    return distributions.FloatDistribution(parameter.low, parameter.high, log=parameter.is_log)

@@ -1,0 +1,128 @@
+"""Where a study is kept: Optuna's storage in SQLite, which one process at a time writes."""
+
+import contextlib
+import warnings
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxplore.report.folder import in_one_line
+from jaxplore.study.tuning.episodes import Episodes
+from jaxplore.study.tuning.search import Search
+from jaxplore.study.tuning.study import Study
+from jaxplore.study.workers.packages import package
+
+FORMAT = 1
+"""Version of what a study writes."""
+STUDY = "study.db"
+"""Optuna's storage in the folder of a study."""
+_NAME, _ASKED = "jaxplore", "asked"
+_SQLITE = b"SQLite format 3\0"
+
+
+@contextlib.contextmanager
+def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -> Iterator[Study]:
+    """Yield the study of a search: what there is goes on.
+
+    Args:
+        search: what is searched for.
+        episodes: where candidates are tried out.
+        folder: keeps it in `study.db`, SQLite, which `optuna-dashboard` shows; missing parents are
+            made. Nowhere when absent.
+
+    Raises:
+        ValueError: Optuna is not installed; a folder that cannot be written, that another process
+            works in, or whose study is another one's.
+    """
+    optuna = package("optuna", "tuning")
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    # As JSON has it, to compare with what was written.
+    asked = {"format": FORMAT, "search": search.describe(), "episodes": episodes.describe()}
+    with contextlib.ExitStack() as stack:
+        storage = None
+        if folder is not None:
+            with in_one_line("study folder", folder):
+                folder.mkdir(parents=True, exist_ok=True)
+                lock = package("filelock", "tuning").FileLock(folder / ".lock", timeout=0)
+                try:
+                    stack.enter_context(lock)
+                except package("filelock", "tuning").Timeout:
+                    raise ValueError(
+                        f"study folder {str(folder)!r} is in use by another process; accepted: "
+                        "another folder, or when that one has ended"
+                    ) from None
+            storage = _storage(optuna, folder)
+            stack.callback(_close, storage)
+        former = None
+        if storage is not None and _NAME in optuna.get_all_study_names(storage):
+            former = optuna.load_study(study_name=_NAME, storage=storage).user_attrs.get(_ASKED)
+        if former is not None:
+            _check_same(former, asked, str(folder))
+        pruner = (
+            optuna.pruners.MedianPruner(n_startup_trials=search.population)
+            if search.gives_up
+            else optuna.pruners.NopPruner()
+        )
+        study = optuna.create_study(
+            study_name=_NAME,
+            storage=storage,
+            directions=["minimize"] * len(search.objectives),
+            load_if_exists=True,
+            pruner=pruner,
+        )
+        if former is None:
+            study.set_user_attr(_ASKED, asked)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # that it is experimental: a name for a dashboard
+                study.set_metric_names([str(each) for each in search.objectives])
+        yield Study(search, episodes, study)
+
+
+def _close(storage: Any) -> None:
+    storage.remove_session()
+    storage.engine.dispose()
+
+
+def _storage(optuna: Any, folder: Path) -> Any:
+    path = folder / STUDY
+    try:
+        if path.exists() and path.read_bytes()[: len(_SQLITE)] not in (_SQLITE, b""):
+            raise ValueError("no SQLite")
+        # A connection for each transaction: nothing is open when it is not in use.
+        options = {"poolclass": package("sqlalchemy.pool", "tuning").NullPool}
+        return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
+    except Exception as error:
+        raise ValueError(
+            f"study {str(path)!r} cannot be read: {type(error).__name__}; accepted: a study of "
+            "jaxplore tune, or a new folder"
+        ) from None
+
+
+def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
+    # Which scenarios, before what is in them: the first setting that differs would say little.
+    ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
+    if ways[0] != ways[1]:
+        was, is_ = (", ".join(names) or "none" for names in ways)
+        raise ValueError(
+            f"study folder {folder!r} was made for {was}, asked is {is_}; accepted: the same "
+            "scenarios as before, or a new folder"
+        )
+    before, now = _flat(former), _flat(asked)
+    for name in sorted({*before, *now}):
+        if before.get(name) != now.get(name):
+            was, is_ = (
+                "not given" if name not in each else repr(each[name]) for each in (before, now)
+            )
+            raise ValueError(
+                f"study folder {folder!r} was made with {name} {was}, asked is {is_}; accepted: "
+                "the same command as before with any budget, or a new folder"
+            )
+
+
+def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    if isinstance(value, Mapping) and value:
+        found: dict[str, Any] = {}
+        for name, inner in value.items():
+            found |= _flat(inner, f"{prefix}.{name}" if prefix else str(name))
+        return found
+    return {prefix: list(value) if isinstance(value, tuple) else value}

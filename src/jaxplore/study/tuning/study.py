@@ -1,0 +1,345 @@
+"""A search: generations of candidates, tried out in episodes, kept in Optuna's storage."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxplore.study.tuning.episodes import Ask, Episodes, Outcome
+from jaxplore.study.tuning.generation import Generations
+from jaxplore.study.tuning.objective import Numbers, Objective
+from jaxplore.study.tuning.search import Search, strategy_of
+from jaxplore.study.tuning.space import Candidate
+from jaxplore.study.tuning.strategies import (
+    Scored,
+    Strategy,
+)
+from jaxplore.study.tuning.trials import Trial, trial_of
+
+BEFORE = -1
+"""Number of the values that there were before, whatever the bounds are."""
+HOPELESS = 2.0
+"""An episode is given up after so many times the duration of the best candidate's."""
+SEARCHED_PER_FINALIST = 8
+"""Candidates that are tried out for each that comes among the finalists."""
+_UNPROMISING = 10
+"""Candidates after which a search without a single value is given up."""
+
+
+class Progress(NamedTuple):
+    """How far a search is.
+
+    Args:
+        num_done: candidates that have been tried out.
+        best: the least value of the first objective so far; infinite before there is one.
+        seconds: spent by this command.
+        num_now: candidates tried out by this command.
+        num_episodes: of the generation that is being tried out.
+    """
+
+    num_done: int
+    best: float
+    seconds: float
+    num_now: int
+    num_episodes: int
+
+
+class Study:
+    """A search and its results so far; see `open_study`."""
+
+    def __init__(self, search: Search, episodes: Episodes, study: Any) -> None:
+        self.search, self.episodes, self.optuna = search, episodes, study
+        self._start = {
+            each.name: each.clipped(episodes.start(each.name)) for each in search.space.parameters
+        }
+        self._generations = Generations(search, episodes, study, self._start)
+        self._strategy: Strategy | None = None
+        self._told = 0
+
+    @property
+    def start(self) -> Candidate:
+        """The first candidate: the values that there were before, within the bounds."""
+        return dict(self._start)
+
+    @property
+    def before(self) -> Candidate:
+        """The values that there were before."""
+        return {name: self.episodes.start(name) for name in self._start}
+
+    @property
+    def strategy(self) -> Strategy:
+        """The optimiser, told all complete generations."""
+        if self._strategy is None:
+            self._strategy = strategy_of(self.search, self._start)
+        while self._is_done(self._told, self.search.population):
+            self._strategy.tell(self._scored(self._told))
+            self._told += 1
+        return self._strategy
+
+    def trials(self) -> list[Trial]:
+        """Return all candidates so far, by number."""
+        return [trial_of(each) for each in self.optuna.get_trials(deepcopy=False)]
+
+    def best(self) -> Trial:
+        """Return the best candidate; of several objectives the front's nearest to all their bests.
+
+        Raises:
+            ValueError: none has a value.
+        """
+        trials = self.trials()
+        done = [each for each in trials if each.state == "done"]
+        if not done:
+            raise ValueError(
+                f"objective {self.search.named} has no value yet{_last_error(trials)}; accepted: "
+                "a larger budget"
+            )
+        if len(self.search.objectives) == 1:
+            return min(done, key=lambda each: (each.values[0], each.number))
+        front = self.front()
+        values = np.array([each.values for each in front])
+        span = np.maximum(values.max(axis=0) - values.min(axis=0), 1e-12)
+        distance = np.linalg.norm((values - values.min(axis=0)) / span, axis=1)
+        return front[int(distance.argmin())]
+
+    def front(self) -> list[Trial]:
+        """Return those that no other one is better than in every objective."""
+        done = [each for each in self.trials() if each.state == "done"]
+
+        def is_beaten(one: Trial) -> bool:
+            return any(
+                all(a <= b for a, b in zip(other.values, one.values, strict=True))
+                and other.values != one.values
+                for other in done
+            )
+
+        return [each for each in done if not is_beaten(each)]
+
+    def run(
+        self,
+        budget: int | None = None,
+        seconds: float | None = None,
+        on_progress: Callable[[Progress], None] = lambda _: None,
+    ) -> bool:
+        """Try out candidates until the budget is spent, and return whether it was.
+
+        Every episode is kept as soon as it is done. Ctrl-C ends it; the same call goes on from
+        there as if nothing had happened.
+
+        Args:
+            budget: candidates in all, those of former calls included.
+            seconds: time of this call, after which no generation is begun [s].
+            on_progress: told after each episode.
+
+        Raises:
+            ValueError: no budget; a metric that there is not; an objective without a value for any
+                candidate.
+        """
+        if (budget is None and seconds is None) or (budget is not None and budget < 1):
+            raise ValueError(f"budget is {budget}; accepted: a whole number >= 1, or a time")
+        began, before = time.perf_counter(), self._num_done()
+        now = Progress(before, self._least(), 0.0, 0, 0)
+        on_progress(now)
+
+        def show(trials: int) -> None:
+            nonlocal now
+            done, best = now.num_done + trials, now.best
+            if trials:
+                best = self._least()
+            spent = time.perf_counter() - began
+            now = Progress(done, best, spent, done - before, 0 if trials else now.num_episodes + 1)
+            on_progress(now)
+
+        generation, size = 0, self.search.population
+        try:
+            while budget is None or generation * size < budget:
+                last = size if budget is None else min(size, budget - generation * size)
+                if not self._is_done(generation, last):
+                    if seconds is not None and time.perf_counter() - began > seconds:
+                        return True
+                    numbers = self._numbers(generation, last)
+                    self._generations.run(numbers, self._asked, self._limits(generation), show)
+                    self._check_values()
+                generation += 1
+        except KeyboardInterrupt:
+            return False
+        return True
+
+    def try_out(
+        self,
+        numbers: Sequence[int],
+        seeds: Sequence[int],
+        on_progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> dict[int, dict[tuple[str, int], Numbers]]:
+        """Run candidates with other seeds, and return the metrics of each by scenario and seed.
+
+        Kept like the episodes of the search; an episode that fails has no metrics.
+
+        Args:
+            numbers: of the candidates, or `BEFORE`.
+            seeds: of the episodes in each scenario.
+            on_progress: told how many episodes are done, and of how many.
+
+        Raises:
+            KeyboardInterrupt: the user stopped it; what was done is kept.
+        """
+        trials = self.optuna.get_trials(deepcopy=False)
+        instances = [(scenario, seed) for seed in seeds for scenario in self.episodes.scenarios]
+        kept = self.optuna.user_attrs
+        found: dict[int, dict[tuple[str, int], Numbers]] = {number: {} for number in numbers}
+        asks = []
+        for where in instances:
+            for number in dict.fromkeys(numbers):
+                told = kept.get(_unseen(number, *where))
+                if told is None:
+                    values = self.before if number == BEFORE else dict(trials[number].params)
+                    asks.append(Ask(number, values, *where))
+                else:
+                    found[number][where] = told["metrics"]
+        total = len(instances) * len(found)
+
+        def keep(ask: Ask, outcome: Outcome) -> None:
+            told = {"metrics": outcome.metrics, "error": outcome.error}
+            self.optuna.set_user_attr(_unseen(ask.number, ask.scenario, ask.seed), told)
+            found[ask.number][ask.scenario, ask.seed] = outcome.metrics
+            on_progress(sum(map(len, found.values())), total)
+
+        if asks:
+            self.episodes.run(asks, keep)
+        return {
+            number: {where: some[where] for where in instances} for number, some in found.items()
+        }
+
+    def select(
+        self,
+        finalists: int,
+        seeds: Sequence[int],
+        on_progress: Callable[[int, int], None] = lambda done, total: None,
+    ) -> Trial:
+        """Return the best of the best candidates by other seeds.
+
+        The best of many with few seeds is in part the luckiest. So the finalists, and the first
+        candidate, are compared by new seeds alone. Of several objectives it is `best`, without
+        further runs.
+
+        Args:
+            finalists: how many of the best, at most an eighth of the candidates.
+            seeds: new ones.
+            on_progress: told how many episodes are done, and of how many.
+
+        Raises:
+            ValueError: no candidate has a value.
+            KeyboardInterrupt: the user stopped it.
+        """
+        best = self.best()
+        if len(self.search.objectives) > 1 or finalists <= 1 or not seeds:
+            return best
+        done = [each for each in self.trials() if each.state == "done"]
+        distinct: dict[str, Trial] = {}
+        for each in sorted(done, key=lambda each: (each.values[0], each.number)):
+            distinct.setdefault(repr(each.candidate), each)
+        # Of few candidates few: to choose is not to cost more than to search.
+        most = min(finalists, max(2, len(done) // SEARCHED_PER_FINALIST))
+        ranked = list(distinct.values())[:most]
+        if done[0].number == 0 and done[0].candidate not in [each.candidate for each in ranked]:
+            ranked.append(done[0])
+        further = self.try_out([each.number for each in ranked], seeds, on_progress)
+        objective = self.search.objectives[0]
+
+        def mean(each: Trial) -> tuple[float, int]:
+            episodes = further[each.number].values()
+            values = [objective.value(one) if one else math.inf for one in episodes]
+            return math.fsum(values) / len(values), each.number
+
+        return min(ranked, key=mean)
+
+    def _least(self) -> float:
+        trials = self.optuna.get_trials(deepcopy=False)
+        done = [each.values[0] for each in trials if each.state.name == "COMPLETE"]
+        return min(done, default=math.inf)
+
+    def _num_done(self) -> int:
+        return sum(each.state.is_finished() for each in self.optuna.get_trials(deepcopy=False))
+
+    def _numbers(self, generation: int, count: int | None = None) -> range:
+        first = generation * self.search.population
+        return range(first, first + (self.search.population if count is None else count))
+
+    def _is_done(self, generation: int, count: int) -> bool:
+        trials = self.optuna.get_trials(deepcopy=False)
+        numbers = self._numbers(generation, count)
+        return numbers.stop <= len(trials) and all(trials[n].state.is_finished() for n in numbers)
+
+    def _some(self, numbers: range) -> list[Trial]:
+        kept = self.optuna.get_trials(deepcopy=False)
+        return [trial_of(kept[number]) for number in numbers]
+
+    def _asked(self) -> list[Candidate]:
+        return self.strategy.ask()
+
+    def _limits(self, generation: int) -> dict[tuple[str, int], float]:
+        """Return after what time each episode is hopeless, from former generations [s]: where it
+        is time that is to be small."""
+        objective, *others = self.search.objectives
+        if others or not self.search.gives_up or not objective.is_about_time:
+            return {}
+        former = self._some(range(generation * self.search.population))
+        done = [each for each in former if each.state == "done"]
+        if not done:
+            return {}
+        best = min(done, key=lambda each: (each.values[0], each.number))
+        return {
+            where: HOPELESS * (metrics.get("duration") or 0.0)
+            for where, metrics in best.episodes.items()
+            if metrics.get("is_finished") and metrics.get("duration")
+        }
+
+    def _scored(self, generation: int) -> list[Scored]:
+        """Return a complete generation with its ranks."""
+        trials = self._some(self._numbers(generation))
+
+        def order(each: Trial) -> tuple[float, ...]:
+            if each.state == "done":
+                return (0.0, 0.0, each.values[0])
+            if each.state == "given up":
+                return (1.0, -len(each.episodes), *each.values)
+            return (2.0, 0.0, 0.0)
+
+        ranked = sorted({order(each) for each in trials})
+        return [
+            Scored(
+                each.candidate,
+                float(ranked.index(order(each))),
+                each.state,
+                each.values,
+                len(each.episodes),
+                self._measures(each) if each.state == "done" else (),
+            )
+            for each in trials
+        ]
+
+    def _measures(self, trial: Trial) -> tuple[float, ...]:
+        return tuple(
+            Objective(((1.0, each.metric),)).mean(list(trial.episodes.values()))
+            for each in self.search.measures
+        )
+
+    def _check_values(self) -> None:
+        trials = [each for each in self.trials() if each.state != "running"]
+        if any(each.state == "done" for each in trials):
+            return
+        if len(trials) >= _UNPROMISING or self._is_done(0, self.search.population):
+            raise ValueError(
+                f"objective {self.search.named} is not a number for any of {len(trials)} candidates"
+                f"{_last_error(trials)}; accepted: metrics that the runs have"
+            )
+
+
+def _last_error(trials: Sequence[Trial]) -> str:
+    reasons = [each.error for each in trials if each.error is not None]
+    return f", the last one: {reasons[-1]}" if reasons else ""
+
+
+def _unseen(number: int, scenario: str, seed: int) -> str:
+    return f"unseen {number} {scenario} {seed}"

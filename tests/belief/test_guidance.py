@@ -1,0 +1,181 @@
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from jaxplore.belief.guidance import (
+    TILE,
+    _by_tiles,
+    _everywhere,
+    descent,
+    extend,
+    geodesic,
+)
+from jaxplore.belief.guidance import downhill as to_go
+from jaxplore.belief.perception import safe_stride
+from jaxplore.maps.frame import GridFrame
+
+geodesic_jit = jax.jit(geodesic)
+
+
+def by_dijkstra(initial: np.ndarray, slowness: np.ndarray, is_open: np.ndarray) -> np.ndarray:
+    height, width = initial.shape
+    edges = []
+    for row in range(height):
+        for column in range(width):
+            for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
+                r, c = row + down, column + right
+                if not (r < height and 0 <= c < width and is_open[row, column] and is_open[r, c]):
+                    continue
+                length = np.hypot(down, right) * (slowness[row, column] + slowness[r, c]) / 2
+                edges.append((row * width + column, r * width + c, length))
+    hub = height * width
+    for row, column in np.argwhere(np.isfinite(initial) & is_open):
+        edges.append((hub, row * width + column, initial[row, column]))
+    if not edges:
+        return np.full(initial.shape, np.inf)
+    i, j, length = np.array(edges).T
+    graph = coo_matrix((length, (i.astype(int), j.astype(int))), shape=(hub + 1, hub + 1)).tocsr()
+    reached = dijkstra(graph + cells_only(graph).T, directed=True, indices=hub)
+    return reached[:hub].reshape(height, width)
+
+
+def cells_only(graph):
+    """Drop the hub's edges: a source is where paths begin, not a short cut."""
+    edges = graph.tocoo()
+    kept = edges.row < graph.shape[0] - 1
+    return coo_matrix(
+        (edges.data[kept], (edges.row[kept], edges.col[kept])), shape=graph.shape
+    ).tocsr()
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_equals_dijkstra(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    is_open = rng.random((17, 13)) > 0.3
+    slowness = rng.uniform(0.1, 2.0, (17, 13)).astype(np.float32)
+    initial = np.where(rng.random((17, 13)) < 0.03, rng.uniform(1, 9, (17, 13)), np.inf)
+    found = geodesic_jit(initial.astype(np.float32), slowness, is_open)
+    np.testing.assert_allclose(found, by_dijkstra(initial, slowness, is_open), rtol=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    shape = (2 * TILE + 5, 3 * TILE - 1)
+    is_open = rng.random(shape) > 0.35  # ways wind through several tiles and back
+    slowness = rng.uniform(0.1, 2.0, shape).astype(np.float32)
+    initial = np.where(rng.random(shape) < 0.002, rng.uniform(-9, 9, shape), np.inf)
+    start = np.where(is_open, initial, np.inf).astype(np.float32)
+    half = np.where(is_open, 0.5 * slowness, np.inf).astype(np.float32)
+    tiles, whole = (np.asarray(jax.jit(find)(start, half)) for find in (_by_tiles, _everywhere))
+    np.testing.assert_array_equal(tiles, whole)
+    least = initial[np.isfinite(initial)].min()  # Dijkstra's lengths are not negative
+    expected = by_dijkstra(initial - least, slowness, is_open) + least
+    np.testing.assert_allclose(tiles, expected, rtol=1e-4, atol=1e-4)
+    assert np.isfinite(tiles).mean() > 0.3
+
+
+def test_descends_around_a_u_shaped_wall() -> None:
+    is_open = np.ones((30, 30), bool)
+    is_open[8:22, 20] = is_open[8, 8:21] = is_open[21, 8:21] = False
+    initial = np.full((30, 30), np.inf, np.float32)
+    initial[15, 27] = 0.0
+    value = np.asarray(geodesic_jit(initial, np.ones((30, 30), np.float32), is_open))
+    row, column, path = 15, 15, [(15, 15)]
+    while (row, column) != (15, 27):
+        around = [(row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        row, column = min(around, key=lambda cell: value[cell])
+        assert is_open[row, column]
+        assert (row, column) not in path
+        path.append((row, column))
+    assert min(c for _, c in path) < 8  # out of the U first
+
+
+def test_without_sources_everything_is_flat_and_finite() -> None:
+    nothing = jnp.full((6, 6), jnp.inf)
+    value = geodesic_jit(nothing, jnp.ones((6, 6)), jnp.ones((6, 6), bool))
+    assert not np.isfinite(value).any()
+    np.testing.assert_array_equal(extend(value, 3, jnp.float32(1.0)), 0.0)
+
+
+def test_extension_makes_a_ridge_of_an_obstacle_and_leaves_the_rest() -> None:
+    value = jnp.asarray([[1.0, 2.0, jnp.inf, jnp.inf, jnp.inf, jnp.inf, 9.0]])
+    found = extend(value, 2, jnp.float32(0.5))
+    # Two layers from the left, two from the right.
+    np.testing.assert_allclose(found[0], [1.0, 2.0, 2.5, 3.0, 10.0, 9.5, 9.0])
+    far = extend(jnp.asarray([[1.0, jnp.inf, jnp.inf, jnp.inf]]), 2, jnp.float32(0.5))
+    np.testing.assert_allclose(far[0], [1.0, 1.5, 2.0, 2.0])
+    thin = extend(jnp.asarray([[-4.0, jnp.inf, -12.0]]), 2, jnp.float32(0.5))
+    np.testing.assert_allclose(thin[0], [-4.0, -3.5, -12.0])
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_a_field_falls_all_the_way_through_a_diagonal_gap(turn: int) -> None:
+    # Two rooms that touch at a corner, as a doorway between posts looks on a lattice.
+    is_open = np.zeros((12, 12), bool)
+    is_open[1:6, 1:6] = is_open[6:11, 6:11] = True
+    initial = np.full((12, 12), np.inf, np.float32)
+    initial[9, 9] = 0.0
+    way = np.linspace((2.5, 2.5), (9.5, 9.5), 57)  # row, column
+    for _ in range(turn):
+        is_open, initial = np.rot90(is_open).copy(), np.rot90(initial).copy()
+        way = np.stack([12.0 - way[:, 1], way[:, 0]], axis=1)
+    distance = geodesic_jit(initial, np.ones((12, 12), np.float32), is_open)
+    field = to_go(distance, GridFrame(1.0), 4)
+    values = np.asarray(jax.vmap(field)(jnp.asarray(way[:, ::-1], jnp.float32)))
+    assert values[0] > 9.0
+    assert np.diff(values).max() < 0.0
+
+
+downhill = jax.jit(descent, static_argnums=1)
+
+
+@given(st.floats(0, 6.28))
+def test_descent_is_the_gradient_s_direction(angle: float) -> None:
+    rows, columns = np.mgrid[:9, :9].astype(np.float32)
+    falls = np.array([math.sin(angle), math.cos(angle)])
+    value = jnp.asarray(-falls[0] * rows - falls[1] * columns, jnp.float32)
+    found = np.asarray(downhill(value, 2))[:, 1:-1, 1:-1]
+    np.testing.assert_allclose((found**2).sum(axis=0), 1.0, rtol=1e-4)
+    # 8 neighbours: within a few degrees of the true direction.
+    assert np.einsum("c,cij->ij", falls, found).min() > math.cos(math.radians(6))
+
+
+def test_descent_is_zero_at_a_minimum_and_continued_into_what_is_closed() -> None:
+    value = jnp.asarray([[2.0, 1.0, 0.0, 1.0, jnp.inf, jnp.inf, jnp.inf]])
+    found = np.asarray(downhill(value, 2))
+    np.testing.assert_array_equal(found[0], 0.0)
+    np.testing.assert_allclose(found[1, 0], [1, 1, 0, -1, -1, -1, 0], atol=1e-6)
+    assert np.isfinite(np.asarray(downhill(jnp.full((3, 3), jnp.inf), 2))).all()
+
+
+@given(st.floats(0, math.pi), st.floats(-1, 1), st.sampled_from([0.05, 0.1]), st.floats(0.15, 0.5))
+def test_no_path_jumps_a_wall(
+    angle: float, offset: float, resolution: float, radius: float
+) -> None:
+    """Blocks that touch never lie on two sides of a wall one cell thick."""
+    stride = safe_stride(10 * resolution, resolution, radius)
+    size = 48 // stride * stride
+    rows, columns = np.mgrid[:size, :size] - size / 2
+    across = rows * math.sin(angle) + columns * math.cos(angle) - offset
+    wall = np.abs(across) < 0.75
+    fits = (distance_transform_edt(~wall) - 0.5) * resolution >= radius
+
+    def blocks(cells: np.ndarray) -> np.ndarray:
+        return cells.reshape(size // stride, stride, size // stride, stride).any(axis=(1, 3))
+
+    left, right = blocks(fits & (across > 0)), blocks(fits & (across < 0))
+    assert not (binary_dilation(left, np.ones((3, 3))) & right).any()
+
+
+@pytest.mark.parametrize(("spacing", "expected"), [(0.05, 1), (0.1, 1), (0.2, 2), (5.0, 2)])
+def test_stride_is_bounded_by_the_robot(spacing: float, expected: int) -> None:
+    assert safe_stride(spacing, 0.1, 0.2) == expected
