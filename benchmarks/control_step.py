@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.setting import available_sites, experiment
 from benchmarks.timing import timed
 from jaxplore import MPPI
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, robot_pose, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, robot_pose, run_chunk
 
 CHUNK = 50
 

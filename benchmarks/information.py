@@ -30,7 +30,7 @@ from jaxplore import (
 )
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.information.trajectory import METHODS
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 PEERS = Path(__file__).parent / ".peers"
 SIDE, RESOLUTION = 20.0, 0.1
@@ -59,7 +59,7 @@ def _exploration() -> list[OccupancyGrid]:
     """Return what a robot knows after each scan of its first half minute in a 20 m office."""
     world = office(seed=5, width=SIDE, height=SIDE, resolution=RESOLUTION)
     robot = DifferentialDrive()
-    scenario = Scenario(
+    scenario = ExplorationScenario(
         world, robot, Lidar(max_range=5.0, range_noise=0.02), start=start_pose(world)
     )
     controller = explorer(robot).at_period(scenario.control_period)

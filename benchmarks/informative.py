@@ -47,7 +47,7 @@ from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
 from jaxplore.build.exploration import build
 from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation.exploration.closed_loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25

@@ -26,7 +26,7 @@ from benchmarks.tables import table
 from jaxplore.build.exploration import Experiment, build
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.settings.exploration import make_settings, read_settings, scenario_path
-from jaxplore.simulation.simulate import record_run
+from jaxplore.simulation.run import record_run
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
 FUSIONS = ("weighted-vote", "best-only", "average", "median", "trust-weighted", "contextual")

@@ -9,7 +9,7 @@ import numpy as np
 from benchmarks.portfolio import ROLES, experiment
 from benchmarks.timing import timed
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
 

@@ -2,7 +2,7 @@
 
 An evolution strategy of evosax proposes the candidates; both ways try out the same ones, with the
 same seed for all of a generation, and end with the same reports. One by one is the compiled closed
-loop of `simulate` or `follow_path`, one candidate after the other, nothing compiled anew; its
+loop of `simulate` or `simulate`, one candidate after the other, nothing compiled anew; its
 controller is the base with other numbers, as in the batch. Times are of the episodes of whole
 generations with their reports, without the compilation; and beside that with what a search does in
 between: proposing, keeping, telling.

@@ -26,9 +26,9 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.settings.exploration import make_settings
 from jaxplore.simulation import simulate as simulation
-from jaxplore.simulation.exploration.closed_loop import _before_control, _initial_memory, run_chunk
+from jaxplore.simulation.loop import _before_control, _initial_memory, run_chunk
 from jaxplore.simulation.exploration.scenario import Scenario
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import Recording
 
 Experiments = dict[str, tuple[Controller, Scenario, int]]
 

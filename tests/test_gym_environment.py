@@ -186,7 +186,7 @@ def test_nothing_but_sizes_compiles_a_vector_step_again() -> None:
 
 def test_a_scenario_of_ones_own_is_taken() -> None:
     world = office(seed=1, width=8.0, height=7.0)
-    scenario = Scenario(world, DifferentialDrive(), Lidar(18, 2.0), start_pose(world))
+    scenario = ExplorationScenario(world, DifferentialDrive(), Lidar(18, 2.0), start_pose(world))
     environment = gymnasium.make(NAME, scenario=scenario, time_limit=3.0)
     assert environment.observation_space["scan"].shape == (18,)
     assert int(environment.unwrapped.environment.max_steps) == 150

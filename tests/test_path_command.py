@@ -75,7 +75,7 @@ def test_another_robot_follows() -> None:
             "time_limit": 6.0,
         }
     )
-    run = jx.follow_path(*build_path(settings)[:3], key=build_path(settings).key)
+    run = jx.simulate(*build_path(settings)[:3], key=build_path(settings).key)
     assert run.metrics.progress > 5.0
     assert run.metrics.corridor_violations == 0
 

@@ -235,14 +235,13 @@ from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
 from jaxplore.planning.strategy.targets import TrajectoryChoice as TrajectoryChoice
 from jaxplore.report.comparison import Comparison as Comparison
-from jaxplore.report.comparison import Summary as Summary
-from jaxplore.report.exploration.metrics import Metrics as Metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics as ExplorationMetrics
+from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording
 from jaxplore.report.following.metrics import PathMetrics as PathMetrics
-from jaxplore.runs import PathRun as PathRun
-from jaxplore.runs import Run as Run
+from jaxplore.report.following.recording import PathRecording as PathRecording
+from jaxplore.report.metrics import Metrics as Metrics
+from jaxplore.report.recording import Recording as Recording
 from jaxplore.runs import compare as compare
-from jaxplore.runs import follow_path as follow_path
-from jaxplore.runs import simulate as simulate
 from jaxplore.sensing.base import Scan as Scan
 from jaxplore.sensing.base import Sensor as Sensor
 from jaxplore.sensing.base import Sighting as Sighting
@@ -256,13 +255,15 @@ from jaxplore.simulation.environment.action_modes import waypoint_mppi as waypoi
 from jaxplore.simulation.environment.environment import Environment as Environment
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import Outcome as Outcome
+from jaxplore.simulation.experiment import Experiment as Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
 from jaxplore.simulation.exploration.moving_obstacles import (
     MovingObstacleState as MovingObstacleState,
 )
-from jaxplore.simulation.exploration.scenario import Scenario as Scenario
+from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
 from jaxplore.simulation.faults import Faults as Faults
-from jaxplore.simulation.following.follow import PathRecording as PathRecording
 from jaxplore.simulation.following.scenario import PathScenario as PathScenario
 from jaxplore.simulation.following.traffic import Traffic as Traffic
-from jaxplore.simulation.recording import Recording as Recording
+from jaxplore.simulation.run import Run as Run
+from jaxplore.simulation.run import simulate as simulate
+from jaxplore.simulation.scenario import Scenario as Scenario

@@ -11,8 +11,8 @@ from jaxplore.build.exploration import build
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.settings.exploration import make_settings
 from jaxplore.simulation.exploration.reachability import open_spot
-from jaxplore.simulation.recording import Recording
-from jaxplore.simulation.simulate import record_run
+from jaxplore.report.exploration.data import Recording
+from jaxplore.simulation.run import record_run
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.perform import perform, results_for
 from jaxplore.study.comparison.replay import NEVER

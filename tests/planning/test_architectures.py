@@ -27,8 +27,8 @@ from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, FieldNumbers, Flight
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
-from jaxplore.simulation.exploration.record import Record
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.report.exploration.data import Record
 
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)
@@ -59,7 +59,7 @@ def scenario() -> Scenario:
     perception = Perception(
         LIDAR, 0.2, 0.3, sensor_model=MODEL, num_directions=8, goal=WORLD.goal[:2]
     )
-    return Scenario(
+    return ExplorationScenario(
         WORLD.truth(),
         ROBOT,
         LIDAR,

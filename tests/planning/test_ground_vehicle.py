@@ -38,7 +38,7 @@ from jaxplore.maps.clearance import clearance_field
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fused
 from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 DRIVE = DifferentialDrive(max_speed=1.0)
 SMALL = {"horizon": 12, "num_samples": 64}
@@ -336,7 +336,7 @@ def scenario() -> Scenario:
     lidar = Lidar(num_beams=24, max_range=2.5, range_noise=0.01)
     perception = Perception(lidar, 0.2, 0.2, num_directions=4, goal=GOAL, is_goal_apart=True)
     grid = OccupancyGrid(cells, 0.2)
-    return Scenario(grid, DRIVE, lidar, (*START, 0.0), perception=perception, goal=GOAL)
+    return ExplorationScenario(grid, DRIVE, lidar, (*START, 0.0), perception=perception, goal=GOAL)
 
 
 STEPS_OF_LOOP = 100

@@ -25,7 +25,7 @@ from jaxplore.planning.strategy.target_rules import (
     RandomFrontier,
     Wander,
 )
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25
 KEY = jax.random.key(0)
@@ -247,7 +247,7 @@ def test_guidance_leads_to_the_target(half_known) -> None:
 @pytest.mark.parametrize("name", ["nearest-frontier", "wander"])
 def test_rules_explore_without_contact(name: str) -> None:
     """One that asks for frontiers, one for views and one for neither."""
-    scenario = Scenario(
+    scenario = ExplorationScenario(
         OccupancyGrid(world(), RESOLUTION),
         ROBOT,
         LIDAR,

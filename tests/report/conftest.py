@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from jaxplore.control.base import Members
-from jaxplore.simulation.exploration.record import Record
-from jaxplore.simulation.following.follow import PathFrame, PathRecording
-from jaxplore.simulation.following.path_loop import PathRecord
-from jaxplore.simulation.recording import Frame, Recording, Timing
+from jaxplore.report.exploration.data import Record
+from jaxplore.report.following.data import PathFrame, PathRecording
+from jaxplore.report.following.data import PathRecord
+from jaxplore.report.exploration.data import Frame, Recording, Timing
 
 PERIOD = 0.5
 NAMES = ("x", "y", "yaw", "v", "omega")
@@ -54,7 +54,7 @@ def make_recording() -> Callable[..., Recording]:
             seen = (np.arange(shape[1]) / shape[1] <= (step + 1) / (steps + 1)) & (world < 2)
             ahead = np.linspace(0.0, 1.0, 5)[None, :, None] * ring[:6, None]
             frames.append(
-                Frame(
+                ExplorationFrame(
                     step=int(step),
                     time=float(step * PERIOD),
                     state=states[step],
@@ -70,7 +70,7 @@ def make_recording() -> Callable[..., Recording]:
                     terms={"ControlCost": 1.0},
                 )
             )
-        records = Record(
+        records = ExplorationRecord(
             state=states[1:],
             control=np.zeros((steps, 2), np.float32),
             coverage=np.array(coverage, np.float32),
@@ -88,7 +88,7 @@ def make_recording() -> Callable[..., Recording]:
             members=None,
         )
         covered = np.flatnonzero(records.coverage >= np.float32(0.99))
-        recording = Recording(
+        recording = ExplorationRecording(
             records=records,
             frames=tuple(frames),
             timing=Timing(2.0, 1.0, 100, np.array([0.01, 0.02, 0.03])),

@@ -18,7 +18,7 @@ from jaxplore.report.comparison import Comparison, curves_figure
 from jaxplore.report.compute import Compute
 from jaxplore.report.exploration.metrics import Metrics, compute_metrics
 from jaxplore.report.summary import summarise
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import Recording
 
 Make = Callable[..., tuple[Metrics, ...]]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from jaxplore.report.following.metrics import compute_path_metrics
-from jaxplore.simulation.following.follow import PathRecording
-from jaxplore.simulation.following.path_loop import PathRecord
-from jaxplore.simulation.recording import Timing
+from jaxplore.report.following.data import PathRecording
+from jaxplore.report.following.data import PathRecord
+from jaxplore.report.exploration.data import Timing
 
 
 def recording(steps: int = 6, **changes) -> PathRecording:

@@ -38,7 +38,7 @@ def make():
     def make(world=None, start=(3.0, 2.0, 0.0), *, rates=None, target=0.97, **costs):
         world = u_shaped_world() if world is None else world
         perception = Perception(lidar, 0.1, 0.2, num_directions=16, margin=0.05)
-        scenario = Scenario(
+        scenario = ExplorationScenario(
             world,
             robot,
             lidar,

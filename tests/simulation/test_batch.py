@@ -5,7 +5,7 @@ import pytest
 
 from jaxplore.simulation import batch as batches
 from jaxplore.simulation.batch import record_runs
-from jaxplore.simulation.simulate import record_run
+from jaxplore.simulation.run import record_run
 
 KEYS = jax.random.split(jax.random.key(3), 3)
 STEPS = 300

@@ -20,14 +20,14 @@ from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.report.exploration.animation import frame_image
-from jaxplore.simulation.exploration.closed_loop import (
+from jaxplore.simulation.loop import (
     _before_control,
     _is_finished,
     initial_loop_state,
     run_chunk,
 )
-from jaxplore.simulation.exploration.record import Progress
-from jaxplore.simulation.simulate import record_run
+from jaxplore.report.exploration.data import Progress
+from jaxplore.simulation.run import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
 ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
@@ -234,7 +234,7 @@ def hall_scenario(
         num_directions=4,
         goal=goal,
     )
-    return Scenario(
+    return ExplorationScenario(
         OccupancyGrid(world, 0.1),
         ROBOT,
         SHORT_LIDAR,

@@ -16,7 +16,7 @@ from jaxplore.simulation.environment.action_modes import (
     waypoint_mppi,
 )
 from jaxplore.simulation.environment.environment import Environment
-from jaxplore.simulation.simulate import record_run
+from jaxplore.simulation.run import record_run
 
 KEY = jax.random.key(5)
 FIRST = jnp.asarray(0, jnp.int32)
@@ -243,7 +243,7 @@ def test_one_of_several_scenarios_is_as_it_is_alone(make, controls, other_world,
 
 def test_a_blind_robot_keeps_its_last_scan_and_ends_at_its_goal(scenario) -> None:
     lidar, goal = scenario.sensors[0], (3.6, 2.0)
-    faulty = Scenario(
+    faulty = ExplorationScenario(
         scenario.world,
         scenario.robot,
         lidar,
@@ -306,7 +306,7 @@ def test_bad_input_is_refused(make, controls, scenario) -> None:
     with pytest.raises(ValueError, match="on the ground"):
         waypoint_mppi(Quadrotor())
     coarse = Lidar(num_beams=36, max_range=1.5)
-    other = Scenario(
+    other = ExplorationScenario(
         scenario.world,
         scenario.robot,
         coarse,

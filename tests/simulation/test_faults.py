@@ -21,9 +21,9 @@ from jaxplore import (
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.simulation.exploration.closed_loop import LoopState, initial_loop_state, run_chunk
-from jaxplore.simulation.exploration.record import Record
-from jaxplore.simulation.simulate import record_run
+from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.report.exploration.data import Record
+from jaxplore.simulation.run import record_run
 
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
 WORLD = np.zeros((30, 40), np.float32)
@@ -78,7 +78,7 @@ class Run(NamedTuple):
 
 def make(faults: Faults | None, x: float = 0.6, yaw: float = 0.0, lidar: Lidar = LIDAR) -> Scenario:
     perception = Perception(lidar, 0.1, 0.2, sensor_model=SENSOR, num_directions=4)
-    return Scenario(
+    return ExplorationScenario(
         OccupancyGrid(WORLD, 0.1),
         ROBOT,
         lidar,

@@ -13,8 +13,8 @@ import pytest
 from jaxplore import Faults
 from jaxplore.build.exploration import Experiment, build
 from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation.exploration.closed_loop import initial_loop_state, run_chunk
-from jaxplore.simulation.exploration.record import Record
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.report.exploration.data import Record
 from jaxplore.simulation.exploration.scenario import Scenario
 
 SHORT: dict[str, Any] = {

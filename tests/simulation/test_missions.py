@@ -27,7 +27,7 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.world import MovingObstacle
-from jaxplore.simulation.exploration.closed_loop import (
+from jaxplore.simulation.loop import (
     LoopState,
     _is_finished,
     initial_loop_state,
@@ -102,7 +102,7 @@ def scenario(
         ground=terrain.ground,
         watch=IdlenessMap(20.0),
     )
-    return Scenario(
+    return ExplorationScenario(
         terrain,
         robot,
         sensors,
@@ -112,7 +112,7 @@ def scenario(
         sensing_rate=0.5 / PERIOD,
         field_rate=0.25 / PERIOD,
         targets=targets,
-        movers=None if mover is None else MovingObstacles([mover]),
+        moving_obstacles=None if mover is None else MovingObstacles([mover]),
         **more,
     )
 
@@ -380,7 +380,7 @@ def test_a_rectangle_collides_with_its_corners() -> None:
     }
     start = (5.0, 2.5, yaw)
     car = drive(
-        Scenario(place, CAR, AROUND, start, perception=perception, **rates), 120, (1.0, 0.0)
+        ExplorationScenario(place, CAR, AROUND, start, perception=perception, **rates), 120, (1.0, 0.0)
     )
     disc = drive(scenario(start=(5.0, 2.5, yaw)), 120, (1.0, 0.0))
     for outcome, reach in ((car, front), (disc, 0.25)):

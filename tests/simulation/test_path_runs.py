@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.simulation.following.follow import record_path_run
-from jaxplore.simulation.following.path_loop import initial_path_state, run_path_chunk
+from jaxplore.report.following.data import record_run
+from jaxplore.report.following.data import initial_path_state, run_path_chunk
 
 RING = jx.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
@@ -49,7 +49,7 @@ def lap():
     """Two laps with traffic."""
     scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED)
     key = jax.random.key(0)
-    run = jx.follow_path(PASSING.planner.mppi, scenario, 2000, key=key, num_trajectories=0)
+    run = jx.simulate(PASSING.planner.mppi, scenario, 2000, key=key, num_trajectories=0)
     return run, scenario
 
 
@@ -102,11 +102,11 @@ def test_what_is_recorded_is_what_geometry_says(lap) -> None:
 
 def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> None:
     scenario = lap[1]
-    again = record_path_run(PASSING.planner.mppi, scenario, 100, key=jax.random.key(0))
+    again = record_run(PASSING.planner.mppi, scenario, 100, key=jax.random.key(0))
     np.testing.assert_array_equal(again.records.state, lap[0].recording.records.state[:100])
     assert not np.array_equal(
         again.records.state,
-        record_path_run(
+        record_run(
             PASSING.planner.mppi, scenario, 100, key=jax.random.key(1), num_trajectories=0
         ).records.state,
     )
@@ -172,7 +172,7 @@ def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> 
     following = mpcc(line, other=AROUND)
     post = jx.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
     scenario = jx.PathScenario(following.model, line, standing=post, finish=0.3)
-    run = jx.follow_path(
+    run = jx.simulate(
         following.planner.mppi, scenario, 1000, key=jax.random.key(2), num_trajectories=0
     )
     metrics = run.metrics
@@ -190,7 +190,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
 
     following = mpcc(other=OTHER + Lost())
     scenario = jx.PathScenario(following.model, RING)
-    recording = record_path_run(
+    recording = record_run(
         following.planner.mppi, scenario, 20, key=jax.random.key(0), num_trajectories=0
     )
     assert not recording.records.is_finite.any()

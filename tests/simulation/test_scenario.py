@@ -117,7 +117,7 @@ WORLD[20, :] = 0.5
 )
 def test_bad_starts_are_named(start, reason: str) -> None:
     with pytest.raises(ValueError, match=reason) as error:
-        Scenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, start)
+        ExplorationScenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, start)
     assert "\n" not in str(error.value)
 
 
@@ -133,7 +133,7 @@ def test_bad_starts_are_named(start, reason: str) -> None:
 )
 def test_bad_settings_are_named(argument: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        Scenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, (1.5, 0.5, 0.0), **{argument: value})
+        ExplorationScenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, (1.5, 0.5, 0.0), **{argument: value})
 
 
 def test_off_the_map_hint_follows_a_turned_map() -> None:
@@ -147,14 +147,14 @@ def test_a_perception_must_fit_the_scenario() -> None:
     for perception in (Perception(LIDAR, 0.2, 0.2), Perception(Lidar(16, 2.0), 0.1, 0.2)):
         message = r"perception is for .*; accepted: .* \[1\.0\] m and 0\.1 m"
         with pytest.raises(ValueError, match=message):
-            Scenario(grid, ROBOT, LIDAR, (1.5, 0.5, 0.0), perception=perception)
+            ExplorationScenario(grid, ROBOT, LIDAR, (1.5, 0.5, 0.0), perception=perception)
 
 
 GRID, START = OccupancyGrid(WORLD, 0.1), (1.5, 0.5, 0.0)
 
 
 def scenario(**arguments) -> Scenario:
-    return Scenario(GRID, ROBOT, LIDAR, START, **arguments)
+    return ExplorationScenario(GRID, ROBOT, LIDAR, START, **arguments)
 
 
 @pytest.mark.parametrize(
@@ -253,11 +253,11 @@ def test_altitude_is_the_start_of_robots_that_fly() -> None:
     assert robot.state_names[2] == "z"
     assert expected[2] == 0.0
     expected[2] = -1.25
-    made = Scenario(GRID, robot, LIDAR, START, altitude=-1.25)
+    made = ExplorationScenario(GRID, robot, LIDAR, START, altitude=-1.25)
     np.testing.assert_array_equal(made.start, expected)
     np.testing.assert_array_equal(scenario(altitude=-1.25).start, [1.5, 0.5, 0.0, 0.0, 0.0])
     with pytest.raises(ValueError, match="altitude is nan; accepted"):
-        Scenario(GRID, robot, LIDAR, START, altitude=math.nan)
+        ExplorationScenario(GRID, robot, LIDAR, START, altitude=math.nan)
 
 
 # Sensors, ground, targets and what moves
@@ -303,7 +303,7 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 
 def test_no_sensor_and_no_mover() -> None:
     with pytest.raises(ValueError, match=r"sensors is \(\); accepted: a sensor, or several"):
-        Scenario(GRID, ROBOT, (), START)
+        ExplorationScenario(GRID, ROBOT, (), START)
     assert scenario(movers=MovingObstacles.none()).movers is None
     assert scenario().movers is None
     assert scenario().num_targets == 0
@@ -312,19 +312,19 @@ def test_no_sensor_and_no_mover() -> None:
 
 def test_several_sensors_are_kept_in_their_order() -> None:
     camera = Camera(8, 2.0)
-    made = Scenario(GRID, ROBOT, [camera, LIDAR], START)
+    made = ExplorationScenario(GRID, ROBOT, [camera, LIDAR], START)
     assert made.sensors == made.perception.sensors == (camera, LIDAR)
     other = Perception([LIDAR, camera], 0.1, 0.2)
     message = r"perception is for ranges of \[1\.0, 2\.0\] m .*; accepted: .* \[2\.0, 1\.0\] m"
     with pytest.raises(ValueError, match=message):
-        Scenario(GRID, ROBOT, [camera, LIDAR], START, perception=other)
+        ExplorationScenario(GRID, ROBOT, [camera, LIDAR], START, perception=other)
     message = r"perception is for ranges of \[1\.0\] m .*; accepted: .* \[2\.0, 1\.0\] m"
     with pytest.raises(ValueError, match=message):
-        Scenario(GRID, ROBOT, [camera, LIDAR], START, perception=Perception(LIDAR, 0.1, 0.2))
+        ExplorationScenario(GRID, ROBOT, [camera, LIDAR], START, perception=Perception(LIDAR, 0.1, 0.2))
 
 
 def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
-    made = Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0))
+    made = ExplorationScenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0))
     reachable = np.asarray(made.reachable)
     assert reachable[4, 3:13].all()
     assert not reachable[:, 13:].any()
@@ -334,13 +334,13 @@ def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
     assert made.ground is TERRAIN.ground
     assert made.perception.ground is TERRAIN.ground
     with pytest.raises(ValueError, match=r"goal is .* cannot reach from its start"):
-        Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3)
+        ExplorationScenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3)
 
 
 def test_the_perception_shares_the_ground() -> None:
     plain = Perception(LIDAR, 0.1, 0.2)
     with pytest.raises(ValueError, match="perception has no ground; accepted: that of the world"):
-        Scenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), perception=plain)
+        ExplorationScenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), perception=plain)
     hilly = Perception(LIDAR, 0.1, 0.2, ground=TERRAIN.ground)
     with pytest.raises(
         ValueError, match="perception has another ground; accepted: that of the world"
@@ -353,7 +353,7 @@ def test_a_perception_for_another_ground_is_refused() -> None:
     for ground in (other, Ground(np.zeros((29, 30)), 0.1)):
         message = r"perception has .* ground; accepted: that of the world"
         with pytest.raises(ValueError, match=message):
-            Scenario(
+            ExplorationScenario(
                 TERRAIN,
                 ROBOT,
                 LIDAR,

@@ -126,7 +126,7 @@ def alone(path_episodes) -> dict:
 def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
     settings = path_episodes.kind.settings(path_episodes.entries("path", CANDIDATES[1], 1))
     built = build_path(settings)
-    run = jx.follow_path(*built[:3], key=built.key, num_trajectories=0)
+    run = jx.simulate(*built[:3], key=built.key, num_trajectories=0)
     found = alone[1, 1].metrics
     assert found["progress"] == run.metrics.progress
     assert found["command_jerk"] == run.metrics.command_jerk
@@ -272,7 +272,7 @@ def test_runs_are_beside_each_other_at_the_same_time(path_episodes) -> None:
     ends, pictures = (0.2, 0.6), []
     for end in ends:
         built = path_episodes.kind.build({**QUICK, "time_limit": end})
-        run = jx.follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
+        run = jx.simulate(built.controller, built.scenario, built.num_steps, key=built.key)
         pictures.append(run.recording)
     with Image.open(io.BytesIO(side_by_side(pictures))) as clip:
         sizes = [path_frame_image(each, each.frames[0]).size for each in pictures]

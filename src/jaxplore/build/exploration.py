@@ -1,12 +1,9 @@
 """Builds what is run: controller, scenario, steps and key."""
 
 import math
-from typing import NamedTuple
 
 import jax
 
-from jaxplore._types import Key
-from jaxplore.control.base import Controller
 from jaxplore.parameters import set_parameters
 from jaxplore.build.controllers import controller_of
 from jaxplore.build.parts import robot_of, sensor_model_of, sensors_of
@@ -16,16 +13,8 @@ from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.settings.exploration import Settings
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.exploration.scenario import Scenario
-
-
-class Experiment(NamedTuple):
-    """What `simulate` takes."""
-
-    controller: Controller
-    scenario: Scenario
-    num_steps: int
-    key: Key
+from jaxplore.simulation.experiment import Experiment as Experiment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
 def build(settings: Settings) -> Experiment:
@@ -55,7 +44,7 @@ def build(settings: Settings) -> Experiment:
         is_goal_apart=is_portfolio and goal is not None,
         **settings.fields.model_dump(),
     )
-    scenario = Scenario(
+    scenario = ExplorationScenario(
         world if ground is None else TerrainMap(world, ground),
         robot,
         sensors,
@@ -72,7 +61,7 @@ def build(settings: Settings) -> Experiment:
         altitude=settings.altitude,
         hover_time=settings.hover_time,
         targets=place.targets or None,
-        movers=MovingObstacles(place.movers) if place.movers else None,
+        moving_obstacles=MovingObstacles(place.movers) if place.movers else None,
     )
     view = math.radians(settings.lidar.field_of_view_degrees)
     controller = controller_of(settings, robot, place, model, view)

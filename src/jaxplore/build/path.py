@@ -22,20 +22,12 @@ from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
 from jaxplore.planning.presets.path_following import mpcc
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
 
 
-class PathExperiment(NamedTuple):
-    """What `follow_path` takes."""
-
-    controller: Controller
-    scenario: PathScenario
-    num_steps: int
-    key: Key
-
-
-def build_path(settings: PathSettings) -> PathExperiment:
+def build_path(settings: PathSettings) -> Experiment:
     """Return the run that settings describe.
 
     Raises:
@@ -88,7 +80,7 @@ def build_path(settings: PathSettings) -> PathExperiment:
         growth=obstacles.growth,
         turn_growth=obstacles.turn_growth,
     )
-    return PathExperiment(
+    return Experiment(
         set_parameters(following.planner.mppi, settings.parameters),
         scenario,
         max(1, round(settings.time_limit * settings.control_rate)),

@@ -16,16 +16,16 @@ from jaxplore.cli._path import is_path, path_options, run_path
 from jaxplore.cli._show import free_name, save, show_comparison
 from jaxplore.cli._tune import run_tune
 from jaxplore.cli._tune_options import tune_options
+from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.runs import compare as compare_runs
-from jaxplore.runs import progress_bar, simulate
 from jaxplore.settings.exploration import (
     GROUND,
     OFFICE,
     Settings,
     make_settings,
 )
-from jaxplore.simulation.simulate import NUM_TRAJECTORIES
+from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from jaxplore.cli._options import assign, entries_of
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.runs import progress_bar
+from jaxplore.report.console import progress_bar
 from jaxplore.settings.exploration import GROUND, OFFICE, make_settings
 from jaxplore.study.comparison.execute import Done, Outcome, run_tasks
 from jaxplore.study.comparison.maps import grids_of, maps_in, with_starts

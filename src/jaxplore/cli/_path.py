@@ -9,10 +9,9 @@ from jaxplore.build.path import build_path
 from jaxplore.cli._options import assign, assign_all
 from jaxplore.cli._show import free_name, save
 from jaxplore.report.folder import check_folder
-from jaxplore.runs import follow_path
 from jaxplore.settings.exploration import read_settings
 from jaxplore.settings.path import PATH, TRACK, make_path_settings
-from jaxplore.simulation.simulate import NUM_TRAJECTORIES
+from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
 _OWN = {"laps": "laps", "obstacles": "obstacles.number"}
 """Options that only a path takes, and the settings that they stand for."""
@@ -100,7 +99,7 @@ def run_path(
     folder = free_name(Path("runs") / name) if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiment = build_path(settings)
-    result = follow_path(
+    result = simulate(
         *experiment[:3],
         key=experiment.key,
         progress=True,

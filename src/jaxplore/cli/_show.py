@@ -8,8 +8,8 @@ from rich.table import Table
 from rich.text import Text
 
 from jaxplore.report.comparison import Comparison
-from jaxplore.runs import PathRun, Run
 from jaxplore.settings.sections import Section
+from jaxplore.simulation.run import Run
 
 
 def free_name(path: Path) -> Path:
@@ -20,9 +20,7 @@ def free_name(path: Path) -> Path:
     return candidate
 
 
-def save(
-    result: Run | PathRun, folder: Path, settings: Section, *, overwrite: bool, animation: bool
-) -> None:
+def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, animation: bool) -> None:
     """Write a run's folder, and print what it came to and its files."""
     result.save(
         folder,

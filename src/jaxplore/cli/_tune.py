@@ -21,7 +21,7 @@ from jaxplore.cli._tune_options import (
     pool_of,
     scenarios_of,
 )
-from jaxplore.runs import progress_bar
+from jaxplore.report.console import progress_bar
 from jaxplore.study.tuning.clip import before_and_after
 from jaxplore.study.tuning.evidence import changes, verdict
 from jaxplore.study.tuning.objective import Objective, known_metrics
@@ -68,7 +68,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     if not objectives:
         objectives = (Objective.parse(default_objective(episodes)),)
     for each in objectives:
-        each.check(known_metrics(is_path=along_path))
+        each.check(known_metrics(episodes.example.scenario.metrics_type))
     gives_up = given["gives_up"]
     if gives_up is None:
         gives_up = len(objectives) == 1 and given["optimizer"] != "cma-me"

@@ -11,7 +11,6 @@ from jaxplore.cli._options import entries_of, place_entries
 from jaxplore.cli._path import is_path, path_entries
 from jaxplore.settings.exploration import merged, read_settings
 from jaxplore.settings.path import PATH, TRACK
-from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.study.tuning.runs import SettingsEpisodes
 from jaxplore.study.tuning.search import POPULATION, Measure
 from jaxplore.study.tuning.strategies import NAMES
@@ -196,14 +195,7 @@ def pool_of(given: dict[str, Any]) -> Pool | None:
 
 
 def default_objective(episodes: SettingsEpisodes) -> str:
-    scenario = episodes.example.scenario
-    if isinstance(scenario, PathScenario):
-        return "finished_at + 10*corridor_violations + 10*collisions"
-    if scenario.num_targets:
-        return "last_target_at + 100*collisions"
-    if scenario.goal is None and float(scenario.target_coverage) > 1.0:
-        return "mean_idleness + 100*collisions"
-    return "finished_at + 100*collisions"
+    return episodes.example.scenario.objective
 
 
 def measure_of(text: str) -> Measure:

@@ -14,7 +14,7 @@ from jaxplore.simulation.environment.action_modes import (
     waypoint_mppi,
 )
 from jaxplore.simulation.environment.environment import Environment
-from jaxplore.simulation.exploration.scenario import Scenario
+from jaxplore.simulation.scenario import Scenario
 
 DRIVE = {"horizon": 30, "num_samples": 256}
 """Of the controller that drives to waypoints, where the settings do not say."""

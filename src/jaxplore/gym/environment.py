@@ -19,12 +19,10 @@ from jaxplore.gym.spaces import (
     facts,
     observation_space,
     observed,
+    positions,
     step,
 )
-from jaxplore.report.exploration.belief_picture import belief_picture
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
-from jaxplore.simulation.exploration.closed_loop import robot_pose
-from jaxplore.simulation.simulate import outline_of
 
 
 class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
@@ -112,7 +110,7 @@ class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
         """Return a picture (rows, columns, 3) of the belief, the path and the robot in it."""
         if self.render_mode is None or self._outcome is None:
             return None
-        return picture(self.environment, self.state, self._outcome, self._path)
+        return picture(self.environment, self.state, self._path)
 
     def _advance(
         self, state: EnvironmentState, action: jax.Array, num_steps: jax.Array
@@ -124,7 +122,7 @@ class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
         }
         observation = observed(outcome.observation, self._observation_space)
         if self.render_mode is not None:
-            self._path.append(observation["pose"][:2])
+            self._path.append(positions(self.environment, self._state))
         ends = bool(outcome.is_terminated), bool(outcome.is_truncated)
         return observation, float(outcome.reward), ends, info
 
@@ -142,34 +140,19 @@ def checked_render_mode(render_mode: str | None) -> str | None:
 
 def metadata_of(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
     """Return metadata with the pictures per simulated second of an environment."""
-    period = float(environment.shared.control_period) * int(environment.steps_per_action)
+    period = environment.control_period * int(environment.steps_per_action)
     return {**general, "render_fps": max(1, round(1.0 / period))}
 
 
 def picture(
-    environment: Environment, state: EnvironmentState, outcome: Outcome, path: list[np.ndarray]
+    environment: Environment, state: EnvironmentState, trail: list[np.ndarray]
 ) -> np.ndarray:
-    """Return a picture (rows, columns, 3) of one environment.
+    """Draw one environment (rows, columns, 3).
 
     Args:
-        environment: whose it is.
-        state: of it.
-        outcome: of the last action.
-        path: where the robot was observed, (2,) each [m].
+        environment: the environment.
+        state: its state.
+        trail: (2,) positions of the robot so far [m].
     """
     scenario = environment.scenario(state.choice)
-    robot, frame = scenario.robot, scenario.world.frame
-    x, y, yaw = np.asarray(robot_pose(robot, state.sensed_state))
-    angles = yaw + np.concatenate([sensor.beam_angles for sensor in scenario.sensors])
-    ranges = np.asarray(outcome.observation.scan)[:, None]
-    ends = np.array([x, y]) + ranges * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return belief_picture(
-        np.asarray(state.belief.grid.probability),
-        np.asarray(frame.origin),
-        frame.resolution,
-        path=np.stack(path),
-        heading=float(outcome.observation.pose[2]),
-        radius=float(robot.radius),
-        footprint=outline_of(robot.footprint),
-        scan=ends,
-    )
+    return scenario.picture(state.perceived, state.moment, np.stack(trail))

@@ -10,14 +10,9 @@ from gymnasium import error, spaces
 from jax import Array
 
 from jaxplore._types import Count, Key
-from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
-from jaxplore.simulation.environment.observation import Observation
 
 Observed = dict[str, np.ndarray]
-
-FAR = 1e6
-"""A state component that a model does not bring back from there has no bound."""
 
 
 @eqx.filter_jit
@@ -52,46 +47,25 @@ def action_space(environment: Environment) -> spaces.Box:
 
 
 def observation_space(environment: Environment) -> spaces.Dict:
-    """Return the space of observations.
-
-    Bounded but for state components that the robot's model does not bound.
-    """
-    scenarios = [
-        environment.scenario(jnp.asarray(index, jnp.int32))
+    """Return the space of observations: the bounds of all scenarios together."""
+    bounds = [
+        environment.scenario(index).observation_bounds(environment.view_cells)
         for index in range(environment.num_scenarios)
     ]
-    first = scenarios[0]
-    corners = np.concatenate(
-        [
-            np.asarray(each.world.frame.to_world(jnp.asarray(_corners(each.world.shape))))
-            for each in scenarios
-        ]
-    )
-    least, greatest = corners.min(axis=0), corners.max(axis=0)
-    pose_low, pose_high = np.append(least, -np.pi), np.append(greatest, np.pi)
-    low, high = _state_bounds(first.robot)
-    for name, at, to in zip(("x", "y", "yaw"), pose_low, pose_high, strict=True):
-        if name in first.robot.state_names:
-            column = first.robot.state_names.index(name)
-            low[column], high[column] = at, to
-    size = environment.view_cells
-    shape = first.world.shape if size is None else (size, size)
-    reach = np.concatenate(
-        [np.full(sensor.num_beams, sensor.max_range, np.float32) for sensor in first.sensors]
-    )
     return spaces.Dict(
         {
-            "belief": spaces.Box(0.0, 1.0, shape, np.float32),
-            "pose": _box(pose_low, pose_high),
-            "scan": _box(np.zeros_like(reach), reach),
-            "state": _box(low, high),
+            name: _box(
+                np.min([each[name][0] for each in bounds], axis=0),
+                np.max([each[name][1] for each in bounds], axis=0),
+            )
+            for name in bounds[0]
         }
     )
 
 
-def observed(observation: Observation, space: spaces.Dict) -> Observed:
+def observed(observation: dict[str, Array], space: spaces.Dict) -> Observed:
     """Return an observation, or rows of them, as new arrays within the bounds of the space."""
-    arrays = jax.device_get(observation._asdict())
+    arrays = jax.device_get(observation)
     boxes = {name: box for name, box in space.items() if isinstance(box, spaces.Box)}
     return {name: np.clip(arrays[name], box.low, box.high) for name, box in boxes.items()}
 
@@ -136,12 +110,10 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
 
 def facts(environment: Environment, outcome: Outcome, state: EnvironmentState) -> dict[str, Any]:
     """Return what came of an action by name, in NumPy: numbers, or rows of them."""
-    period = round(float(environment.shared.control_period), 7)  # 0.02, not the nearest float32
     tally = outcome.tally
     arrays = jax.device_get(
         {
-            "coverage": outcome.coverage,
-            "entropy": outcome.entropy,
+            **outcome.facts,
             "path_length": tally.path_length,
             "is_collision": outcome.is_collision,
             "collisions": tally.collisions,
@@ -150,25 +122,15 @@ def facts(environment: Environment, outcome: Outcome, state: EnvironmentState) -
         }
     )
     steps = np.asarray(outcome.num_steps, np.int64)
-    return {"time": np.round(steps * period, 7), **arrays}
+    return {"time": np.round(steps * environment.control_period, 7), **arrays}
+
+
+def positions(environment: Environment, state: EnvironmentState) -> np.ndarray:
+    """Return where the robot takes itself to be (2,) [m], or rows of that."""
+    names = environment.scenario(0).robot.state_names
+    columns = [names.index("x"), names.index("y")]
+    return np.asarray(state.moment.observed)[..., columns]
 
 
 def _box(low: np.ndarray, high: np.ndarray) -> spaces.Box:
     return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-
-
-def _corners(shape: tuple[int, int]) -> np.ndarray:
-    rows, columns = shape
-    return np.array([(0, 0), (0, columns), (rows, 0), (rows, columns)], np.float32)
-
-
-def _state_bounds(robot: Dynamics) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds (nx,) to which the model projects each component; infinite without."""
-    size = robot.state_size
-    low, high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
-    if isinstance(robot, ContinuousDynamics):
-        for bound, far in ((low, -FAR), (high, FAR)):
-            held = np.diagonal(jax.vmap(robot.project)(far * jnp.eye(size)))
-            is_bound = np.abs(held) < FAR
-            bound[is_bound] = held[is_bound]
-    return low, high

@@ -27,6 +27,7 @@ from jaxplore.gym.spaces import (
     facts,
     observation_space,
     observed,
+    positions,
 )
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
 
@@ -142,13 +143,10 @@ class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         """Return a picture (rows, columns, 3) of each environment."""
         if self.render_mode is None or self._outcomes is None:
             return None
-        rows = [
-            jax.tree.map(lambda leaf, i=i: leaf[i], (self.states, self._outcomes))
-            for i in range(self.num_envs)
-        ]
+        rows = [jax.tree.map(lambda leaf, i=i: leaf[i], self.states) for i in range(self.num_envs)]
         return tuple(
-            picture(self.environment, state, outcome, path)
-            for (state, outcome), path in zip(rows, self._paths, strict=True)
+            picture(self.environment, state, path)
+            for state, path in zip(rows, self._paths, strict=True)
         )
 
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
@@ -188,8 +186,9 @@ class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self._outcomes = outcomes
         observation = observed(outcomes.observation, self._single_observation_space)
         if self.render_mode is not None:
-            for path, pose in zip(self._paths, observation["pose"], strict=True):
-                path.append(pose[:2].copy())
+            now = positions(self.environment, self._states)
+            for path, position in zip(self._paths, now, strict=True):
+                path.append(position.copy())
         terminated, truncated = np.array(outcomes.is_terminated), np.array(outcomes.is_truncated)
         self._has_ended = terminated | truncated
         rewards = np.asarray(outcomes.reward, np.float64)

@@ -12,14 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.report.drawing.colours import SERIES
-from jaxplore.report.exploration.animation import write_animation
-from jaxplore.report.exploration.metrics import Metrics
-from jaxplore.report.exploration.save import DOTS_PER_INCH, settings_document
 from jaxplore.report.folder import MARK, run_folder
-from jaxplore.report.summary import Summary as Summary
-from jaxplore.report.summary import summarise
-from jaxplore.report.table import markdown, table_rows
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.recording import Recording
+from jaxplore.report.save import DOTS_PER_INCH, settings_document
+from jaxplore.report.table import markdown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,17 +40,34 @@ class Comparison:
     recordings: Mapping[str, Recording]
     is_interrupted: bool = False
 
-    def summaries(self) -> dict[str, Summary]:
-        """Return what the runs of each controller come to."""
-        return {name: summarise(metrics) for name, metrics in self.runs.items() if metrics}
+    def summaries(self) -> dict[str, dict[str, Any]]:
+        """Return the statistics over the runs of each variant, by the names of the columns."""
+        return {
+            name: {column.name: column.value(metrics) for column in metrics[0].columns}
+            for name, metrics in self.runs.items()
+            if metrics
+        }
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return a table: its header, then one row for each controller; median [quartiles].
+        """Return a table: its header, then one row for each variant; median [quartiles].
 
-        Targets, idleness and steps on ground that may not be entered have columns where any run
-        has them.
+        A column that says nothing about any variant is left out.
         """
-        return table_rows(self.summaries())
+        summaries = self.summaries()
+        metrics = next((each[0] for each in self.runs.values() if each), None)
+        columns = [
+            column
+            for column in (() if metrics is None else metrics.columns)
+            if any(column.applies(each[column.name]) for each in summaries.values())
+        ]
+        header = ("", *(column.header for column in columns))
+        return [
+            header,
+            *(
+                (name, *(column.text(each[column.name]) for column in columns))
+                for name, each in summaries.items()
+            ),
+        ]
 
     def __str__(self) -> str:
         return markdown(self.rows())
@@ -64,7 +78,8 @@ class Comparison:
         None stands for what is infinite.
         """
         summaries = {
-            name: {key: _plain(value) for key, value in dataclasses.asdict(each).items()}
+            name: {"num_runs": len(self.runs[name])}
+            | {key: _plain(value) for key, value in each.items()}
             for name, each in self.summaries().items()
         }
         runs = {name: [each.as_dict() for each in metrics] for name, metrics in self.runs.items()}
@@ -106,8 +121,7 @@ class Comparison:
             # Ctrl-C leaves out animations, not what was compared.
             with contextlib.suppress(KeyboardInterrupt):
                 for number, (name, recording) in enumerate(drawn.items()):
-                    write_animation(
-                        recording,
+                    recording.write_animation(
                         folder / f"{name}.gif",
                         on_progress=lambda share, done=number: on_progress(  # type: ignore[misc]
                             (done + share) / len(drawn)
@@ -131,36 +145,38 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
-    """Return coverage and unknown share over time: medians, and bands between the quartiles.
+    """Return the curves that the metrics name: medians, and bands between the quartiles.
 
     A run that has ended keeps its last value.
 
     Args:
-        runs: metrics by controller.
+        runs: metrics by variant.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(10.0, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, 2, sharex=True)
-    longest = max((each.duration for metrics in runs.values() for each in metrics), default=0.0)
-    time = np.linspace(0.0, max(longest, 1e-6), CURVE_POINTS)
     shown = {name: metrics for name, metrics in runs.items() if metrics}
-    for panel, curve in zip(panels, ("coverage", "unknown"), strict=True):
+    first = next((metrics[0] for metrics in shown.values()), None)
+    curves = () if first is None else first.plotted
+    figure = Figure(figsize=(5.0 * max(len(curves), 1), 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(1, max(len(curves), 1), sharex=True, squeeze=False)[0]
+    longest = max((each.duration for metrics in shown.values() for each in metrics), default=0.0)
+    time = np.linspace(0.0, max(longest, 1e-6), CURVE_POINTS)
+    for panel, curve in zip(panels, curves, strict=False):
         for number, (name, metrics) in enumerate(shown.items()):
             colour = SERIES[number % len(SERIES)]
             low, median, high = np.percentile(
-                [100.0 * _curve(each, curve, time) for each in metrics], [25, 50, 75], axis=0
+                [curve.scale * _curve(each, curve.name, time) for each in metrics],
+                [25, 50, 75],
+                axis=0,
             )
             panel.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0.0)
             panel.plot(time, median, color=colour, linewidth=1.8, label=name)
-        panel.set(xlim=(0.0, time[-1]), xlabel="time [s]")
+        panel.set(xlim=(0.0, time[-1]), xlabel="time [s]", ylabel=curve.label)
+        panel.set_ylim(bottom=0.0 if curve.limit is not None else None, top=curve.limit)
         panel.grid(color="0.2", alpha=0.12, linewidth=0.6)
-    panels[0].set(ylim=(0.0, 104.0), ylabel="coverage of reachable cells [%]")
-    panels[1].set(ylabel="unknown cells of the map [%]")
-    panels[1].set_ylim(bottom=0.0)
-    if shown:
+    if curves:
         most = max(len(metrics) for metrics in shown.values())
         figure.legend(
             *panels[0].get_legend_handles_labels(),
@@ -173,13 +189,15 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
 
 
 def _curve(metrics: Metrics, name: str, time: np.ndarray) -> np.ndarray:
+    """Return a curve (T,) at some times [s], NaN without any point."""
+    series = metrics.series()
     points = [
         (at, value)
-        for at, value in zip(
-            metrics.coverage_curve["time"], metrics.coverage_curve[name], strict=True
-        )
+        for at, value in zip(series["time"], series[name], strict=True)
         if at is not None and value is not None
     ]
+    if not points:
+        return np.full(len(time), np.nan)
     at, values = np.asarray(points).T
     return np.asarray(np.interp(time, at, values))
 

@@ -12,7 +12,24 @@ import numpy as np
 
 from jaxplore._version import __version__
 from jaxplore.report._numbers import finite, text
-from jaxplore.simulation.recording import Timing
+
+
+@dataclasses.dataclass(frozen=True)
+class Timing:
+    """Wall-clock times of a run.
+
+    Args:
+        compile_seconds: time until the loop is ready for its first step; near 0 if it was compiled
+            before.
+        loop_seconds: time spent in the chunks of the loop, without compilation.
+        loop_steps: number of steps in those chunks.
+        step_seconds: (N,) times of single steps, spread over the run and timed one at a time.
+    """
+
+    compile_seconds: float
+    loop_seconds: float
+    loop_steps: int
+    step_seconds: np.ndarray
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Loops in chunks: compiled in between, watched, timed and stopped from Python."""
+"""Loops in chunks: a chunk is one compiled call; between chunks Python records, times and stops."""
 
 import dataclasses
 import signal
@@ -15,14 +15,14 @@ import numpy as np
 from jax import Array
 
 from jaxplore._types import Count, Flag
-from jaxplore.simulation.recording import Timing
+from jaxplore.report.compute import Timing
 
 CHUNK_SECONDS = 0.5
 """Simulated time between returns to Python."""
 STEPWISE_CHUNKS = 10
 """One chunk in so many is run one step at a time, by the same compiled program, to time steps."""
 MAX_FRAMES = 240
-"""Looks kept of a run; when there are more, every second one goes."""
+"""Frames kept of a run; when there are more, every second one is dropped."""
 
 
 def loop[S, R](
@@ -62,13 +62,13 @@ def loop[S, R](
 
 
 @dataclasses.dataclass(frozen=True)
-class Watched[S, R, F]:
-    """A loop that was run.
+class ChunkedRun[S, R, F]:
+    """A loop that was run in chunks.
 
     Args:
         state: the last one.
         records: of all steps, in NumPy.
-        frames: looks at it, evenly spread, the last one at its end.
+        frames: snapshots, evenly spaced, the last one at its end.
         timing: wall-clock times.
         num_steps: done.
         is_interrupted: Ctrl-C ended it.
@@ -81,18 +81,32 @@ class Watched[S, R, F]:
     num_steps: int
     is_interrupted: bool
 
+    def common(self, period: float) -> dict[str, Any]:
+        """Return the arguments that every recording takes.
 
-def watch[S, R, F](
+        Args:
+            period: control period [s].
+        """
+        return {
+            "records": self.records,
+            "frames": self.frames,
+            "timing": self.timing,
+            "control_period": period,
+            "is_interrupted": self.is_interrupted,
+        }
+
+
+def run_in_chunks[S, R, F](
     run: Callable[[S, Count], tuple[S, R, Count]],
     is_unfinished: Callable[[S], Flag],
-    look: Callable[[S, int], F],
+    frame: Callable[[S, int], F],
     state: S,
     *,
     began: float,
     limit: int,
     chunk: int,
     on_chunk: Callable[[S, int, float], None],
-) -> Watched[S, R, F]:
+) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until it is finished or the steps are done.
 
     Ctrl-C ends it after the current chunk, a second one at once.
@@ -100,7 +114,7 @@ def watch[S, R, F](
     Args:
         run: runs up to so many steps from a state: the compiled loop.
         is_unfinished: whether a state is to be stepped on from.
-        look: at a state after so many steps.
+        frame: makes a frame of a state after so many steps.
         state: to begin with.
         began: when preparations began, of `time.perf_counter`.
         limit: steps at most.
@@ -117,7 +131,7 @@ def watch[S, R, F](
 
     state, rows, _, _ = advance(state, 0)
     compile_seconds = time.perf_counter() - began
-    pieces, frames, step_seconds = [rows], [look(state, 0)], []
+    pieces, frames, step_seconds = [rows], [frame(state, 0)], []
     loop_seconds, loop_steps, total, chunks, every, shown = 0.0, 0, 0, 0, 1, 0
     started = time.perf_counter()
     finished = not bool(is_unfinished(state))
@@ -138,15 +152,15 @@ def watch[S, R, F](
                 if finished:
                     break
             if chunks % every == 0:
-                frames.append(look(state, total))
+                frames.append(frame(state, total))
                 shown = total
             if len(frames) > MAX_FRAMES:
                 frames, every = frames[::2], every * 2
             on_chunk(state, total, time.perf_counter() - started)
         is_interrupted = stop_requested()
     if shown != total:
-        frames.append(look(state, total))
-    return Watched(
+        frames.append(frame(state, total))
+    return ChunkedRun(
         state,
         jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
         tuple(frames),

@@ -4,17 +4,6 @@ from collections.abc import Sequence
 
 from PIL import Image
 
-from jaxplore.report.drawing.colours import (
-    CLOSED,
-    CLOSED_SHARE,
-    FREE,
-    MOVER_EDGE,
-    TARGET,
-    UNKNOWN,
-    blend,
-)
-from jaxplore.simulation.recording import Recording
-
 Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
 NUM_COLOURS = 64
@@ -29,29 +18,6 @@ TRAIL = (31, 111, 178)
 FAINT, STRONG = (132, 94, 194, 70), (118, 56, 190, 235)
 PLAN, ROBOT = (214, 40, 85), (214, 40, 85)
 REFERENCE = (64, 145, 62)
-
-
-def shared_palette(recording: Recording, looks: Sequence[Image.Image]) -> Image.Image:
-    """Return the colours that all frames share.
-
-    Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
-    pure and as they fade into the ground; the rest is found from a few frames side by side.
-
-    Args:
-        recording: of the run; what is not in it needs no colour.
-        looks: some of the frames, all of one size.
-    """
-    lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
-    given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
-    given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
-    given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
-    if recording.traversable is not None:
-        given += [blend(CLOSED, ground, CLOSED_SHARE) for ground in (FREE, UNKNOWN)]
-    if len(recording.targets):
-        given.append(TARGET)
-    if len(recording.mover_radii):
-        given.append(MOVER_EDGE)
-    return fitted_palette(given, looks)
 
 
 def fitted_palette(given: Sequence[Colour], looks: Sequence[Image.Image]) -> Image.Image:

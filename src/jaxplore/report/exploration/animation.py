@@ -1,6 +1,6 @@
 """An animated GIF of a run: the map grows, the robot looks ahead and drives."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from os import PathLike
 
@@ -10,29 +10,38 @@ from PIL import Image, ImageDraw
 from jaxplore.report.drawing.colours import (
     CLOSED,
     CLOSED_SHARE,
+    FREE,
     MOVER,
     MOVER_EDGE,
     TARGET,
+    UNKNOWN,
     belief_colours,
+    blend,
 )
-from jaxplore.report.drawing.drawing import draw_body, draw_line, draw_rollouts
-from jaxplore.report.drawing.footer import draw_footer
 from jaxplore.report.drawing.gif import evenly_chosen, write_gif
 from jaxplore.report.drawing.palette import (
+    FAINT,
     HEAT,
     HEAT_LEVELS,
     HIDDEN_WALL,
+    INK,
     LIDAR_AREA,
     LIDAR_RAY,
     MAX_HEAT,
+    PALE,
     PAPER,
     PLAN,
     REFERENCE,
+    STRONG,
     TRAIL,
-    shared_palette,
+    Colour,
+    fitted_palette,
 )
-from jaxplore.report.exploration.canvas import SUPERSAMPLING, Canvas, make_canvas, pairs
-from jaxplore.simulation.recording import Frame, Recording
+from jaxplore.report.drawing.picture import SUPERSAMPLING, pairs
+from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
+from jaxplore.report.exploration.canvas import Canvas, make_canvas
+from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.footer import draw_footer
 
 NUM_RAYS = 45
 STAR = 7.0
@@ -40,7 +49,7 @@ STAR = 7.0
 
 
 def write_animation(
-    recording: Recording,
+    recording: ExplorationData,
     path: str | PathLike[str],
     *,
     max_frames: int = 120,
@@ -66,12 +75,14 @@ def write_animation(
         path,
         evenly_chosen(recording.frames, max_frames),
         partial(_draw, canvas),
-        partial(shared_palette, recording),
+        partial(_shared_palette, recording),
         on_progress,
     )
 
 
-def frame_image(recording: Recording, frame: Frame, *, width: int = 720) -> Image.Image:
+def frame_image(
+    recording: ExplorationData, frame: ExplorationFrame, *, width: int = 720
+) -> Image.Image:
     """Return one look at a run, as it is drawn in the animation.
 
     Args:
@@ -85,7 +96,7 @@ def frame_image(recording: Recording, frame: Frame, *, width: int = 720) -> Imag
     return _draw(make_canvas(recording, width), frame)
 
 
-def _draw(canvas: Canvas, frame: Frame) -> Image.Image:
+def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     factor = SUPERSAMPLING
     columns, rows = canvas.map_size
     ground = _ground(canvas, frame).resize(
@@ -98,7 +109,7 @@ def _draw(canvas: Canvas, frame: Frame) -> Image.Image:
     return image
 
 
-def _ground(canvas: Canvas, frame: Frame) -> Image.Image:
+def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     """Return the belief, the true walls yet to be seen, the information and ground that may not be
     entered, a pixel per cell."""
     drawn = np.ix_(*canvas.sample)
@@ -118,7 +129,7 @@ def _ground(canvas: Canvas, frame: Frame) -> Image.Image:
     return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
 
 
-def _draw_robot(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
     """Draw, from the ground up, what it sees, where it was, what it weighs up, and itself."""
     recording = canvas.recording
     names = recording.state_names
@@ -156,7 +167,7 @@ def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
         draw.polygon(pairs(middle + star), TARGET)
 
 
-def _draw_movers(canvas: Canvas, frame: Frame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_movers(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
     radii = canvas.recording.mover_radii.tolist()
     for middle, radius in zip(frame.movers, radii, strict=True):
         if np.isfinite(middle).all():
@@ -171,3 +182,26 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     padded = np.pad(values, 1, mode="edge")
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
+
+
+def _shared_palette(recording: ExplorationData, looks: Sequence[Image.Image]) -> Image.Image:
+    """Return the colours that all frames share.
+
+    Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
+    pure and as they fade into the ground; the rest is found from a few frames side by side.
+
+    Args:
+        recording: of the run; what is not in it needs no colour.
+        looks: some of the frames, all of one size.
+    """
+    lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
+    given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
+    given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
+    given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
+    if recording.traversable is not None:
+        given += [blend(CLOSED, ground, CLOSED_SHARE) for ground in (FREE, UNKNOWN)]
+    if len(recording.targets):
+        given.append(TARGET)
+    if len(recording.mover_radii):
+        given.append(MOVER_EDGE)
+    return fitted_palette(given, looks)

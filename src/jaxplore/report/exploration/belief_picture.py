@@ -6,10 +6,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import belief_colours
-from jaxplore.report.drawing.drawing import draw_body, draw_line
 from jaxplore.report.drawing.palette import LIDAR_RAY, TRAIL
-from jaxplore.report.drawing.window import to_frame
-from jaxplore.report.exploration.canvas import SUPERSAMPLING
+from jaxplore.report.drawing.picture import SUPERSAMPLING, to_frame
+from jaxplore.report.drawing.shapes import draw_body, draw_line
 
 MOST_RAYS = 45
 

@@ -5,17 +5,14 @@ import dataclasses
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.drawing.window import Window, to_frame
+from jaxplore.report.drawing.picture import FOOTER, MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, to_frame
+from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.overlays import closed_cells
 from jaxplore.report.exploration.progress import progress
-from jaxplore.simulation.recording import Frame, Recording
+from jaxplore.report.exploration.window import Window
 
-SUPERSAMPLING = 2
-"""Pixels that are drawn for one that is shown, along each axis."""
-MIN_WIDTH, MIN_MAP_SIDE, MAX_RATIO = 320, 24, 1.1
-"""Smallest picture and map [pixels]; the tallest map, as a multiple of the picture's width."""
-FOOTER = 84
-"""Height of the strip with numbers [pixels]."""
+MAX_RATIO = 1.1
+"""The tallest map, as a multiple of the picture's width."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +25,7 @@ class Canvas:
     `brightest` [nat] is where the heat saturates.
     """
 
-    recording: Recording
+    recording: ExplorationData
     window: Window
     width: int
     map_size: tuple[int, int]
@@ -54,7 +51,7 @@ class Canvas:
         return np.asarray(np.clip(placed, -1e4, 1e4))
 
 
-def make_canvas(recording: Recording, width: int) -> Canvas:
+def make_canvas(recording: ExplorationData, width: int) -> Canvas:
     """Return what all frames of a recording share.
 
     Args:
@@ -100,7 +97,7 @@ def make_canvas(recording: Recording, width: int) -> Canvas:
 
 
 def _field_stencil(
-    recording: Recording, window: Window, sample: tuple[np.ndarray, np.ndarray]
+    recording: ExplorationData, window: Window, sample: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return for each drawn cell the flat indices of four nodes and their bilinear weights."""
     nodes = recording.frames[0].information.shape
@@ -133,12 +130,7 @@ def _field_stencil(
     return np.stack(corners), np.stack(shares).astype(np.float32)
 
 
-def _brightest(frames: tuple[Frame, ...]) -> float:
+def _brightest(frames: tuple[ExplorationFrame, ...]) -> float:
     """Return a level of information that few nodes exceed in any frame [nat]."""
     highs = [np.percentile(np.nan_to_num(frame.information), 98) for frame in frames]
     return max(float(np.median(highs)), 1e-6)
-
-
-def pairs(points: np.ndarray) -> list[tuple[float, float]]:
-    """Return points (N, 2) as Pillow takes them."""
-    return [(x, y) for x, y in points.tolist()]

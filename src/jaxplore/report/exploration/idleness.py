@@ -7,10 +7,10 @@ import numpy as np
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
 from jaxplore.report.drawing.series import style_time
-from jaxplore.report.drawing.window import Window
+from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.missions import judged_from
 from jaxplore.report.exploration.progress import at_instants
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ HEIGHT, CURVE_WIDTH = 3.4, 4.2
 """Height of the panels and width of the one over time [inch]; the map's width follows its shape."""
 
 
-def idleness_figure(recording: Recording) -> "Figure":
+def idleness_figure(recording: ExplorationData) -> "Figure":
     """Return a map of the time since each reachable cell was seen, and its mean and worst so far.
 
     What was never seen counts from the start. The shaded first half does not count in the metrics.

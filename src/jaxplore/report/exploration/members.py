@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxplore.report.drawing.colours import SERIES
 from jaxplore.report.drawing.series import running_mean, style_time
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import ExplorationData
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,7 +17,7 @@ MAX_POINTS = 2000
 """Points of a curve."""
 
 
-def members_figure(recording: Recording) -> "Figure":
+def members_figure(recording: ExplorationData) -> "Figure":
     """Return the members' shares in the control, how far apart they are, and their sample sizes.
 
     Means over a second around each moment. A share is how much of a member is in the control that

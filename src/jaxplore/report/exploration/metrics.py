@@ -1,13 +1,12 @@
 """The numbers by which a run is judged."""
 
 import dataclasses
-from typing import Any
+import math
 
 import numpy as np
 
 from jaxplore.report._numbers import finite, percent, text
-from jaxplore.report.compute import Compute as Compute
-from jaxplore.report.compute import compute_cost, software
+from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.missions import (
     fusion_means,
     idleness,
@@ -15,27 +14,20 @@ from jaxplore.report.exploration.missions import (
     member_means,
 )
 from jaxplore.report.exploration.progress import at_instants, longest_stall, progress
+from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
 from jaxplore.report.motion import command_jerk, episodes
-from jaxplore.simulation.recording import Recording
 
 LEVELS = (50, 90, 95, 99)
 """Coverages [%] at which time and path are compared."""
-CURVE_PERIOD = 0.5
-"""Time between the points of the coverage curve [s]."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Metrics:
-    """What a run achieved, and at what cost. `print` shows it as a table.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ExplorationMetrics(Metrics):
+    """What an exploration run achieved, and at what cost.
 
     Args:
-        duration: simulated [s].
-        num_steps: control periods done.
         coverage: share of the reachable cells known to be free, at the end.
         target_coverage: at which exploration is finished; None if it never is.
-        is_finished: the target was reached, or with a goal its end: at the goal, the map known.
-        finished_at: when that was [s]; None if it was not.
-        is_interrupted: the user stopped the run.
         time_to: for each level of coverage ("50", "90", "95", "99" percent) when it was first
             reached [s]; None if never. The record of step k holds the coverage measured at the
             beginning of that step, so the time is k control periods.
@@ -77,20 +69,12 @@ class Metrics:
         longest_stall: longest time in which the positions fit into a square of side
             `2 * STALL_RADIUS` along the world's axes while the best coverage so far did not rise
             [s].
-        compute: wall-clock cost.
-        seed: of the run, if known.
-        versions: of the software, and the machine.
         coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
             half second, the end included.
     """
 
-    duration: float
-    num_steps: int
     coverage: float
     target_coverage: float | None
-    is_finished: bool
-    finished_at: float | None
-    is_interrupted: bool
     time_to: dict[str, float | None]
     path_to: dict[str, float | None]
     path_length: float
@@ -119,14 +103,47 @@ class Metrics:
     replaced: float | None
     reachable_area: float
     longest_stall: float
-    compute: Compute
-    seed: int | None
-    versions: dict[str, str | int | None]
     coverage_curve: dict[str, list[float | None]] = dataclasses.field(repr=False)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain Python values that JSON can hold."""
-        return dataclasses.asdict(self)
+    levels = LEVELS
+    plotted = (
+        Curve("coverage", "coverage of reachable cells [%]", 100.0, 104.0),
+        Curve("unknown", "unknown cells of the map [%]", 100.0, 104.0),
+    )
+    columns = (
+        Column(
+            "num_finished",
+            "finished",
+            lambda runs: (sum(each.is_finished for each in runs), len(runs)),
+            lambda counts: f"{counts[0]} of {counts[1]}",
+        ),
+        Column.quartiles("finished_at", "after [s]"),
+        Column.quartiles("time_to_90", "90 % after [s]", number=lambda each: each.time_to["90"]),
+        Column.quartiles("coverage", "coverage [%]", scale=100.0),
+        Column.quartiles("path_length", "path [m]"),
+        # A robot that did not move learned nothing on its way.
+        Column.quartiles("information_per_metre", "nat/m", missing=0.0),
+        Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
+        Column.quartiles("targets_seen", "targets seen", applies=lambda spread: spread[2] > 0.0),
+        Column.quartiles(
+            "mean_idleness", "idle mean [s]", applies=lambda spread: math.isfinite(spread[0])
+        ),
+        Column.quartiles(
+            "worst_idleness", "idle worst [s]", applies=lambda spread: math.isfinite(spread[0])
+        ),
+        Column.total("collisions", "collisions"),
+        Column.total(
+            "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
+        ),
+        Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
+        Column.least("minimum_clearance", "clearance [m]"),
+        Column.quartiles("command_jerk", "jerk [1/s²]", digits=0),
+        Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
+    )
+
+    def series(self) -> dict[str, list[float | None]]:
+        """Return `coverage_curve`."""
+        return self.coverage_curve
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what matters as (name, text), for tables."""
@@ -150,7 +167,6 @@ class Metrics:
             reached = seconds is not None and path is not None
             rows.append((f"  to {level} %", f"{seconds:.2f} s, {path:.2f} m" if reached else "-"))
         rows += self._mission_rows()
-        compute, versions = self.compute, self.versions
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
             ("entropy", f"{text(self.initial_entropy, 0)} -> {text(self.final_entropy, 0)} nat"),
@@ -172,10 +188,7 @@ class Metrics:
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
             *self._member_rows(),
-            *compute.rows(),
-            ("seed", "-" if self.seed is None else str(self.seed)),
-            ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
-            ("device", str(versions["device"])),
+            *self.closing_rows(),
         ]
         return rows
 
@@ -200,13 +213,8 @@ class Metrics:
             rows.append((f"  {name}", f"{share}, {size} effective, uncertainty {spread}"))
         return rows
 
-    def __str__(self) -> str:
-        rows = self.rows()
-        width = max(len(name) for name, _ in rows)
-        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
-
-def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics:
+def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> ExplorationMetrics:
     """Return the metrics of a run.
 
     Args:
@@ -219,8 +227,6 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
     in_contact = np.asarray(records.is_collision, bool)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
-    stride = max(1, round(CURVE_PERIOD / period))
-    kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
     unknown = at_instants(records.unknown, recording.initial_unknown)
     curve = {
         "time": time,
@@ -232,14 +238,10 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
     finished_at = _finished_at(recording, float(coverage[-1]))
     mean_idleness, worst_idleness = idleness(recording)
     diversity, replaced = fusion_means(recording)
-    return Metrics(
-        duration=steps * period,
-        num_steps=steps,
+    return ExplorationMetrics(
+        **recording.common_metrics(finished_at=finished_at, seed=seed),
         coverage=float(coverage[-1]),
         target_coverage=recording.target_coverage,
-        is_finished=finished_at is not None,
-        finished_at=finished_at,
-        is_interrupted=recording.is_interrupted,
         time_to={name: None if k is None else k * period for name, k in reached.items()},
         path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
         path_length=float(path[-1]),
@@ -272,17 +274,11 @@ def compute_metrics(recording: Recording, *, seed: int | None = None) -> Metrics
         replaced=replaced,
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
-        compute=compute_cost(recording.timing, period),
-        seed=seed,
-        versions=software(),
-        coverage_curve={
-            name: [finite(value, digits=5) for value in values[kept]]
-            for name, values in curve.items()
-        },
+        coverage_curve=sampled_series(curve, period),
     )
 
 
-def _finished_at(recording: Recording, coverage: float) -> float | None:
+def _finished_at(recording: ExplorationData, coverage: float) -> float | None:
     if recording.finished_step is not None:
         return recording.finished_step * recording.control_period
     target = recording.target_coverage
@@ -291,7 +287,7 @@ def _finished_at(recording: Recording, coverage: float) -> float | None:
     return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
 
 
-def _goal_distance(recording: Recording) -> float | None:
+def _goal_distance(recording: ExplorationData) -> float | None:
     if recording.goal is None:
         return None
     return float(np.hypot(*(recording.positions[-1] - recording.goal)))

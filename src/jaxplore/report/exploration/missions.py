@@ -3,10 +3,10 @@
 import numpy as np
 
 from jaxplore.report._numbers import finite, finite_mean
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import ExplorationData
 
 
-def last_target_at(recording: Recording) -> float | None:
+def last_target_at(recording: ExplorationData) -> float | None:
     """Return when the last of all targets was seen [s]; None if some were not, or there are none.
 
     The record of step k holds what was seen at its beginning, so the time is k control periods.
@@ -17,12 +17,12 @@ def last_target_at(recording: Recording) -> float | None:
     return int(is_all.argmax()) * recording.control_period
 
 
-def judged_from(recording: Recording) -> int:
+def judged_from(recording: ExplorationData) -> int:
     """Return the first step of the second half of a run, N // 2."""
     return recording.num_steps // 2
 
 
-def idleness(recording: Recording) -> tuple[float | None, float | None]:
+def idleness(recording: ExplorationData) -> tuple[float | None, float | None]:
     """Return the mean over time of the mean idleness, and the worst idleness [s].
 
     Over the second half of the run: the first is needed to see everything once. None if nobody
@@ -35,7 +35,7 @@ def idleness(recording: Recording) -> tuple[float | None, float | None]:
     return finite_mean(records.mean_idleness[begin:]), finite(np.max(worst))
 
 
-def member_means(recording: Recording) -> dict[str, dict[str, float | None]] | None:
+def member_means(recording: ExplorationData) -> dict[str, dict[str, float | None]] | None:
     """Return for each member its mean share in the control, and what its own plans were like.
 
     `share`, `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps
@@ -56,7 +56,7 @@ def member_means(recording: Recording) -> dict[str, dict[str, float | None]] | N
     }
 
 
-def fusion_means(recording: Recording) -> tuple[float | None, float | None]:
+def fusion_means(recording: ExplorationData) -> tuple[float | None, float | None]:
     """Return the mean diversity of the members' controls [half ranges], and the share of steps in
     which one member's plan took the place of the mixture; None without members or a step."""
     members = recording.records.members

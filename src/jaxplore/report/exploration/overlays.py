@@ -15,8 +15,9 @@ from jaxplore.report.drawing.colours import (
     blend,
     shade,
 )
-from jaxplore.report.drawing.window import Window, outline_at
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.drawing.picture import outline_at
+from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +32,7 @@ CONTOUR = "#6b7f5e"
 """Colour of contour lines."""
 
 
-def closed_cells(recording: Recording, window: Window) -> np.ndarray:
+def closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
     """Return the window's cells (R, C) of open ground that may not be entered."""
     if recording.traversable is None:
         return np.zeros(window.shape, bool)
@@ -39,7 +40,7 @@ def closed_cells(recording: Recording, window: Window) -> np.ndarray:
     return window.crop(is_open & ~np.asarray(recording.traversable, bool), False)
 
 
-def add_ground(axes: "Axes", recording: Recording, window: Window) -> None:
+def add_ground(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw contour lines with their heights, and hatch what may not be entered."""
     if recording.elevation is not None:
         _add_contours(axes, np.asarray(recording.elevation), window)
@@ -107,7 +108,7 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def add_targets(axes: "Axes", recording: Recording, window: Window) -> None:
+def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw what was to be seen."""
     if len(recording.targets):
         x, y = (window.place(recording.targets) + window.corner).T
@@ -124,7 +125,7 @@ def add_targets(axes: "Axes", recording: Recording, window: Window) -> None:
         )
 
 
-def add_movers(axes: "Axes", recording: Recording, window: Window) -> None:
+def add_movers(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw moving obstacles where they were last, and the places they were at in the frames."""
     from matplotlib.patches import Circle
 
@@ -157,7 +158,7 @@ def add_movers(axes: "Axes", recording: Recording, window: Window) -> None:
     )
 
 
-def add_footprint(axes: "Axes", recording: Recording, window: Window) -> None:
+def add_footprint(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw the outline of a robot that is a rectangle, at the start and at the end."""
     from matplotlib.patches import Polygon
 

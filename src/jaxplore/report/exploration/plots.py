@@ -15,7 +15,7 @@ from jaxplore.report.drawing.colours import (
     belief_colours,
     shade,
 )
-from jaxplore.report.drawing.window import Window
+from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import LEVELS, compute_metrics
 from jaxplore.report.exploration.overlays import (
     add_footprint,
@@ -25,7 +25,7 @@ from jaxplore.report.exploration.overlays import (
     closed_cells,
 )
 from jaxplore.report.exploration.progress import at_instants, progress
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +35,7 @@ MAX_SEGMENTS = 2000
 """Pieces of the path that are coloured by time."""
 
 
-def true_outline(recording: Recording, window: Window) -> np.ndarray:
+def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space that reachable cells are
     part of, in metres from the window's corner along the grid's axes."""
     labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
@@ -49,7 +49,7 @@ def true_outline(recording: Recording, window: Window) -> np.ndarray:
     return np.asarray(edges * recording.resolution)
 
 
-def map_figure(recording: Recording) -> "Figure":
+def map_figure(recording: ExplorationData) -> "Figure":
     """Return the final belief with the robot's path and the outline of the true free space.
 
     In red, the walls that were not seen. Where there are any: the height of the ground as contour
@@ -138,12 +138,12 @@ def map_figure(recording: Recording) -> "Figure":
     return figure
 
 
-def _targets_seen(recording: Recording) -> np.ndarray:
+def _targets_seen(recording: ExplorationData) -> np.ndarray:
     """Return (N + 1,) how many targets had been seen at each instant."""
     return at_instants(recording.records.targets_seen, 0.0)
 
 
-def _unseen_walls(recording: Recording) -> np.ndarray:
+def _unseen_walls(recording: ExplorationData) -> np.ndarray:
     """Return the solid cells that face the free space around the reachable cells and that the
     belief does not hold to be solid."""
     from scipy.ndimage import binary_dilation, binary_propagation
@@ -155,7 +155,7 @@ def _unseen_walls(recording: Recording) -> np.ndarray:
     return np.asarray(faces & (recording.belief < OCCUPIED_THRESHOLD))
 
 
-def coverage_figure(recording: Recording) -> "Figure":
+def coverage_figure(recording: ExplorationData) -> "Figure":
     """Return coverage and entropy over time, and when each level of coverage was reached.
 
     With targets, below, how many of them had been seen.
@@ -220,7 +220,7 @@ def coverage_figure(recording: Recording) -> "Figure":
     return figure
 
 
-def _draw_targets_seen(axes: "Axes", recording: Recording, time: np.ndarray) -> None:
+def _draw_targets_seen(axes: "Axes", recording: ExplorationData, time: np.ndarray) -> None:
     from matplotlib.ticker import MaxNLocator
 
     most = len(recording.targets)

@@ -5,13 +5,13 @@ from collections import deque
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import ExplorationData
 
 STALL_RADIUS = 0.25
 """A robot that stays this close to one place [m], along each axis, may be stalled."""
 
 
-def progress(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
 
     Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after

@@ -9,7 +9,6 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import FREE, MISSED, MOVER, MOVER_EDGE, UNKNOWN, blend
-from jaxplore.report.drawing.drawing import draw_body, draw_line, draw_rollouts
 from jaxplore.report.drawing.footer import draw_curve, draw_legend, fonts
 from jaxplore.report.drawing.gif import evenly_chosen, write_gif
 from jaxplore.report.drawing.palette import (
@@ -23,10 +22,11 @@ from jaxplore.report.drawing.palette import (
     Colour,
     fitted_palette,
 )
-from jaxplore.report.exploration.canvas import FOOTER, MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, pairs
+from jaxplore.report.drawing.picture import FOOTER, MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, pairs
+from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
+from jaxplore.report.following.data import PathData, PathFrame
 from jaxplore.report.following.laps import lap_starts, num_laps, speeds
 from jaxplore.report.following.plots import course_box, worst_steps
-from jaxplore.simulation.following.follow import PathFrame, PathRecording
 
 BEYOND = blend(UNKNOWN, FREE, 0.45)
 """Colour of the ground out of the corridor."""
@@ -75,7 +75,7 @@ class PathCanvas:
     the view stays the same.
     """
 
-    recording: PathRecording
+    recording: PathData
     scale: float
     size: tuple[int, int]
     low: np.ndarray
@@ -102,7 +102,7 @@ class PathCanvas:
 
 
 def write_path_animation(
-    recording: PathRecording,
+    recording: PathData,
     path: str | PathLike[str],
     *,
     max_frames: int = 240,
@@ -135,7 +135,7 @@ def write_path_animation(
     )
 
 
-def path_frame_image(recording: PathRecording, frame: PathFrame, *, side: int = 720) -> Image.Image:
+def path_frame_image(recording: PathData, frame: PathFrame, *, side: int = 720) -> Image.Image:
     """Return one look at a run along a path, as it is drawn in the animation.
 
     Args:
@@ -149,7 +149,7 @@ def path_frame_image(recording: PathRecording, frame: PathFrame, *, side: int = 
     return _draw(_make_canvas(recording, side), frame)
 
 
-def _make_canvas(recording: PathRecording, side: int) -> PathCanvas:
+def _make_canvas(recording: PathData, side: int) -> PathCanvas:
     if side < MIN_WIDTH:
         raise ValueError(f"side is {side!r}; accepted: a whole number >= {MIN_WIDTH}")
     low, high = course_box(recording)
@@ -184,7 +184,7 @@ def _make_canvas(recording: PathRecording, side: int) -> PathCanvas:
     return dataclasses.replace(canvas, course=_draw_course(canvas, canvas.view(low)))
 
 
-def _dashes(recording: PathRecording, length: float) -> np.ndarray:
+def _dashes(recording: PathData, length: float) -> np.ndarray:
     """Return the dashes (D, 3, 2) of the path, each so long [m]."""
     nodes = np.linspace(0.0, recording.length, len(recording.centre))
     begins = np.arange(0.0, recording.length, 2.0 * length)

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from jaxplore.simulation.following.follow import PathRecording
+from jaxplore.report.following.data import PathData
 
 
-def num_laps(recording: PathRecording) -> int:
+def num_laps(recording: PathData) -> int:
     """Return how many laps are to be driven; 0 of an open path."""
     return round(recording.end / recording.length) if recording.is_closed else 0
 
 
-def lap_starts(recording: PathRecording) -> np.ndarray:
+def lap_starts(recording: PathData) -> np.ndarray:
     """Return when laps begin (L + 1,) [s]: at the start, and whenever a lap is completed.
 
     Lap k, from 0 on, lasts from entry k to entry k + 1, where the progress first reaches k + 1
@@ -36,13 +36,13 @@ def lap_starts(recording: PathRecording) -> np.ndarray:
     return np.asarray(starts)
 
 
-def lap_times(recording: PathRecording) -> list[float]:
+def lap_times(recording: PathData) -> list[float]:
     """Return how long each completed lap took [s], the first one from the start of the run; none of
     an open path."""
     return [float(seconds) for seconds in np.diff(lap_starts(recording))]
 
 
-def speeds(recording: PathRecording) -> np.ndarray:
+def speeds(recording: PathData) -> np.ndarray:
     """Return the speed (N + 1,) at the start and after each step [m/s], never negative.
 
     That of the state, v or (vx, vy); of a robot whose state has none, the distance from step to

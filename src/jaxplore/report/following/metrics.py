@@ -1,32 +1,25 @@
 """The numbers by which a run along a path is judged."""
 
 import dataclasses
+import math
 from typing import Any
 
 import numpy as np
 
 from jaxplore.report._numbers import finite, finite_mean, text
-from jaxplore.report.compute import Compute, compute_cost, software
+from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import lap_times, speeds
+from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
 from jaxplore.report.motion import command_jerk, episodes
-from jaxplore.simulation.following.follow import PathRecording
-
-CURVE_PERIOD = 0.5
-"""Time between the points of the curves [s]."""
 
 
-@dataclasses.dataclass(frozen=True)
-class PathMetrics:
-    """How a robot followed a path, and at what cost. `print` shows it as a table.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PathMetrics(Metrics):
+    """How a robot followed a path, and at what cost.
 
     Errors are absolute values over all steps; of a run without a step they are None.
 
     Args:
-        duration: simulated [s].
-        num_steps: control periods done.
-        is_finished: the robot came to the end, or drove its laps.
-        finished_at: when that was [s]; None if it was not.
-        is_interrupted: the user stopped the run.
         progress: arc length passed since the start, by the nearest point of the path [m].
         to_go: arc length from there to the end [m].
         lap_times: of the laps that were completed [s]; empty of an open path.
@@ -56,18 +49,11 @@ class PathMetrics:
         mean_effective_sample_size: over the steps.
         minimum_effective_sample_size: over the steps.
         non_finite_steps: steps without a single finite rollout.
-        compute: wall-clock cost.
-        seed: of the run, if known.
-        versions: of the software, and the machine.
+        fault_steps: steps during which a fault of the scenario was active.
         curves: "time" [s], "progress", "contouring", "lag", "room" and "gap" [m] every half second,
             the end included.
     """
 
-    duration: float
-    num_steps: int
-    is_finished: bool
-    finished_at: float | None
-    is_interrupted: bool
     progress: float
     to_go: float
     lap_times: list[float]
@@ -93,14 +79,43 @@ class PathMetrics:
     mean_effective_sample_size: float | None
     minimum_effective_sample_size: float | None
     non_finite_steps: int
-    compute: Compute
-    seed: int | None
-    versions: dict[str, str | int | None]
+    fault_steps: int
     curves: dict[str, list[float | None]] = dataclasses.field(repr=False)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain Python values that JSON can hold."""
-        return dataclasses.asdict(self)
+    plotted = (
+        Curve("progress", "progress along the path [m]"),
+        Curve("contouring", "distance across the path [m]"),
+    )
+    columns = (
+        Column(
+            "num_finished",
+            "finished",
+            lambda runs: (sum(each.is_finished for each in runs), len(runs)),
+            lambda counts: f"{counts[0]} of {counts[1]}",
+        ),
+        Column.quartiles("finished_at", "after [s]"),
+        Column.quartiles(
+            "best_lap",
+            "best lap [s]",
+            number=lambda each: min(each.lap_times, default=None),
+            applies=lambda spread: math.isfinite(spread[0]),
+        ),
+        Column.quartiles("progress", "progress [m]"),
+        Column.quartiles("mean_deviation", "deviation [m]", digits=3),
+        Column.quartiles("max_deviation", "largest [m]", digits=3),
+        Column.total("corridor_violations", "off the corridor"),
+        Column.total("collisions", "collisions"),
+        Column.least("minimum_gap", "gap [m]", applies=math.isfinite),
+        Column.quartiles("mean_speed", "speed [m/s]", digits=2),
+        Column.quartiles("max_lateral_acceleration", "lateral [m/s²]", digits=2),
+        Column.quartiles("command_jerk", "jerk [1/s²]", digits=0),
+        Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
+        Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
+    )
+
+    def series(self) -> dict[str, list[float | None]]:
+        """Return `curves`."""
+        return self.curves
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what matters as (name, text), for tables."""
@@ -130,7 +145,6 @@ class PathMetrics:
         if self.minimum_gap is not None:
             times = f"{self.collisions} contacts ({self.collision_steps} steps)"
             rows.append(("obstacles", f"{times}, {self.minimum_gap:.3f} m away at least"))
-        compute, versions = self.compute, self.versions
         lateral = [text(self.rms_lateral_acceleration, 2), text(self.max_lateral_acceleration, 2)]
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
@@ -141,20 +155,13 @@ class PathMetrics:
             ("command jerk", f"{text(self.command_jerk, 1)} ranges/s²"),
             ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
             ("non-finite", f"{self.non_finite_steps} steps"),
-            *compute.rows(),
-            ("seed", "-" if self.seed is None else str(self.seed)),
-            ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
-            ("device", str(versions["device"])),
+            *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
+            *self.closing_rows(),
         ]
         return rows
 
-    def __str__(self) -> str:
-        rows = self.rows()
-        width = max(len(name) for name, _ in rows)
-        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
 
-
-def compute_path_metrics(recording: PathRecording, *, seed: int | None = None) -> PathMetrics:
+def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> PathMetrics:
     """Return the metrics of a run along a path.
 
     Args:
@@ -164,13 +171,10 @@ def compute_path_metrics(recording: PathRecording, *, seed: int | None = None) -
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, progress = recording.time, recording.progress
     way, speed = float(progress[-1] - progress[0]), speeds(recording)[1:]
-    is_finished = bool(progress[-1] >= recording.end)
     room, gap = (np.asarray(each, np.float64) for each in (records.room, records.gap))
     felt = np.asarray(records.acceleration, np.float64).reshape(-1, 2)
     jerk = np.diff(felt, axis=0) / period
     sizes = np.asarray(records.effective_sample_size, np.float64)
-    stride = max(1, round(CURVE_PERIOD / period))
-    kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
     measured = {
         "contouring": records.contouring,
         "lag": records.lag,
@@ -182,12 +186,9 @@ def compute_path_metrics(recording: PathRecording, *, seed: int | None = None) -
         name: np.concatenate([[np.nan], values])
         for name, values in measured.items()
     }
+    finished_at = steps * period if progress[-1] >= recording.end else None
     return PathMetrics(
-        duration=steps * period,
-        num_steps=steps,
-        is_finished=is_finished,
-        finished_at=steps * period if is_finished else None,
-        is_interrupted=recording.is_interrupted,
+        **recording.common_metrics(finished_at=finished_at, seed=seed),
         progress=way,
         to_go=float(recording.end - progress[-1]),
         lap_times=lap_times(recording),
@@ -213,13 +214,8 @@ def compute_path_metrics(recording: PathRecording, *, seed: int | None = None) -
         mean_effective_sample_size=finite_mean(sizes),
         minimum_effective_sample_size=finite(np.min(sizes, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
-        compute=compute_cost(recording.timing, period),
-        seed=seed,
-        versions=software(),
-        curves={
-            name: [finite(value, digits=5) for value in values[kept]]
-            for name, values in curves.items()
-        },
+        fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
+        curves=sampled_series(curves, period),
     )
 
 

@@ -19,10 +19,10 @@ from jaxplore.report.drawing.colours import (
     blend,
     shade,
 )
-from jaxplore.report.drawing.window import outline_at
+from jaxplore.report.drawing.picture import outline_at
+from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import lap_starts, num_laps, speeds
 from jaxplore.report.motion import episodes
-from jaxplore.simulation.following.follow import PathRecording
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,7 @@ LEAST_LAP = 0.09
 """Shortest lap whose time is written over it, in lengths of the axis."""
 
 
-def course_box(recording: PathRecording) -> tuple[np.ndarray, np.ndarray]:
+def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
     """Return the corners (2,), (2,) of a box around path, corridor and trail, with a margin [m]."""
     reach = max(recording.robot_radius, float(np.max(np.abs(recording.footprint), initial=0.0)))
     trail = recording.positions.astype(np.float64)
@@ -71,7 +71,7 @@ def worst_steps(margins: ArrayLike) -> np.ndarray:
     return np.asarray([begin + np.argmin(values[begin:end]) for begin, end in rows], int)
 
 
-def path_figure(recording: PathRecording) -> "Figure":
+def path_figure(recording: PathData) -> "Figure":
     """Return the course, the robot's trail over it by speed, and where obstacles were.
 
     Obstacles are dark where they are at the end, and faint where they were at some of the frames.
@@ -122,7 +122,7 @@ def path_figure(recording: PathRecording) -> "Figure":
     return figure
 
 
-def _title(recording: PathRecording) -> str:
+def _title(recording: PathData) -> str:
     records, laps = recording.records, num_laps(recording)
     way = f"{recording.progress[-1]:.1f} of {recording.end:.1f} m"
     if laps:
@@ -136,7 +136,7 @@ def _title(recording: PathRecording) -> str:
     return title
 
 
-def _add_course(axes: "Axes", recording: PathRecording) -> None:
+def _add_course(axes: "Axes", recording: PathData) -> None:
     """Draw the corridor, where it has two edges, and the path."""
     from matplotlib.collections import PolyCollection
 
@@ -157,7 +157,7 @@ def _add_course(axes: "Axes", recording: PathRecording) -> None:
     )
 
 
-def _add_obstacles(axes: "Axes", recording: PathRecording) -> None:
+def _add_obstacles(axes: "Axes", recording: PathData) -> None:
     from matplotlib.patches import PathPatch
     from matplotlib.patheffects import Normal, Stroke
 
@@ -222,7 +222,7 @@ def thick_outline(corners: np.ndarray, radius: float) -> "Path":
     return Path.make_compound_path(*paths)
 
 
-def _add_marks(axes: "Axes", recording: PathRecording) -> None:
+def _add_marks(axes: "Axes", recording: PathData) -> None:
     """Draw start and end, the robot there, and where it should not have been."""
     from matplotlib.patches import Circle, Polygon
 
@@ -268,7 +268,7 @@ def _add_marks(axes: "Axes", recording: PathRecording) -> None:
         )
 
 
-def errors_figure(recording: PathRecording) -> "Figure":
+def errors_figure(recording: PathData) -> "Figure":
     """Return errors, speed and accelerations over time, or over the progress of an open path.
 
     Where there are any: the room to the corridor's edge and the gap to the nearest obstacle, both

@@ -10,11 +10,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Key, Pose, Scalar, StateVector, Vector
-from jaxplore.belief.belief import Belief
+from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.perception import LAYERS, Perception
+from jaxplore.belief.perception import LAYERS
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.rollout import Trajectory
@@ -23,6 +22,8 @@ from jaxplore.costs.heading_for import ToGoalCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.simulation.exploration.scenario import ExplorationScenario, robot_pose
+from jaxplore.simulation.scenario import Moment, Scenario
 
 ActionVector = Float[Array, "A"]
 
@@ -50,15 +51,15 @@ class ActionMode(eqx.Module):
 
     @abc.abstractmethod
     def controller(
-        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+        self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
         """Return the controller that carries an action out.
 
         Args:
             action: (A,), clipped to the bounds.
-            pose: of the robot, as it knows it (x, y, yaw) [m, m, rad].
-            belief: what it knows.
-            perception: that made it.
+            moment: when the action begins, and what the robot is told about itself.
+            belief: what the robot knows.
+            scenario: in which it acts.
         """
 
     @abc.abstractmethod
@@ -91,7 +92,7 @@ class ControlMode(ActionMode):
         return Hold(self.robot.default_control)
 
     def controller(
-        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+        self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
         """Return the controller that gives this control."""
         return Hold(jnp.clip(action, self.low, self.high))
@@ -139,9 +140,15 @@ class WaypointMode(ActionMode):
         return self.drive
 
     def controller(
-        self, action: ActionVector, pose: Pose, belief: Belief, perception: Perception
+        self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
         """Return the controller that drives to this place."""
+        if not isinstance(scenario, ExplorationScenario):
+            raise ValueError(
+                f"mode is a WaypointMode in a {type(scenario).__name__}; accepted: ControlMode, or "
+                "an ExplorationScenario, whose map leads to waypoints"
+            )
+        pose, perception = robot_pose(scenario.robot, moment.observed), scenario.perception
         ahead, left = jnp.clip(action, self.low, self.high)
         sin, cos = sin_cos(pose[2])
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])

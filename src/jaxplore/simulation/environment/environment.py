@@ -1,35 +1,30 @@
-"""The closed loop seen from outside: an action in, an observation and a reward out.
+"""A scenario seen from outside: an action in, an observation and a reward out.
 
-Nothing of the loop is here again. An action becomes a controller (`ActionMode`), and
-`closed_loop_step` senses, maps, decides and moves as in any run.
+Nothing of the closed loop is written here again. An action becomes a controller (`ActionMode`), and
+the loop of `jaxplore.simulation.loop` perceives, controls and moves as in any run.
 """
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Count, Flag, Key, Scalar, StateVector
-from jaxplore.belief.belief import Belief
+from jaxplore._types import Count, Flag, Key, Scalar
 from jaxplore.simulation.environment.action_modes import ActionMode, ActionVector
-from jaxplore.simulation.environment.observation import Observation, last_scan, observe
-from jaxplore.simulation.environment.scenario_rows import picked, stacked
-from jaxplore.simulation.exploration.closed_loop import (
+from jaxplore.simulation.loop import (
     LoopState,
-    closed_loop_step,
+    control_step,
     initial_loop_state,
-    robot_pose,
+    moment_at,
+    step_keys,
 )
-from jaxplore.simulation.exploration.record import Progress
-from jaxplore.simulation.exploration.scenario import Scenario
-
-WHOLE_MAP = 100.0
-"""Reward for making an unknown map certain."""
+from jaxplore.simulation.scenario import Moment, Scenario
+from jaxplore.simulation.stacking import Stacked
 
 
 class Tally(NamedTuple):
@@ -49,53 +44,47 @@ class Tally(NamedTuple):
 
 
 class EnvironmentState(NamedTuple):
-    """All that changes.
+    """Everything that changes.
 
     Args:
-        loop: of the closed loop, before it senses what was observed.
-        belief: what the robot knows, with what it has just sensed.
-        progress: how much that is.
-        told: (nx,) the state that the robot takes for its own.
-        sensed_state: (nx,) where the last scan was taken.
-        sensed_step: and when, in control periods.
+        loop: state of the closed loop, before the robot perceives what was observed.
+        perceived: state of the task after it has perceived.
+        moment: when that was, and what the robot was told about itself.
+        belief: what the robot knows then.
         tally: what has happened.
-        key: of the whole run.
+        key: key of the whole run.
         choice: number of the scenario.
     """
 
     loop: LoopState
-    belief: Belief
-    progress: Progress
-    told: StateVector
-    sensed_state: StateVector
-    sensed_step: Count
+    perceived: Any
+    moment: Moment
+    belief: Any
     tally: Tally
     key: Key
     choice: Count
 
 
 class Outcome(NamedTuple):
-    """What came of an action.
+    """The outcome of an action.
 
     Args:
-        observation: what the robot knows now.
-        reward: for the action.
-        is_terminated: the scenario is finished: there is nothing left to do.
-        is_truncated: its time is up before.
+        observation: what the agent observes, by name; see `Scenario.observation`.
+        reward: reward for the action.
+        is_terminated: whether the scenario is finished: there is nothing left to do.
+        is_truncated: whether its time is up before.
         is_collision: whether the robot touched something meanwhile.
-        coverage: share of the reachable cells known to be free.
-        entropy: of the belief over the reachable cells [nat].
+        facts: numbers about the task, by name; see `Scenario.facts`.
         num_steps: control periods since the start.
         tally: what has happened since the start.
     """
 
-    observation: Observation
+    observation: dict[str, Array]
     reward: Scalar
     is_terminated: Flag
     is_truncated: Flag
     is_collision: Flag
-    coverage: Scalar
-    entropy: Scalar
+    facts: dict[str, Scalar]
     num_steps: Count
     tally: Tally
 
@@ -103,23 +92,18 @@ class Outcome(NamedTuple):
 class Environment(eqx.Module):
     """A scenario, or several of one size, as an environment.
 
-    A robot senses, decides and moves, in this order. An environment stands still where it is to
-    decide: what it observes holds the scan from where it is now, as a controller of the closed loop
-    would see it. The same key and the same controls give the states of `simulate`.
+    A robot perceives, decides and moves, in this order. An environment stands still where it is to
+    decide: the observation holds the measurement from where the robot is now, as a controller of
+    the closed loop would see it. The same key and the same controls give the states of `simulate`.
 
-        reward = 100 (H_before - H_after) / (ln 2 * reachable cells)
-                 - collision_penalty * (time in contact)
-
-    with H the entropy of the belief over the reachable cells [nat]. Added up it is about 100 for a
-    map that was unknown, less what the first scan tells, whatever the time between actions. It may
-    be negative without a contact: noise can make cells less certain.
+        reward = Scenario.reward(before, after) - collision_penalty * (time in contact)
 
     Args:
         scenarios: one, or several that differ in the values of their arrays only, such as floors
             of one size.
         mode: what an action means.
-        action_period: time between actions [s]; rounded to control periods. A sensing period when
-            absent.
+        action_period: time between actions [s], rounded to control periods; the scenario's sensing
+            period when absent, or a control period if it has none.
         time_limit: simulated time after which an episode is truncated [s].
         collision_penalty: taken off the reward for contact [1/s].
         view: side of the square around the robot that is observed of the belief [m]; all of the
@@ -130,8 +114,7 @@ class Environment(eqx.Module):
             its range.
     """
 
-    shared: Scenario
-    several: Scenario | None
+    scenarios: Stacked
     mode: ActionMode
     steps_per_action: Count
     max_steps: Count
@@ -150,11 +133,13 @@ class Environment(eqx.Module):
         view: float | None = None,
     ) -> None:
         given = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
-        self.shared, self.several = stacked(given)
+        if not given or not all(isinstance(each, Scenario) for each in given):
+            raise ValueError(f"scenarios is {scenarios!r}; accepted: a scenario, or several")
+        self.scenarios = Stacked.of(given, name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)
         self.mode = mode.at_period(given[0].control_period)
-        steps = int(given[0].steps_per_scan)
+        steps = given[0].steps_per_measurement
         if action_period is not None:
             steps = max(
                 1, round(_checks.number("action_period", action_period, above=0.0) / period)
@@ -167,40 +152,45 @@ class Environment(eqx.Module):
         )
         self.view_cells = None
         if view is not None:
-            cells = _checks.number("view", view, above=0.0) / given[0].world.resolution
-            self.view_cells = max(1, round(cells))
+            side = _checks.number("view", view, above=0.0)
+            self.view_cells = max(1, round(side / given[0].cell_size))
 
-    def scenario(self, choice: Count) -> Scenario:
+    @property
+    def control_period(self) -> float:
+        """Time between controls [s]."""
+        return self.scenario(0).period
+
+    def scenario(self, choice: int | Count) -> Scenario:
         """Return one of the scenarios."""
-        return picked(self.shared, self.several, choice)
+        chosen: Scenario = self.scenarios.at(choice)
+        return chosen
 
     def init(self, key: Key, choice: Count) -> EnvironmentState:
-        """Return the state of a robot that has not opened its eyes yet: see `reset`.
+        """Return the state of a robot that has not perceived anything yet: see `reset`.
 
         Args:
-            key: of the whole run.
+            key: key of the whole run.
             choice: number of the scenario, below `num_scenarios`.
         """
         scenario = self.scenario(choice)
         loop = initial_loop_state(self.mode.initial_controller, scenario, key)
+        _, belief = scenario.init(key)
         zero = jnp.zeros((), jnp.int32)
         return EnvironmentState(
             loop=loop,
-            belief=loop.belief,
-            progress=loop.progress,
-            told=scenario.start,
-            sensed_state=scenario.start,
-            sensed_step=zero,
+            perceived=loop.task,
+            moment=moment_at(scenario, loop),
+            belief=belief,
             tally=Tally(jnp.zeros(()), zero, zero, jnp.array(False)),
             key=key,
             choice=choice,
         )
 
     def reset(self, key: Key, choice: Count) -> tuple[EnvironmentState, Outcome]:
-        """Return the state at the start of an episode, and what is observed there.
+        """Return the state at the start of an episode, and the first observation.
 
         Args:
-            key: of the whole run.
+            key: key of the whole run.
             choice: number of the scenario, below `num_scenarios`.
         """
         return self.step(self.init(key, choice), self.mode.low, jnp.zeros((), jnp.int32))
@@ -208,116 +198,104 @@ class Environment(eqx.Module):
     def step(
         self, state: EnvironmentState, action: ActionVector, num_steps: Count | None = None
     ) -> tuple[EnvironmentState, Outcome]:
-        """Return the state after an action, and what came of it.
+        """Carry out an action.
 
         Args:
-            state: before.
-            action: (A,); what is out of bounds is clipped.
+            state: state before.
+            action: (A,); values out of bounds are clipped.
             num_steps: control periods for which it is carried out, fewer where the episode ends;
-                with 0 the robot only looks. Those between actions when absent.
+                with 0 the robot only perceives. The periods between actions when absent.
         """
         scenario, before = self.scenario(state.choice), state.tally
         steps = self.steps_per_action if num_steps is None else num_steps
-        pose = robot_pose(scenario.robot, state.told)
-        controller = self.mode.controller(action, pose, state.belief, scenario.perception)
+        controller = self.mode.controller(action, state.moment, state.belief, scenario)
 
-        # What a controller would see where the actions ends is known after one more step of the
-        # loop, which senses before it decides. That step is not made: the next action makes it.
+        # A controller that decided where the action ends would perceive first. So the loop makes
+        # one step more, of which only the perception is kept: the next action repeats that step.
         def advance(course: _Course) -> _Course:
             at, tally = course.ahead, course.tally
-            ahead, record = closed_loop_step(controller, scenario, at, state.key)
-            moved = scenario.robot.position(at.robot) - scenario.robot.position(course.at.robot)
-            hit = course.is_hit.astype(jnp.int32)
+            measure_key, _ = step_keys(state.key, at.step)
+            moment = moment_at(scenario, at)
+            perceived, belief = scenario.perceive(at.task, moment, measure_key)
+            ahead, record = control_step(
+                controller, scenario, at._replace(task=perceived), moment, belief, state.key
+            )
+            position = scenario.robot.position
+            moved = position(at.task.robot) - position(course.at.task.robot)
             is_new = course.is_hit & ~tally.is_contact
-            is_sensed = _senses(scenario, at.step)
             return _Course(
                 done=course.done + 1,
                 at=at,
                 ahead=ahead,
-                is_hit=record.is_collision,
-                sensed_state=jnp.where(is_sensed, at.robot, course.sensed_state),
-                sensed_step=jnp.where(is_sensed, at.step, course.sensed_step),
+                perceived=perceived,
+                moment=moment,
+                belief=belief,
+                is_hit=scenario.is_contact(record),
                 tally=Tally(
                     path_length=tally.path_length + jnp.sqrt(jnp.sum(moved * moved)),
                     collisions=tally.collisions + is_new.astype(jnp.int32),
-                    collision_steps=tally.collision_steps + hit,
+                    collision_steps=tally.collision_steps + course.is_hit.astype(jnp.int32),
                     is_contact=jnp.where(course.done == 0, tally.is_contact, course.is_hit),
                 ),
             )
 
-        def goes_on(course: _Course) -> Flag:
-            is_over = _is_over(scenario, course) | (course.at.step >= self.max_steps)
+        def has_ended(course: _Course) -> Flag:
+            return scenario.has_ended(course.at.task, course.ahead.task)
+
+        def continues(course: _Course) -> Flag:
+            is_over = has_ended(course) | (course.at.step >= self.max_steps)
             return (course.done == 0) | ((course.done <= steps) & ~is_over)
 
         course = jax.lax.while_loop(
-            goes_on,
+            continues,
             advance,
             _Course(
                 done=jnp.zeros((), jnp.int32),
                 at=state.loop,
                 ahead=state.loop,
+                perceived=state.perceived,
+                moment=state.moment,
+                belief=state.belief,
                 is_hit=jnp.array(False),
-                sensed_state=state.sensed_state,
-                sensed_step=state.sensed_step,
                 tally=before,
             ),
         )
         after = EnvironmentState(
             loop=course.at,
-            belief=course.ahead.belief,
-            progress=course.ahead.progress,
-            told=course.ahead.observed,
-            sensed_state=course.sensed_state,
-            sensed_step=course.sensed_step,
+            perceived=course.perceived,
+            moment=course.moment,
+            belief=course.belief,
             tally=course.tally,
             key=state.key,
             choice=state.choice,
         )
-        scan = last_scan(
-            scenario, after.sensed_state, after.sensed_step, after.loop.movers, state.key
-        )
         contact = (course.tally.collision_steps - before.collision_steps).astype(jnp.float32)
-        most = math.log(2.0) * jnp.sum(scenario.reachable, dtype=jnp.float32)
-        learned = WHOLE_MAP / most * (state.progress.entropy - after.progress.entropy)
         penalty = self.collision_penalty * scenario.control_period * contact
-        is_terminated = _is_over(scenario, course)
+        earned = scenario.reward(state.perceived, after.perceived)
+        is_terminated = has_ended(course)
         return after, Outcome(
-            observation=observe(scenario, after.belief.grid, after.told, scan, self.view_cells),
-            reward=jnp.where(steps > 0, learned - penalty, 0.0),
+            observation=scenario.observation(
+                after.perceived, after.moment, after.belief, self.view_cells
+            ),
+            reward=jnp.where(steps > 0, earned - penalty, 0.0),
             is_terminated=is_terminated,
             is_truncated=(course.at.step >= self.max_steps) & ~is_terminated,
             is_collision=contact > 0.0,
-            coverage=after.progress.coverage,
-            entropy=after.progress.entropy,
+            facts=scenario.facts(after.perceived),
             num_steps=course.at.step,
             tally=course.tally,
         )
 
 
 class _Course(NamedTuple):
-    """The way of an action: the loop as it is (`at`) and one step `ahead`, which touched something
-    or not, after so many steps of the loop."""
+    """The course of an action: the loop as it is (`at`), what the robot perceives there, and the
+    loop one step `ahead`, which touched something or not, after so many steps."""
 
     done: Count
     at: LoopState
     ahead: LoopState
+    perceived: Any
+    moment: Moment
+    belief: Any
     is_hit: Flag
-    sensed_state: StateVector
-    sensed_step: Count
     tally: Tally
-
-
-def _is_over(scenario: Scenario, course: _Course) -> Flag:
-    """Say whether the scenario is finished where the robot is."""
-    # The step ahead knows what was just sensed; but it has moved, so it is not asked about a goal.
-    known = course.ahead if scenario.goal is None else course.at
-    return known.finished > scenario.hover_steps
-
-
-def _senses(scenario: Scenario, step: Count) -> Flag:
-    """Say whether scans arrive in a step."""
-    is_due = step % scenario.steps_per_scan == 0
-    if scenario.faults is None:
-        return is_due
-    time = scenario.control_period * step.astype(jnp.float32)
-    return is_due & ~scenario.faults.is_blind(time)

@@ -1,7 +1,8 @@
-"""What a robot that follows a path is put into."""
+"""Path following: a path, a robot on it, and the obstacles along it."""
 
 import functools
 import operator
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,18 +12,48 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import Key, Scalar, StateVector, Vector
+from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector, Vector
 from jaxplore.belief.obstacles import Obstacles
+from jaxplore.control.base import Controller, Info
+from jaxplore.costs.comfort import acceleration
+from jaxplore.costs.obstacle_distance import ObstacleDistanceCost
+from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost
 from jaxplore.dynamics.augmented import Augmented
+from jaxplore.dynamics.base import ContinuousDynamics, State
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
+from jaxplore.report.compute import Timing
+from jaxplore.report.following.data import PathFrame, PathRecord
+from jaxplore.report.following.metrics import PathMetrics
+from jaxplore.report.following.recording import PathRecording
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.following.traffic import Traffic
+from jaxplore.simulation.outline import outline_of
+from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
 
+AHEAD, NUM_AHEAD = 1.0, 12
+"""Distance between the points of the path that an agent observes [m], and how many they are."""
 PREDICTIONS = ("constant-turn", "constant-velocity")
 
 
-class PathScenario(eqx.Module):
-    """A path, a robot on it, and what else moves there.
+class PathState(NamedTuple):
+    """Everything of the task that changes.
+
+    Args:
+        robot: (nx,) true state of the robot, with its path parameter phi.
+        progress: arc length of the point of the path nearest to the robot [m]; it goes on growing
+            from lap to lap.
+        known: obstacles as the robot knows them; None if there are none.
+    """
+
+    robot: StateVector
+    progress: Scalar
+    known: Obstacles | None
+
+
+class PathScenario(Scenario):
+    """Path following: a robot follows a path, among obstacles.
 
     It is finished when the robot itself, not the phi that it plans with, has come to the end of an
     open path, or round a closed one so many times.
@@ -30,7 +61,7 @@ class PathScenario(eqx.Module):
     Contact with an obstacle and leaving the corridor are counted and do not stop the robot.
 
     Args:
-        model: of the robot with its path parameter, as `mpcc` returns it; the plant.
+        robot: model of the robot with its path parameter, as `mpcc` returns it; the plant.
         path: to follow.
         start: pose (x, y, yaw) [m, m, rad]; standing at the start of the path, along it, when
             absent.
@@ -45,14 +76,19 @@ class PathScenario(eqx.Module):
             ("constant-turn"), or not ("constant-velocity"); static.
         growth: standard deviation of their velocity that it reckons with [m/s].
         turn_growth: of their turn rate [rad/s].
+        faults: faults of the run. A dropout of scans is one of the tracker: obstacles are predicted
+            from their last measurement.
 
     Raises:
-        ValueError: a model without a path parameter, a start that is no pose, laps or rates that
+        ValueError: a robot without a path parameter, a start that is no pose, laps or rates that
             are not positive, more than one lap of an open path, a negative deviation, another
-            prediction.
+            prediction, faults with walls.
     """
 
-    model: Augmented
+    frame_type = PathFrame
+    metrics_type = PathMetrics
+
+    robot: Augmented
     path: Path
     start: StateVector
     end: Scalar
@@ -62,11 +98,12 @@ class PathScenario(eqx.Module):
     tracking_noise: Float[Array, "2"]
     growth: Scalar
     turn_growth: Scalar
+    faults: Faults | None
     prediction: str = eqx.field(static=True)
 
     def __init__(
         self,
-        model: Augmented,
+        robot: Augmented,
         path: Path,
         *,
         start: Vector | None = None,
@@ -79,16 +116,17 @@ class PathScenario(eqx.Module):
         prediction: str = "constant-turn",
         growth: ArrayLike = 0.1,
         turn_growth: ArrayLike = 0.1,
+        faults: Faults | None = None,
     ) -> None:
-        if "phi" not in model.state_names:
+        if "phi" not in robot.state_names:
             raise ValueError(
-                f"model has the states {', '.join(model.state_names)}; accepted: one with phi, "
+                f"robot has the states {', '.join(robot.state_names)}; accepted: one with phi, "
                 "such as mpcc returns"
             )
         rounds = _checks.positive_int("laps", laps)
         if rounds > 1 and not path.is_closed:
             raise ValueError(f"laps is {laps!r} of an open path; accepted: 1")
-        self.model, self.path = model, path
+        self.robot, self.path = robot, path
         self.traffic = None if traffic is None or traffic.number == 0 else traffic
         self.standing = None if standing is None or standing.number == 0 else standing
         near = _checks.scalar("finish", finish, at_least=0.0)
@@ -98,9 +136,9 @@ class PathScenario(eqx.Module):
             pose = [float(value) for value in (point.x, point.y, point.heading)]
         else:
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
-        state = model.at_pose(*pose)
-        phi = path.nearest(model.position(state), near=jnp.zeros(()) if path.is_closed else None)
-        self.start = state.at[model.state_names.index("phi")].set(phi)
+        state = robot.at_pose(*pose)
+        phi = path.nearest(robot.position(state), near=jnp.zeros(()) if path.is_closed else None)
+        self.start = state.at[robot.state_names.index("phi")].set(phi)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = jnp.asarray(1.0 / rate, jnp.float32)
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2)
@@ -113,6 +151,14 @@ class PathScenario(eqx.Module):
         self.prediction = prediction
         self.growth = _checks.scalar("growth", growth, at_least=0.0)
         self.turn_growth = _checks.scalar("turn_growth", turn_growth, at_least=0.0)
+        if faults is not None and faults.walls is not None:
+            raise ValueError("faults has walls beside a path; accepted: faults without walls")
+        self.faults = faults
+
+    @property
+    def objective(self) -> str:
+        """Time to the end, violations of the corridor and contacts."""
+        return "finished_at + 10*corridor_violations + 10*collisions"
 
     def true_obstacles(self, time: Scalar) -> Obstacles | None:
         """Return what truly moves and stands there at a time since the start [s]; None: nothing."""
@@ -147,3 +193,209 @@ class PathScenario(eqx.Module):
             growth=self.growth,
             turn_growth=self.turn_growth if is_turning else 0.0,
         )
+
+    def init(self, key: Key | None) -> tuple[PathState, Obstacles | None]:
+        """Return the state before the first step, and the true obstacles. Nothing is drawn."""
+        phi, truth = self.robot.component(self.start, "phi"), self.true_obstacles(jnp.zeros(()))
+        return PathState(self.start, phi, truth), truth
+
+    def perceive(
+        self, state: PathState, moment: Moment, key: Key
+    ) -> tuple[PathState, Obstacles | None]:
+        """Measure the obstacles; predict them while no measurement arrives."""
+        known = self.obstacles(moment.time, key=key)
+        if self.faults is not None and known is not None:
+            predicted = state.known.after(self.control_period)
+            known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
+        return state._replace(known=known), known
+
+    def advance(
+        self, state: PathState, control: ControlVector, moment: Moment, info: Info
+    ) -> tuple[PathState, PathRecord]:
+        """Move the robot, and measure the step with the costs that plan."""
+        model, path, period = self.robot, self.path, self.control_period
+        moved = model.step(state.robot, control, period)
+        # A controller that asks for what is not a number does not move the robot.
+        robot = jnp.where(jnp.all(jnp.isfinite(moved)), moved, state.robot)
+        here = State(robot, model)
+        progress = path.nearest(here.position, near=state.progress)
+        room = gap = jnp.full((), jnp.inf)
+        if path.has_room:
+            # Where the robot is, whatever phi it plans with.
+            room = CorridorCost(path, parameter=lambda _: progress).clearance(here)
+        truth = self.true_obstacles(moment.time + period)
+        if truth is not None:
+            gap = ObstacleDistanceCost().room(here, truth)
+        felt = jnp.full(2, jnp.nan)
+        if isinstance(model.physical, ContinuousDynamics):
+            felt = jnp.stack(acceleration(robot, control, model))
+        record = PathRecord(
+            state=robot,
+            control=control,
+            contouring=ContouringCost(path).error(here),
+            lag=LagCost(path).error(here),
+            progress=progress,
+            deviation=path.errors(here.position, progress).contouring,
+            room=room,
+            gap=gap,
+            acceleration=felt,
+            effective_sample_size=info.effective_sample_size,
+            is_finite=info.is_finite,
+            is_faulty=moment.is_faulty,
+        )
+        return state._replace(robot=robot, progress=progress), record
+
+    def is_unfinished(self, state: PathState) -> Flag:
+        """Say whether the robot has not come to the end yet."""
+        return state.progress < self.end
+
+    def progress(self, state: PathState) -> tuple[float, str]:
+        """Return the share of the way that is done, and how far that is."""
+        done, end = float(state.progress), float(self.end)
+        return done / end, f"{done:6.1f} of {end:.1f} m"
+
+    def frame(
+        self, state: PathState, moment: Moment, inspect: Inspect | None, key: Key
+    ) -> dict[str, Any]:
+        """Return the obstacles and the plan before a step; see `PathFrame`."""
+        truth = self.true_obstacles(moment.time)
+        arrays = {
+            "position": self.robot.position(state.robot),
+            "heading": self.robot.heading(state.robot),
+            "corners": jnp.zeros((0, 1, 2)) if truth is None else truth.outlines.corners,
+            "samples": jnp.zeros((0, 1, 2)),
+            "weights": jnp.zeros(0),
+            "plan": jnp.zeros((0, 2)),
+        }
+        if inspect is None:
+            return arrays
+        _, known = self.perceive(state, moment, key)
+        plan, position = inspect(state.robot, known), jax.vmap(self.robot.position)
+        return arrays | {
+            "samples": jax.vmap(position)(plan.samples),
+            "weights": plan.weights,
+            "plan": position(plan.nominal.states),
+        }
+
+    def observation(
+        self, state: PathState, moment: Moment, belief: Any, view_cells: int | None
+    ) -> dict[str, Array]:
+        """Return the state, the path ahead and the obstacles, both in the robot's frame.
+
+        `state` (nx,); `path` (12, 2) points of the path ahead, 1 m apart [m]; `errors` (2,) signed
+        distance from the path, and how much the path turns against the heading [m, rad];
+        `obstacles` (N, 5) position [m], velocity [m/s] and radius of the enclosing disc [m].
+        """
+        robot, told = self.robot, moment.observed
+        position, heading = robot.position(told), robot.heading(told)
+        sin, cos = jnp.sin(heading), jnp.cos(heading)
+        to_robot = jnp.stack([jnp.stack([cos, sin]), jnp.stack([-sin, cos])])
+        near = self.path.nearest(position, near=state.progress)
+        points = jax.vmap(self.path.at)(near + AHEAD * jnp.arange(1.0, NUM_AHEAD + 1.0))
+        ahead = (points.position - position) @ to_robot.T
+        here = self.path.at(near)
+        turn = here.heading - heading
+        errors = jnp.stack(
+            [
+                self.path.errors(position, near).contouring,
+                jnp.arctan2(jnp.sin(turn), jnp.cos(turn)),
+            ]
+        )
+        obstacles = jnp.zeros((0, 5))
+        if state.known is not None:
+            known = state.known
+            reach = jnp.max(
+                jnp.linalg.norm(known.outlines.corners - known.centres[:, None], axis=-1), axis=-1
+            )
+            obstacles = jnp.concatenate(
+                [
+                    (known.centres - position) @ to_robot.T,
+                    known.velocities @ to_robot.T,
+                    (reach + known.outlines.radii)[:, None],
+                ],
+                axis=-1,
+            )
+        return {"state": told, "path": ahead, "errors": errors, "obstacles": obstacles}
+
+    def observation_bounds(
+        self, view_cells: int | None
+    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Return the bounds of `observation`; a view of a map is refused.
+
+        Raises:
+            ValueError: a view.
+        """
+        if view_cells is not None:
+            raise ValueError("view is given beside a path; accepted: without a map there is none")
+        truth = self.true_obstacles(jnp.zeros(()))
+        number = 0 if truth is None else truth.outlines.number
+        shapes = {"path": (NUM_AHEAD, 2), "errors": (2,), "obstacles": (number, 5)}
+        free = {
+            name: (np.full(shape, -np.inf, np.float32), np.full(shape, np.inf, np.float32))
+            for name, shape in shapes.items()
+        }
+        return {"state": state_bounds(self.robot), **free}
+
+    def reward(self, before: PathState, after: PathState) -> Scalar:
+        """Return the progress along the path [m]."""
+        return after.progress - before.progress
+
+    def is_contact(self, record: PathRecord) -> Flag:
+        """Say whether the robot touched an obstacle, or some of it left the corridor."""
+        return (record.gap < 0.0) | (record.room < 0.0)
+
+    def facts(self, state: PathState) -> dict[str, Scalar]:
+        """Return the arc length passed [m]."""
+        return {"progress": state.progress}
+
+    def picture(self, state: PathState, moment: Moment, trail: np.ndarray) -> np.ndarray:
+        """Draw the course, the obstacles and the robot."""
+        arrays = self.frame(state, moment, None, jax.random.key(0))
+        frame = PathFrame(
+            step=0,
+            time=float(moment.time),
+            heading=float(arrays.pop("heading")),
+            **{name: np.asarray(value) for name, value in arrays.items()},
+        )
+        blank = jax.tree.map(
+            lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
+            self.blank_records(state, None, 1),
+        )
+        timing = Timing(0.0, 0.0, 0, np.zeros(0))
+        done = ChunkedRun(state, blank, (frame,), timing, 0, False)
+        return np.asarray(self.recording(None, state, done).frame_image(frame))
+
+    def recording(
+        self,
+        controller: Controller | None,
+        before: PathState,
+        run: ChunkedRun[Any, PathRecord, PathFrame],
+    ) -> PathRecording:
+        """Make the recording of a run."""
+        path, model, truth = self.path, self.robot, self.true_obstacles(jnp.zeros(()))
+        centre, edges = _centre_and_edges(path)
+        return PathRecording(
+            **run.common(self.period),
+            start=np.asarray(self.start),
+            start_progress=float(before.progress),
+            centre=centre,
+            edges=edges,
+            length=float(path.length),
+            end=float(self.end),
+            is_closed=path.is_closed,
+            state_names=model.state_names,
+            control_half_range=np.asarray(0.5 * (model.control_max - model.control_min)),
+            robot_radius=float(model.radius),
+            footprint=outline_of(model.footprint),
+            obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
+        )
+
+
+def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (P, 2) of the path, and (2, P, 2) of its edges where it has room."""
+    centre, tangents = np.asarray(path.points), np.asarray(path.tangents)
+    if not path.has_room:
+        return centre, np.zeros((0, *centre.shape))
+    normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
+    left, right = np.asarray(path.half_widths).T[..., None]
+    return centre, np.stack([centre + left * normals, centre - right * normals])

@@ -7,11 +7,10 @@ import jax.numpy as jnp
 
 from jaxplore.build.exploration import build
 from jaxplore.build.parts import robot_of
-from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.settings.exploration import Settings, make_settings
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.exploration.reachability import open_spot
-from jaxplore.simulation.simulate import record_run
+from jaxplore.simulation.run import record_run
 from jaxplore.study.comparison.maps import read_grid
 from jaxplore.study.comparison.rows import Result, Row, failed_row, result_of, row_of
 from jaxplore.study.comparison.tasks import Batch, Task
@@ -48,7 +47,7 @@ def perform(batch: Batch) -> tuple[Row, ...]:
         row_of(
             task,
             recordings[task.seed],
-            compute_metrics(recordings[task.seed], seed=task.seed),
+            recordings[task.seed].metrics(seed=task.seed),
             settings=settings.model_copy(update={"map": task.path, "seed": task.seed}),
         )
         for task in batch

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.exploration.data import ExplorationData
 
 NEVER = 255
 """Level of cells that were not seen."""
@@ -25,7 +25,7 @@ class Replay(NamedTuple):
     picture: bytes
 
 
-def replay_of(recording: Recording) -> Replay:
+def replay_of(recording: ExplorationData) -> Replay:
     """Return how a run's map grew: at the run's looks, every half second, or in a long run (in a
     batch the longest) at 120 instants at least."""
     first = np.full(recording.world.shape, NEVER, np.uint8)

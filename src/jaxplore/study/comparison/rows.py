@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxplore.report.exploration.metrics import CURVE_PERIOD, LEVELS, Metrics
+from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.metrics import LEVELS, ExplorationMetrics
 from jaxplore.report.exploration.progress import progress
+from jaxplore.report.metrics import CURVE_PERIOD
 from jaxplore.settings.exploration import Settings
-from jaxplore.simulation.recording import Recording
 from jaxplore.study.comparison.replay import replay_of
 from jaxplore.study.comparison.tasks import FORMAT, Task, canonical
 from jaxplore.study.workers.packages import package
@@ -60,8 +61,9 @@ COLUMNS = {
 
 `format` is the version of all this. `error` says in one line why there is no run; then nothing
 stands in the columns of results. Times are in s, paths and distances in m, coverage is a share of
-the reachable cells and entropy in nat, as in `Metrics`. `area_under_curve` is the mean coverage
-over the time limit; a run that has ended keeps its last value. Curves and positions are those at
+the reachable cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean
+coverage over the time limit; a run that has ended keeps its last value. Curves and positions are
+those at
 the start, every half second and at the end. `seen` says when each cell was first seen, by the index
 of an instant in `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
 run, the software and the machine.
@@ -71,7 +73,9 @@ TIMING = ("step_ms_p50", "step_ms_p99", "loop_step_ms", "compile_seconds")
 """Columns of wall-clock times: all others are the same to the bit when a run is repeated."""
 
 
-def row_of(task: Task, recording: Recording, metrics: Metrics, *, settings: Settings) -> Row:
+def row_of(
+    task: Task, recording: ExplorationData, metrics: ExplorationMetrics, *, settings: Settings
+) -> Row:
     """Return the row of a run.
 
     Args:

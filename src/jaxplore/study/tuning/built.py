@@ -1,81 +1,59 @@
 """Runs that are ready to start, and how they are run here."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-from jaxplore._types import Key
-from jaxplore.control.base import Controller
-from jaxplore.report.exploration.metrics import compute_metrics
-from jaxplore.report.following.metrics import compute_path_metrics
-from jaxplore.simulation.batch import Member, Places, record_members
-from jaxplore.simulation.exploration.scenario import Scenario
-from jaxplore.simulation.following.follow import PathRecording, record_path_run
-from jaxplore.simulation.following.scenario import PathScenario
-from jaxplore.simulation.recording import Recording
-from jaxplore.simulation.simulate import record_run
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.batch import record_experiments
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.run import record_run
+from jaxplore.simulation.stacking import Places
 from jaxplore.study.tuning.episodes import Ask, Outcome
 from jaxplore.study.tuning.objective import flat, with_late_times
 
 
-class Built(NamedTuple):
-    """A run that is ready to start: what `simulate` or `follow_path` take."""
-
-    controller: Controller
-    scenario: Scenario | PathScenario
-    num_steps: int
-    key: Key
-
-
-def run_alone(built: Built, seed: int, time_limit: float | None) -> Outcome:
+def run_alone(built: Experiment, seed: int, time_limit: float | None) -> Outcome:
     """Run an episode and return its report.
 
     Raises:
         KeyboardInterrupt: the user stopped it.
     """
     steps = _steps(built, time_limit)
-    recording: Recording | PathRecording
-    if isinstance(built.scenario, PathScenario):
-        recording = record_path_run(
-            built.controller, built.scenario, steps, key=built.key, num_trajectories=0
-        )
-    else:
-        recording = record_run(
-            built.controller, built.scenario, steps, key=built.key, num_trajectories=0
-        )
+    recording = record_run(
+        built.controller, built.scenario, steps, key=built.key, num_trajectories=0
+    )
     return _outcome(recording, seed, built)
 
 
 def run_together(
-    runs: Sequence[Built], seeds: Sequence[int], time_limit: float | None, differs: Places | None
+    runs: Sequence[Experiment],
+    seeds: Sequence[int],
+    time_limit: float | None,
+    differs: Places | None,
 ) -> tuple[list[Outcome], Places]:
-    """Run episodes side by side and return their reports; see `record_members`.
+    """Run episodes side by side and return their reports; see `record_experiments`.
 
     Raises:
         ValueError: controllers that differ in more than numbers.
         KeyboardInterrupt: the user stopped them.
     """
-    members = [Member(one.controller, one.scenario, one.key) for one in runs]
     steps = max(_steps(one, time_limit) for one in runs)
-    recordings, found = record_members(members, steps, with_frames=False, differs=differs)
+    recordings, found = record_experiments(runs, steps, with_frames=False, differs=differs)
     reports = zip(recordings, seeds, runs, strict=True)
     return [_outcome(recording, seed, one) for recording, seed, one in reports], found
 
 
-def _steps(built: Built, time_limit: float | None) -> int:
+def _steps(built: Experiment, time_limit: float | None) -> int:
     if time_limit is None:
         return built.num_steps
     period = float(built.scenario.control_period)
     return max(1, min(built.num_steps, round(time_limit / period)))
 
 
-def _outcome(recording: Recording | PathRecording, seed: int, built: Built) -> Outcome:
+def _outcome(recording: Recording, seed: int, built: Experiment) -> Outcome:
     if recording.is_interrupted:
         raise KeyboardInterrupt
-    report = (
-        compute_path_metrics(recording, seed=seed)
-        if isinstance(recording, PathRecording)
-        else compute_metrics(recording, seed=seed)
-    )
+    report = recording.metrics(seed=seed)
     # As late as if it had gone on to the scenario's own limit: cut short or not is no difference.
     limit = built.num_steps * recording.control_period
     return Outcome(with_late_times(flat(report.as_dict()), limit))
@@ -93,7 +71,7 @@ class Runner:
         ValueError: a batch < 1.
     """
 
-    def __init__(self, build: Callable[[Ask], Built], batch: int) -> None:
+    def __init__(self, build: Callable[[Ask], Experiment], batch: int) -> None:
         if batch < 1:
             raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
         self._build, self._batch = build, batch
@@ -107,7 +85,7 @@ class Runner:
                 self._run_group(some[first : first + self._batch], on_done)
 
     def _run_group(self, asks: Sequence[Ask], on_done: Callable[[Ask, Outcome], None]) -> None:
-        ready: list[tuple[Ask, Built]] = []
+        ready: list[tuple[Ask, Experiment]] = []
         for ask in asks:
             try:
                 ready.append((ask, self._build(ask)))
@@ -129,7 +107,7 @@ class Runner:
                 outcome = Outcome({}, f"{type(error).__name__}: {error}")
             on_done(ask, outcome)
 
-    def _run_together(self, ready: Sequence[tuple[Ask, Built]]) -> list[Outcome]:
+    def _run_together(self, ready: Sequence[tuple[Ask, Experiment]]) -> list[Outcome]:
         # Always as many: another number would be another program.
         padded = [*ready, *[ready[-1]] * (self._batch - len(ready))]
         first = ready[0][0]

@@ -7,12 +7,8 @@ from collections.abc import Callable, Sequence
 from PIL import Image
 
 from jaxplore.report.drawing.gif import evenly_chosen, save_gif
-from jaxplore.report.exploration.animation import frame_image
-from jaxplore.report.following.animation import path_frame_image
-from jaxplore.runs import PathRun, Run, follow_path, simulate
-from jaxplore.simulation.following.follow import PathRecording
-from jaxplore.simulation.following.scenario import PathScenario
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.run import record_run
 from jaxplore.study.tuning.runs import SettingsEpisodes
 from jaxplore.study.tuning.space import Candidate
 
@@ -40,22 +36,18 @@ def before_and_after(
     Returns:
         None if the user stopped it.
     """
-    recordings: list[Recording | PathRecording] = []
+    recordings: list[Recording] = []
     for candidate in candidates:
         built = episodes.kind.build(episodes.entries(scenario, candidate, seed))
-        run: Run | PathRun
-        if isinstance(built.scenario, PathScenario):
-            run = follow_path(built.controller, built.scenario, built.num_steps, key=built.key)
-        else:
-            run = simulate(built.controller, built.scenario, built.num_steps, key=built.key)
-        if run.recording.is_interrupted:
+        recording = record_run(built.controller, built.scenario, built.num_steps, key=built.key)
+        if recording.is_interrupted:
             return None
-        recordings.append(run.recording)
+        recordings.append(recording)
     return side_by_side(recordings, on_progress)
 
 
 def side_by_side(
-    recordings: Sequence[Recording | PathRecording],
+    recordings: Sequence[Recording],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes:
     """Return an animation of runs beside each other, at the same simulated time.
@@ -82,10 +74,8 @@ def side_by_side(
     return file.getvalue()
 
 
-def _look(recording: Recording | PathRecording, index: int) -> Image.Image:
-    if isinstance(recording, PathRecording):
-        return path_frame_image(recording, recording.frames[index])
-    return frame_image(recording, recording.frames[index])
+def _look(recording: Recording, index: int) -> Image.Image:
+    return recording.frame_image(recording.frames[index])
 
 
 def _beside(looks: Sequence[Image.Image]) -> Image.Image:

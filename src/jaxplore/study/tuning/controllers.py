@@ -8,19 +8,19 @@ import numpy as np
 
 from jaxplore.control.base import Controller
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters
-from jaxplore.simulation.exploration.scenario import Scenario
-from jaxplore.simulation.following.scenario import PathScenario
-from jaxplore.study.tuning.built import Built, Runner
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.study.tuning.built import Runner
 from jaxplore.study.tuning.episodes import Ask, Episodes, Outcome
 from jaxplore.study.tuning.space import Candidate, Value
 
 
 class ControllerEpisodes(Episodes):
-    """Episodes of one controller, of which numbers are searched by their path: see `leaves`.
+    """Episodes of one controller, whose numbers are searched by their path (`get_parameters`).
 
     Args:
         controller: as it is now.
-        scenarios: by name, `Scenario` or `PathScenario`.
+        scenarios: by name.
         time_limit: simulated at most [s].
         batch: candidates side by side, by `jax.vmap`; for accelerators, and small problems.
 
@@ -31,7 +31,7 @@ class ControllerEpisodes(Episodes):
     def __init__(
         self,
         controller: Controller,
-        scenarios: Mapping[str, Scenario | PathScenario],
+        scenarios: Mapping[str, Scenario],
         *,
         time_limit: float,
         batch: int = 1,
@@ -59,9 +59,9 @@ class ControllerEpisodes(Episodes):
         """Run episodes one after the other, or a batch at a time."""
         self._runner.run(asks, on_done)
 
-    def _build(self, ask: Ask) -> Built:
+    def _build(self, ask: Ask) -> Experiment:
         scenario = self._scenarios[ask.scenario]
-        return Built(
+        return Experiment(
             set_parameters(self._controller, leaf_values(self._controller, ask.candidate)),
             scenario,
             max(1, round(self._time_limit / float(scenario.control_period))),

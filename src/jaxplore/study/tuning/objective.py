@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxplore.parameters import nearest
-from jaxplore.report.exploration.metrics import LEVELS, Compute, Metrics
-from jaxplore.report.following.metrics import PathMetrics
+from jaxplore.report.compute import Compute
+from jaxplore.report.metrics import Metrics
 
 type Numbers = Mapping[str, float | None]
 """Of one episode, by name; None for what never happened."""
@@ -114,16 +114,16 @@ class Objective:
         return math.fsum(values) / len(values) if values else math.nan
 
 
-def known_metrics(*, is_path: bool) -> tuple[str, ...]:
+def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
     """Return the names of the numbers of a report; what ends with a dot begins several.
 
     Args:
-        is_path: of a run along a path, or across a map.
+        metrics_type: class of the report.
     """
     names: list[str] = []
-    for field in dataclasses.fields(PathMetrics if is_path else Metrics):
+    for field in dataclasses.fields(metrics_type):
         if field.name in ("time_to", "path_to"):
-            names += [f"{field.name}.{level}" for level in LEVELS]
+            names += [f"{field.name}.{level}" for level in metrics_type.levels]
         elif field.name == "compute":
             names += [f"compute.{each.name}" for each in dataclasses.fields(Compute)]
         elif field.name == "members":

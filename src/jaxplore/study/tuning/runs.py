@@ -15,7 +15,8 @@ from jaxplore.maps.files.packing import PACKED, image_of, packed
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.exploration import BASELINES, Settings, make_settings
 from jaxplore.settings.path import PathSettings, make_path_settings
-from jaxplore.study.tuning.built import Built, Runner, run_alone
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.study.tuning.built import Runner, run_alone
 from jaxplore.study.tuning.controllers import leaf_elements, leaf_value, leaf_values
 from jaxplore.study.tuning.episodes import Ask, Episodes, Outcome
 from jaxplore.study.tuning.space import Candidate, Value
@@ -41,12 +42,12 @@ class Kind(NamedTuple):
         """Return checked settings."""
         return make_path_settings(dict(entries)) if self.is_path else make_settings(dict(entries))
 
-    def build(self, entries: Entries) -> Built:
+    def build(self, entries: Entries) -> Experiment:
         """Return the run that settings describe."""
         settings = self.settings(entries)
         if isinstance(settings, PathSettings):
-            return Built(*build_path(settings))
-        return Built(*build(settings))
+            return build_path(settings)
+        return build(settings)
 
 
 class SettingsEpisodes(Episodes):
@@ -84,13 +85,13 @@ class SettingsEpisodes(Episodes):
         first = next(iter(self._scenarios.values()))
         self._settings = self.kind.settings(first)
         self._known = _settings_of(self._settings)
-        self._built: dict[tuple[str, int | None], Built] = {}
+        self._built: dict[tuple[str, int | None], Experiment] = {}
         for name in self._scenarios:
             # What cannot be read is told before anything is tried out.
             self._as_it_is(name, None)
 
     @property
-    def example(self) -> Built:
+    def example(self) -> Experiment:
         """The first scenario's run with the settings as they are."""
         return self._as_it_is(self.scenarios[0], None)
 
@@ -98,7 +99,7 @@ class SettingsEpisodes(Episodes):
     def _controller(self) -> Controller:
         return self.example.controller
 
-    def _as_it_is(self, scenario: str, seed: int | None) -> Built:
+    def _as_it_is(self, scenario: str, seed: int | None) -> Experiment:
         """Return a scenario's run with the settings as they are, which is built once."""
         at = (scenario, seed)
         if at not in self._built:
@@ -192,7 +193,7 @@ class SettingsEpisodes(Episodes):
             return
         self._runner.run(asks, on_done)
 
-    def _build(self, ask: Ask) -> Built:
+    def _build(self, ask: Ask) -> Experiment:
         if any(name in self._known for name in ask.candidate):
             return self.kind.build(self.entries(ask.scenario, ask.candidate, ask.seed))
         # Numbers of the controller only: the rest is built once.

@@ -6,8 +6,7 @@ import numpy as np
 from PIL import ImageDraw
 
 from jaxplore.report.drawing.palette import FAINT, PAPER, ROBOT, STRONG, Colour
-from jaxplore.report.drawing.window import outline_at
-from jaxplore.report.exploration.canvas import SUPERSAMPLING, pairs
+from jaxplore.report.drawing.picture import SUPERSAMPLING, outline_at, pairs
 
 STRONG_SHARE = 0.02
 """Rollouts of at least this share of the heaviest one's weight are drawn boldly."""

@@ -4,7 +4,8 @@ import dataclasses
 
 import numpy as np
 
-from jaxplore.simulation.recording import Recording
+from jaxplore.report.drawing.picture import to_frame
+from jaxplore.report.exploration.data import ExplorationData
 
 MARGIN = 1.0
 """Drawn around the reachable cells [m]."""
@@ -27,7 +28,7 @@ class Window:
     resolution: float
 
     @classmethod
-    def around_reachable(cls, recording: Recording) -> "Window":
+    def around_reachable(cls, recording: ExplorationData) -> "Window":
         """Return the box around the reachable cells and a margin; all of the grid without any."""
         cells = recording.reachable
         rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
@@ -77,24 +78,3 @@ class Window:
     def place(self, points: np.ndarray) -> np.ndarray:
         """Turn world points (..., 2) into metres from the window's corner along the grid's axes."""
         return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution
-
-
-def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Turn world points (..., 2) [m] into (x, y) [m] along the axes of a pose [m, m, rad]."""
-    yaw = float(pose[2])
-    shifted = np.asarray(points, np.float64) - np.asarray(pose[:2], np.float64)
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return np.asarray(shifted @ turn)
-
-
-def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.ndarray:
-    """Return the world points (..., 2) [m] of a robot's corners, given in its own frame.
-
-    Args:
-        corners: (..., 2) [m].
-        position: (2,) of the robot [m].
-        heading: [rad].
-    """
-    cos, sin = np.cos(heading), np.sin(heading)
-    turn = np.array([[cos, sin], [-sin, cos]])
-    return np.asarray(np.asarray(corners, np.float64) @ turn + np.asarray(position, np.float64))

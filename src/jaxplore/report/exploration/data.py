@@ -1,19 +1,69 @@
-"""What is kept of a run, as NumPy arrays on the host."""
+"""The data of an exploration run: the record of each step, the snapshots, the world."""
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
-from jaxplore.simulation.exploration.record import Record
+from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore.control.base import Members
+from jaxplore.report.recording import Frame, RunData
 
 
-@dataclasses.dataclass(frozen=True)
-class Frame:
-    """One look at a run, for drawing.
+class MapProgress(NamedTuple):
+    """How much of the map is known, and how long ago it was seen: see `ExplorationRecord`."""
+
+    coverage: Scalar
+    entropy: Scalar
+    unknown: Scalar
+    mean_idleness: Scalar
+    worst_idleness: Scalar
+
+
+class ExplorationRecord(NamedTuple):
+    """What is kept of each step; in a run every field has a leading axis of steps.
 
     Args:
-        step: how many steps were done.
-        time: since the start [s].
+        state: (nx,) after the step.
+        control: (nu,) that took effect during it.
+        coverage: share of the reachable cells known to be free.
+        entropy: of the belief over the reachable cells [nat].
+        unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
+        clearance: from the robot's edge to the nearest solid cell [m], up to half a metre.
+        is_collision: the step would have led into something; the robot stopped instead.
+        is_untraversable: some of the robot is on ground that may not be entered.
+        effective_sample_size: of the controller's rollouts.
+        is_finite: whether any of them was finite.
+        is_faulty: whether scans or odometry failed, by the scenario's faults.
+        targets_seen: how many targets have been seen.
+        mean_idleness: of the reachable cells, the time since each was seen, or since the start [s];
+            0 if nobody keeps watch.
+        worst_idleness: the longest of them [s].
+        members: of a controller that holds several.
+    """
+
+    state: StateVector
+    control: ControlVector
+    coverage: Scalar
+    entropy: Scalar
+    unknown: Scalar
+    clearance: Scalar
+    is_collision: Flag
+    is_untraversable: Flag
+    effective_sample_size: Scalar
+    is_finite: Flag
+    is_faulty: Flag
+    targets_seen: Count
+    mean_idleness: Scalar
+    worst_idleness: Scalar
+    members: Members | None
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ExplorationFrame(Frame):
+    """A snapshot of an exploration run.
+
+    Args:
         state: (nx,) the robot.
         probability: (H, W) the belief in 256 levels, 0 free to 255 occupied.
         information: (rows, columns) information of a scan at the nodes of the field [nat].
@@ -27,8 +77,6 @@ class Frame:
         terms: what the nominal pays for each term of the cost.
     """
 
-    step: int
-    time: float
     state: np.ndarray
     probability: np.ndarray
     information: np.ndarray
@@ -42,33 +90,11 @@ class Frame:
     terms: dict[str, float]
 
 
-@dataclasses.dataclass(frozen=True)
-class Timing:
-    """Wall-clock times.
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ExplorationData(RunData):
+    """An exploration run: every step, snapshots, and the world in which it took place.
 
     Args:
-        compile_seconds: until the loop is ready for its first step; near 0 if it was compiled
-            before.
-        loop_seconds: spent in the loop's chunks, compilation apart.
-        loop_steps: steps done in them.
-        step_seconds: (N,) of single steps that were timed one at a time, spread over the run.
-    """
-
-    compile_seconds: float
-    loop_seconds: float
-    loop_steps: int
-    step_seconds: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Recording:
-    """A run: every step, some looks at it, and what is needed to judge and draw it.
-
-    Args:
-        records: `Record` with a leading axis of steps.
-        frames: looks at the run, evenly spread, the last one at its end.
-        timing: wall-clock times.
-        control_period: [s].
         world: (H, W) probability of the true map.
         belief: (H, W) probability of the robot's map at the end.
         reachable: (H, W) cells that count for coverage.
@@ -87,7 +113,6 @@ class Recording:
         state_names: of the robot's state.
         robot_radius: [m].
         target_coverage: at which exploration is finished; None if it never is.
-        is_interrupted: the user stopped the run; what is here was done before.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
         targets: (M, 2) what was to be seen [m].
@@ -98,10 +123,8 @@ class Recording:
         member_names: of a controller that holds several.
     """
 
-    records: Record
-    frames: tuple[Frame, ...]
-    timing: Timing
-    control_period: float
+    records: ExplorationRecord
+    frames: tuple[ExplorationFrame, ...]
     world: np.ndarray
     belief: np.ndarray
     reachable: np.ndarray
@@ -119,7 +142,6 @@ class Recording:
     state_names: tuple[str, ...]
     robot_radius: float
     target_coverage: float | None
-    is_interrupted: bool
     footprint: np.ndarray
     targets: np.ndarray
     elevation: np.ndarray | None
@@ -127,11 +149,6 @@ class Recording:
     idleness: np.ndarray | None
     mover_radii: np.ndarray
     member_names: tuple[str, ...]
-
-    @property
-    def num_steps(self) -> int:
-        """How many steps were done."""
-        return len(self.records.coverage)
 
     @property
     def positions(self) -> np.ndarray:

@@ -1,0 +1,30 @@
+"""Progress on a terminal."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+
+
+@contextmanager
+def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
+    """Yield a function that shows the share that is done, and a text; as a bar on a terminal.
+
+    Args:
+        label: name of what is done.
+        enabled: without it the function shows nothing.
+    """
+    if not enabled:
+        yield lambda share, text: None
+        return
+    console = Console(stderr=True)
+    columns: list[ProgressColumn] = [
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        TextColumn("{task.fields[text]}"),
+    ]
+    with Progress(*columns, console=console) as bars:
+        task = bars.add_task(label, total=1.0, text="")
+        yield lambda share, text: bars.update(task, completed=share, text=text)

@@ -1,0 +1,36 @@
+"""Sizes of pictures, and the geometry that all of them share."""
+
+import numpy as np
+
+SUPERSAMPLING = 2
+"""Pixels that are drawn for one that is shown, along each axis."""
+MIN_WIDTH, MIN_MAP_SIDE = 320, 24
+"""Smallest picture and smallest map [pixels]."""
+FOOTER = 84
+"""Height of the strip with numbers [pixels]."""
+
+
+def pairs(points: np.ndarray) -> list[tuple[float, float]]:
+    """Return points (N, 2) as Pillow takes them."""
+    return [(x, y) for x, y in points.tolist()]
+
+
+def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Turn world points (..., 2) [m] into (x, y) [m] along the axes of a pose [m, m, rad]."""
+    yaw = float(pose[2])
+    shifted = np.asarray(points, np.float64) - np.asarray(pose[:2], np.float64)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return np.asarray(shifted @ turn)
+
+
+def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.ndarray:
+    """Return the world points (..., 2) [m] of a robot's corners, given in its own frame.
+
+    Args:
+        corners: (..., 2) [m].
+        position: (2,) of the robot [m].
+        heading: [rad].
+    """
+    cos, sin = np.cos(heading), np.sin(heading)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return np.asarray(np.asarray(corners, np.float64) @ turn + np.asarray(position, np.float64))

@@ -1,0 +1,103 @@
+"""The recording of an exploration run."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.report.exploration.animation import frame_image, write_animation
+from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.idleness import idleness_figure
+from jaxplore.report.exploration.members import members_figure
+from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
+from jaxplore.report.exploration.plots import coverage_figure, map_figure
+from jaxplore.report.exploration.progress import progress
+from jaxplore.report.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class ExplorationRecording(ExplorationData, Recording):
+    """A finished exploration run.
+
+    Its folder has `map.png`, `coverage.png` and `exploration.gif`; `members.png` if the controller
+    has several members; `idleness.png` if the robot patrols.
+    """
+
+    animation = "exploration.gif"
+
+    def metrics(self, *, seed: int | None = None) -> ExplorationMetrics:
+        """Compute the numbers by which the run is judged."""
+        return compute_metrics(self, seed=seed)
+
+    def frame_image(self, frame: ExplorationFrame) -> Image.Image:
+        """Draw a frame as it is in the animation."""
+        return frame_image(self, frame)
+
+    def figures(self) -> dict[str, Callable[[], "Figure"]]:
+        """Return functions that draw the figures, by file name without suffix."""
+        draw = {"map": map_figure, "coverage": coverage_figure}
+        if self.records.members is not None:
+            draw["members"] = members_figure
+        if self.idleness is not None:
+            draw["idleness"] = idleness_figure
+        return {name: partial(each, self) for name, each in draw.items()}
+
+    def write_animation(
+        self,
+        path: str | PathLike[str],
+        *,
+        max_frames: int = 120,
+        on_progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        """Write the run as an animated GIF."""
+        write_animation(self, path, max_frames=max_frames, on_progress=on_progress)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        Each field of `ExplorationRecord` under its name, one row per step; `time` (N + 1,) [s] and
+        `positions` (N + 1, 2) [m] with the start: step k leads from row k to row k + 1, and its
+        coverage and entropy were measured at `time[k]`; `world` and `belief` (H, W) probabilities
+        and `reachable` (H, W); `origin` [m, m, rad], `resolution` [m], `control_period` [s],
+        `start` and `state_names`.
+
+        Where they exist: each field of `Members` as `members_NAME`, one row per step, with
+        `member_names`; `targets` (M, 2) [m]; `idleness` (H, W) [s], infinite where nothing was
+        seen; `elevation` (H, W) [m] and `traversable` (H, W) of the ground; `mover_radii` (M,) [m];
+        `footprint` (4, 2) corners of a rectangular robot [m].
+        """
+        time, *_ = progress(self)
+        steps = self.records._asdict()
+        members = steps.pop("members")
+        if members is not None:
+            steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
+            steps["member_names"] = np.asarray(self.member_names, np.str_)
+        optional = {
+            "targets": self.targets,
+            "idleness": self.idleness,
+            "elevation": self.elevation,
+            "traversable": self.traversable,
+            "mover_radii": self.mover_radii,
+            "footprint": self.footprint,
+        }
+        return {
+            **{name: np.asarray(rows) for name, rows in steps.items()},
+            "time": time,
+            "positions": self.positions,
+            "world": self.world,
+            "belief": self.belief,
+            "reachable": self.reachable,
+            "origin": self.origin,
+            "resolution": np.asarray(self.resolution),
+            "control_period": np.asarray(self.control_period),
+            "start": self.start,
+            "state_names": np.asarray(self.state_names, np.str_),
+            **{name: each for name, each in optional.items() if each is not None and len(each)},
+        }

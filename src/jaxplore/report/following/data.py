@@ -1,0 +1,112 @@
+"""The data of a path-following run: the record of each step, the snapshots, the course."""
+
+import dataclasses
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore._types import ControlVector, Flag, Scalar, StateVector
+from jaxplore.report.recording import Frame, RunData
+
+
+class PathRecord(NamedTuple):
+    """What is kept of each step; in a run every field has a leading axis of steps.
+
+    Args:
+        state: (nx,) after the step, with its path parameter phi.
+        control: (nu,) that led to it.
+        contouring: error at phi, by the object that plans [m].
+        lag: error at phi [m].
+        progress: arc length of the point of the path that is nearest to the robot [m]; on laps it
+            goes on growing.
+        deviation: distance across the path there, positive to its right [m].
+        room: from the robot's edge to the edge of the corridor there [m], negative beyond it;
+            infinite without one.
+        gap: from the robot's edge to the nearest obstacle [m]; infinite without any.
+        acceleration: (2,) along the heading and to the left [m/s^2]; not a number of a model that
+            does not say.
+        effective_sample_size: of the controller's rollouts.
+        is_finite: whether any of them was finite.
+        is_faulty: whether tracking or odometry failed, by the scenario's faults.
+    """
+
+    state: StateVector
+    control: ControlVector
+    contouring: Scalar
+    lag: Scalar
+    progress: Scalar
+    deviation: Scalar
+    room: Scalar
+    gap: Scalar
+    acceleration: Float[Array, "2"]
+    effective_sample_size: Scalar
+    is_finite: Flag
+    is_faulty: Flag
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PathFrame(Frame):
+    """A snapshot of a path-following run.
+
+    Args:
+        position: (2,) of the robot [m].
+        heading: of the robot [rad].
+        corners: (N, V, 2) of the obstacles' polygons [m].
+        samples: (S, T + 1, 2) positions of some rollouts [m].
+        weights: (S,) their weights.
+        plan: (T + 1, 2) positions along the nominal [m].
+    """
+
+    position: np.ndarray
+    heading: float
+    corners: np.ndarray
+    samples: np.ndarray
+    weights: np.ndarray
+    plan: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PathData(RunData):
+    """A path-following run: every step, snapshots, and the course that was driven.
+
+    Args:
+        start: (nx,) state at the start.
+        start_progress: arc length at the start [m].
+        centre: (P, 2) points of the path [m].
+        edges: (2, P, 2) the corridor's left and right edge [m]; (0, P, 2) without one.
+        length: of the path, or of a lap [m].
+        end: arc length at which the run is finished [m].
+        is_closed: whether the path is a lap.
+        state_names: of the robot's state.
+        control_half_range: (nu,) half the range between the bounds of each control.
+        robot_radius: of the discs that cover the robot [m].
+        footprint: (4, 2) corners of a rectangular robot in its own frame [m]; (0, 2) of a disc.
+        obstacle_radii: (N,) by which the obstacles' polygons are thicker [m].
+    """
+
+    records: PathRecord
+    frames: tuple[PathFrame, ...]
+    start: np.ndarray
+    start_progress: float
+    centre: np.ndarray
+    edges: np.ndarray
+    length: float
+    end: float
+    is_closed: bool
+    state_names: tuple[str, ...]
+    control_half_range: np.ndarray
+    robot_radius: float
+    footprint: np.ndarray
+    obstacle_radii: np.ndarray
+
+    @property
+    def progress(self) -> np.ndarray:
+        """(N + 1,) arc length at the start and after each step [m]."""
+        return np.concatenate([[self.start_progress], self.records.progress])
+
+    @property
+    def positions(self) -> np.ndarray:
+        """(N + 1, 2) positions of the robot, the start included [m]."""
+        states = np.concatenate([self.start[None], self.records.state])
+        return states[:, [self.state_names.index("x"), self.state_names.index("y")]]

@@ -1,0 +1,73 @@
+"""The recording of a path-following run."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from os import PathLike
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.report.following.animation import path_frame_image, write_path_animation
+from jaxplore.report.following.data import PathData, PathFrame
+from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
+from jaxplore.report.following.plots import errors_figure, path_figure
+from jaxplore.report.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class PathRecording(PathData, Recording):
+    """A finished path-following run. Its folder has `path.png`, `errors.png` and
+    `following.gif`."""
+
+    animation = "following.gif"
+
+    def metrics(self, *, seed: int | None = None) -> PathMetrics:
+        """Compute the numbers by which the run is judged."""
+        return compute_path_metrics(self, seed=seed)
+
+    def frame_image(self, frame: PathFrame) -> Image.Image:
+        """Draw a frame as it is in the animation."""
+        return path_frame_image(self, frame)
+
+    def figures(self) -> dict[str, Callable[[], "Figure"]]:
+        """Return functions that draw the figures, by file name without suffix."""
+        return {"path": partial(path_figure, self), "errors": partial(errors_figure, self)}
+
+    def write_animation(
+        self,
+        path: str | PathLike[str],
+        *,
+        max_frames: int = 240,
+        on_progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        """Write the run as an animated GIF."""
+        write_path_animation(self, path, max_frames=max_frames, on_progress=on_progress)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        Each field of `PathRecord` under its name, one row per step, but `progress` (N + 1,) [m]
+        with the start, like `time` (N + 1,) [s] and `positions` (N + 1, 2) [m]; `centre` (P, 2) of
+        the path and `edges` (2, P, 2) of its corridor [m], if it has one; `length` [m], `end` [m],
+        `control_period` [s], `start` and `state_names`.
+        """
+        steps = {name: np.asarray(rows) for name, rows in self.records._asdict().items()}
+        edges = {"edges": self.edges} if len(self.edges) else {}
+        return {
+            **steps,
+            "progress": self.progress,
+            "time": self.time,
+            "positions": self.positions,
+            "centre": self.centre,
+            **edges,
+            "length": np.asarray(self.length),
+            "end": np.asarray(self.end),
+            "control_period": np.asarray(self.control_period),
+            "start": self.start,
+            "state_names": np.asarray(self.state_names, np.str_),
+        }

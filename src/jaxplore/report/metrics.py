@@ -1,0 +1,220 @@
+"""The numbers by which runs are judged and compared: the protocol, and what all tasks share."""
+
+import abc
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from jaxplore.report._numbers import finite, text
+from jaxplore.report.compute import Compute
+
+type Quartiles = tuple[float, float, float]
+"""Lower quartile, median and upper quartile; infinite where too few runs have a value."""
+
+CURVE_PERIOD = 0.5
+"""Time between the points of a curve [s]."""
+
+
+class Column(NamedTuple):
+    """A column of a comparison: one statistic over the runs of a variant.
+
+    Args:
+        name: its key in `metrics.json`.
+        header: its heading, with the unit.
+        value: computes the statistic from the metrics of the runs.
+        text: formats it.
+        applies: whether the statistic says anything; a column that applies to no variant is left
+            out.
+    """
+
+    name: str
+    header: str
+    value: Callable[[Sequence[Any]], Any]
+    text: Callable[[Any], str]
+    applies: Callable[[Any], bool] = lambda _: True
+
+    @classmethod
+    def quartiles(
+        cls,
+        name: str,
+        header: str,
+        *,
+        digits: int = 1,
+        scale: float = 1.0,
+        missing: float = math.inf,
+        applies: Callable[[Any], bool] = lambda _: True,
+        number: Callable[[Any], float | None] | None = None,
+    ) -> "Column":
+        """Return a column with the median and the quartiles of a number.
+
+        Args:
+            name: the attribute of the metrics, unless `number` is given.
+            header: heading, with the unit.
+            digits: decimals.
+            scale: factor of what is shown.
+            missing: counts for a run without the number. A run that never finished is infinitely
+                late, so that no variant gains by failing where it is slow.
+            applies: see `Column`.
+            number: reads the number from the metrics of a run.
+        """
+        read = number or (lambda each: getattr(each, name))
+
+        def value(runs: Sequence[Any]) -> Quartiles:
+            return quartiles([missing if (one := read(each)) is None else one for each in runs])
+
+        def shown(spread: Quartiles) -> str:
+            low, median, high = (
+                f"{scale * each:.{digits}f}" if math.isfinite(each) else "-" for each in spread
+            )
+            return median if low == high else f"{median} [{low}, {high}]"
+
+        return cls(name, header, value, shown, applies)
+
+    @classmethod
+    def total(
+        cls, name: str, header: str, *, applies: Callable[[Any], bool] = lambda _: True
+    ) -> "Column":
+        """Return a column with the sum of a count over the runs."""
+        return cls(
+            name, header, lambda runs: sum(getattr(each, name) for each in runs), str, applies
+        )
+
+    @classmethod
+    def least(
+        cls,
+        name: str,
+        header: str,
+        *,
+        digits: int = 2,
+        applies: Callable[[Any], bool] = lambda _: True,
+    ) -> "Column":
+        """Return a column with the least value of all runs, infinite without any."""
+
+        def value(runs: Sequence[Any]) -> float:
+            numbers = [getattr(each, name) for each in runs]
+            return min(math.inf if each is None else each for each in numbers)
+
+        return cls(
+            name,
+            header,
+            value,
+            lambda least: f"{least:.{digits}f}" if math.isfinite(least) else "-",
+            applies,
+        )
+
+
+class Curve(NamedTuple):
+    """A quantity over time that a comparison plots.
+
+    Args:
+        name: its key in `Metrics.series`.
+        label: of the axis, with the unit.
+        scale: factor of what is shown.
+        limit: upper end of the axis; by the data when absent.
+    """
+
+    name: str
+    label: str
+    scale: float = 1.0
+    limit: float | None = None
+
+
+def quartiles(values: Sequence[float]) -> Quartiles:
+    """Return the quartiles, nothing interpolated between a value and infinity."""
+    numbers = np.sort(np.asarray(values, np.float64))
+    low, median, high = np.percentile(numbers, [25, 50, 75], method="higher")
+    if np.isfinite(numbers).all():
+        low, median, high = np.percentile(numbers, [25, 50, 75])
+    return float(low), float(median), float(high)
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Metrics(abc.ABC):
+    """What a run achieved, and at what cost. `print` shows it as a table.
+
+    Args:
+        duration: simulated time [s].
+        num_steps: number of control periods.
+        is_finished: whether the task was finished.
+        finished_at: when it was [s]; None if it was not.
+        is_interrupted: whether the user stopped the run.
+        compute: wall-clock cost.
+        seed: seed of the run, if known.
+        versions: versions of the software, and the machine.
+    """
+
+    duration: float
+    num_steps: int
+    is_finished: bool
+    finished_at: float | None
+    is_interrupted: bool
+    compute: Compute
+    seed: int | None
+    versions: dict[str, str | int | None]
+
+    columns: ClassVar[tuple[Column, ...]] = ()
+    """Columns of a comparison, after the name of the variant."""
+    plotted: ClassVar[tuple[Curve, ...]] = ()
+    """Curves of a comparison, each a key of `series`."""
+    levels: ClassVar[tuple[int, ...]] = ()
+    """Levels [%] of the entries of fields that are mappings by level, such as `time_to`."""
+
+    def series(self) -> Mapping[str, Sequence[float | None]]:
+        """Return quantities over time: "time" [s], and one entry for each of `plotted`."""
+        return {}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain Python values that JSON can hold."""
+        return dataclasses.asdict(self)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what matters as (name, text), for tables: by default every number."""
+        common = {field.name for field in dataclasses.fields(Metrics)}
+        own = [field.name for field in dataclasses.fields(self) if field.name not in common]
+        end = (
+            "not finished"
+            if self.finished_at is None
+            else f"finished after {self.finished_at:.2f} s"
+        )
+        rows = [("duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}")]
+        for name in own:
+            value = getattr(self, name)
+            if value is None or isinstance(value, bool | int | float | str):
+                shown = text(value, 3) if value is None or isinstance(value, float) else str(value)
+                rows.append((name.replace("_", " "), shown))
+        return rows + self.closing_rows()
+
+    def closing_rows(self) -> list[tuple[str, str]]:
+        """Return the rows with which every table ends: time, seed and software."""
+        versions = self.versions
+        return [
+            *self.compute.rows(),
+            ("seed", "-" if self.seed is None else str(self.seed)),
+            ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
+            ("device", str(versions["device"])),
+        ]
+
+    def __str__(self) -> str:
+        rows = self.rows()
+        width = max(len(name) for name, _ in rows)
+        return "\n".join(f"{name:<{width}}  {value}" for name, value in rows)
+
+
+def sampled_series(
+    series: Mapping[str, np.ndarray], period: float
+) -> dict[str, list[float | None]]:
+    """Thin series (N + 1,) to one point per `CURVE_PERIOD`, the end included.
+
+    Args:
+        series: by name.
+        period: control period [s].
+    """
+    steps = len(next(iter(series.values()))) - 1
+    stride = max(1, round(CURVE_PERIOD / period))
+    kept = np.unique(np.append(np.arange(0, steps + 1, stride), steps))
+    return {
+        name: [finite(value, digits=5) for value in values[kept]] for name, values in series.items()
+    }

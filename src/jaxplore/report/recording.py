@@ -1,0 +1,143 @@
+"""The recording of a run: NumPy arrays on the host that know how to show themselves.
+
+A recording is filled by a scenario (`jaxplore.simulation`). Whoever saves, compares, searches or
+draws runs uses this protocol and never asks what kind of task it was.
+"""
+
+import abc
+import dataclasses
+from collections.abc import Callable, Mapping
+from os import PathLike
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.report.compute import Timing as Timing
+from jaxplore.report.compute import compute_cost, software
+from jaxplore.report.drawing.gif import evenly_chosen, write_gif
+from jaxplore.report.drawing.palette import fitted_palette
+from jaxplore.report.metrics import Metrics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Frame:
+    """A snapshot of a run, for drawing.
+
+    Args:
+        step: number of steps before it.
+        time: time since the start [s].
+    """
+
+    step: int
+    time: float
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RunData:
+    """What every run leaves behind.
+
+    Args:
+        records: the scenario's record of a step, a NamedTuple, with a leading axis of N steps.
+        frames: snapshots of the run, evenly spaced, the last one at its end.
+        timing: wall-clock times.
+        control_period: time between controls [s].
+        is_interrupted: whether the user stopped the run; the data are those up to then.
+    """
+
+    records: Any
+    frames: tuple[Any, ...]
+    timing: Timing
+    control_period: float
+    is_interrupted: bool
+
+    @property
+    def num_steps(self) -> int:
+        """Number of steps, N."""
+        return len(self.records[0])
+
+    @property
+    def time(self) -> np.ndarray:
+        """(N + 1,) times of the start and of the end of each step [s]."""
+        return np.arange(self.num_steps + 1) * self.control_period
+
+    def common_metrics(self, *, finished_at: float | None, seed: int | None) -> dict[str, Any]:
+        """Return the fields that all `Metrics` share.
+
+        Args:
+            finished_at: when the task was finished [s]; None if it was not.
+            seed: seed of the run.
+        """
+        return {
+            "duration": self.num_steps * self.control_period,
+            "num_steps": self.num_steps,
+            "is_finished": finished_at is not None,
+            "finished_at": finished_at,
+            "is_interrupted": self.is_interrupted,
+            "compute": compute_cost(self.timing, self.control_period),
+            "seed": seed,
+            "versions": software(),
+        }
+
+
+class Recording(RunData, abc.ABC):
+    """A finished run. A new kind of task implements `metrics` and `frame_image`; the rest has a
+    default."""
+
+    animation: ClassVar[str] = "animation.gif"
+    """File name of the animation in a run folder."""
+
+    @abc.abstractmethod
+    def metrics(self, *, seed: int | None = None) -> Metrics:
+        """Compute the numbers by which the run is judged.
+
+        Args:
+            seed: seed of the run, to be noted.
+        """
+
+    @abc.abstractmethod
+    def frame_image(self, frame: Any) -> Image.Image:
+        """Draw one of the frames."""
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        By default each field of the records under its name, one row per step, `time` (N + 1,) [s]
+        and `control_period` [s].
+        """
+        rows = {name: np.asarray(values) for name, values in self.records._asdict().items()}
+        return {**rows, "time": self.time, "control_period": np.asarray(self.control_period)}
+
+    def figures(self) -> Mapping[str, Callable[[], "Figure"]]:
+        """Return functions that draw the figures of the run folder, by file name without suffix."""
+        return {}
+
+    def write_animation(
+        self,
+        path: str | PathLike[str],
+        *,
+        max_frames: int = 120,
+        on_progress: Callable[[float], None] = lambda _: None,
+    ) -> None:
+        """Write the run as an animated GIF that plays in browsers and in a README.
+
+        Args:
+            path: file to write.
+            max_frames: most frames, evenly chosen, the first and the last one among them.
+            on_progress: called with the share that is done, from 0 to 1.
+
+        Raises:
+            ValueError: fewer than one frame.
+        """
+        if max_frames < 1:
+            raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
+        write_gif(
+            path,
+            evenly_chosen(self.frames, max_frames),
+            self.frame_image,
+            lambda images: fitted_palette((), images),
+            on_progress,
+        )

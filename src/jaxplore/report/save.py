@@ -1,0 +1,83 @@
+"""Writes a run into its folder."""
+
+import contextlib
+import json
+from collections.abc import Callable, Mapping
+from os import PathLike
+
+import numpy as np
+import yaml
+
+from jaxplore.report.folder import MARK, run_folder
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.recording import Recording
+
+DOTS_PER_INCH = 150
+BEFORE_ANIMATION = 0.2
+"""Share of the progress that stands for everything but the animation."""
+
+
+def save_run(
+    recording: Recording,
+    metrics: Metrics,
+    path: str | PathLike[str],
+    *,
+    settings: Mapping[str, object] | None = None,
+    animation: bool = True,
+    overwrite: bool = False,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Write a run folder: it appears complete or not at all.
+
+    It holds `metrics.json`, `arrays.npz`, the figures of the recording, its animation, and
+    `settings.yaml` if there are settings.
+
+    Args:
+        recording: the run.
+        metrics: the metrics of the same run.
+        path: the folder.
+        settings: settings that led to the run, plain values only.
+        animation: draw the animation; it takes most of the time, and Ctrl-C leaves it out.
+        overwrite: replace a former run.
+        on_progress: called with the share that is done, from 0 to 1.
+
+    Raises:
+        ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
+    """
+    document = None if settings is None else settings_document(settings)
+    report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
+    with run_folder(path, overwrite=overwrite) as folder:
+        on_progress(0.0)
+        (folder / MARK).write_text(report + "\n", encoding="utf-8")
+        if document is not None:
+            (folder / "settings.yaml").write_text(document, encoding="utf-8")
+        with (folder / "arrays.npz").open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **recording.arrays())
+        for name, draw in recording.figures().items():
+            draw().savefig(folder / f"{name}.png", dpi=DOTS_PER_INCH)
+        if animation:
+            on_progress(BEFORE_ANIMATION)
+            rest = 1.0 - BEFORE_ANIMATION
+            # Drawing takes longest and can be done without: Ctrl-C leaves out the animation, not
+            # the run.
+            with contextlib.suppress(KeyboardInterrupt):
+                recording.write_animation(
+                    folder / recording.animation,
+                    on_progress=lambda share: on_progress(BEFORE_ANIMATION + rest * share),
+                )
+    on_progress(1.0)
+
+
+def settings_document(settings: Mapping[str, object]) -> str:
+    """Return settings as YAML.
+
+    Raises:
+        ValueError: what YAML cannot hold.
+    """
+    try:
+        return str(yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True))
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise ValueError(
+            f"settings cannot be written as YAML: {reason}; accepted: plain Python values"
+        ) from error

@@ -1,0 +1,23 @@
+"""A run that is ready to start, of any kind."""
+
+from typing import NamedTuple
+
+from jaxplore._types import Key
+from jaxplore.control.base import Controller
+from jaxplore.simulation.scenario import Scenario
+
+
+class Experiment(NamedTuple):
+    """The arguments of `simulate`.
+
+    Args:
+        controller: computes the controls.
+        scenario: the task.
+        num_steps: most control periods.
+        key: random key.
+    """
+
+    controller: Controller
+    scenario: Scenario
+    num_steps: int
+    key: Key

@@ -1,0 +1,184 @@
+"""The closed loop of every task: perceive, control, advance; one compiled program.
+
+Between steps nothing returns to Python: see `jaxplore.simulation.chunks`.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Count, Key, StateVector
+from jaxplore.control.base import Controller
+from jaxplore.simulation.chunks import loop
+from jaxplore.simulation.scenario import Moment, Scenario
+
+
+class LoopState(NamedTuple):
+    """Everything that changes from step to step.
+
+    Args:
+        task: state of the task, see `Scenario`.
+        controller: state of the controller.
+        step: number of steps done.
+        observed: (nx,) state that the controller was told last.
+        pending: (D, nu) commands that have not taken effect yet, oldest first.
+    """
+
+    task: Any
+    controller: Any
+    step: Count
+    observed: StateVector
+    pending: Float[Array, "D nu"]
+
+
+def step_keys(key: Key, step: Count) -> tuple[Key, Key]:
+    """Return the keys of a step's measurements and of its controller.
+
+    They depend on the key of the run and the number of the step only.
+    """
+    measure, control = jax.random.split(jax.random.fold_in(key, step))
+    return measure, control
+
+
+def moment_at(scenario: Scenario, state: LoopState) -> Moment:
+    """Return when the next step takes place, and what the robot is told about itself."""
+    period, faults = scenario.control_period, scenario.faults
+    time = period * state.step.astype(jnp.float32)
+    truth = state.task.robot
+    if faults is None:
+        return Moment(state.step, time, truth, jnp.array(False), jnp.array(False))
+    observed = faults.observe(truth, state.observed, time, period)
+    return Moment(state.step, time, observed, faults.is_blind(time), faults.is_active(time))
+
+
+def initial_loop_state(
+    controller: Controller, scenario: Scenario, key: Key | None = None
+) -> LoopState:
+    """Return the state before the first step.
+
+    Args:
+        controller: makes its own state.
+        scenario: makes the state of the task.
+        key: key of the run; without it nothing is drawn at the start.
+    """
+    # Two programs: the task's state is compiled once for all controllers.
+    state = _initial_task(scenario, key)
+    return state._replace(controller=_initial_memory(controller))
+
+
+@eqx.filter_jit
+def _initial_memory(controller: Controller) -> Any:
+    return controller.init()
+
+
+@eqx.filter_jit
+def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
+    delay = 0 if scenario.faults is None else scenario.faults.control_delay
+    robot = scenario.robot
+    return LoopState(
+        task=scenario.init(key)[0],
+        controller=(),
+        step=jnp.zeros((), jnp.int32),
+        observed=scenario.start,
+        pending=jnp.broadcast_to(robot.default_control, (delay, robot.control_size)),
+    )
+
+
+def closed_loop_step(
+    controller: Controller, scenario: Scenario, state: LoopState, key: Key
+) -> tuple[LoopState, Any]:
+    """Perceive, compute the control and apply it; return the next state and the step's record."""
+    measure_key, _ = step_keys(key, state.step)
+    moment = moment_at(scenario, state)
+    task, belief = scenario.perceive(state.task, moment, measure_key)
+    return control_step(controller, scenario, state._replace(task=task), moment, belief, key)
+
+
+def control_step(
+    controller: Controller,
+    scenario: Scenario,
+    state: LoopState,
+    moment: Moment,
+    belief: Any,
+    key: Key,
+) -> tuple[LoopState, Any]:
+    """Compute the control and apply it: a step after the robot has perceived.
+
+    Args:
+        controller: computes the control.
+        scenario: the task.
+        state: state of the loop, with the task's state as `perceive` returned it.
+        moment: as it was for `perceive`.
+        belief: what `perceive` returned.
+        key: key of the whole run.
+    """
+    _, control_key = step_keys(key, state.step)
+    control, memory, info = controller.step(
+        state.controller, moment.observed, belief, key=control_key
+    )
+    pending = state.pending
+    if scenario.faults is not None:
+        pending, control = scenario.faults.delay(pending, control)
+    task, record = scenario.advance(state.task, control, moment, info)
+    # A frozen odometry repeats what was told last, unless that was lost.
+    is_told = jnp.isfinite(moment.observed).all()
+    observed = jnp.where(is_told, moment.observed, state.observed)
+    return LoopState(task, memory, state.step + 1, observed, pending), record
+
+
+@eqx.filter_jit
+def run_chunk(
+    controller: Controller,
+    scenario: Scenario,
+    state: LoopState,
+    key: Key,
+    num_steps: Count,
+    capacity: int,
+) -> tuple[LoopState, Any, Count]:
+    """Run up to `num_steps` steps, fewer if the task is finished.
+
+    Args:
+        controller: computes the controls.
+        scenario: the task.
+        state: state to continue from.
+        key: key of the whole run.
+        num_steps: at most `capacity`.
+        capacity: length of the buffer of records; static.
+
+    Returns:
+        The state, the records (the first axis has `capacity` entries), and how many are filled.
+    """
+    return loop(
+        lambda current: closed_loop_step(controller, scenario, current, key),
+        lambda current: scenario.is_unfinished(current.task),
+        state,
+        scenario.blank_records(state.task, controller, capacity),
+        num_steps,
+    )
+
+
+@eqx.filter_jit
+def frame_arrays(
+    controller: Controller, scenario: Scenario, state: LoopState, key: Key, num_trajectories: int
+) -> dict[str, Any]:
+    """Return the arrays of a frame, see `Scenario.frame`.
+
+    Args:
+        controller: whose plan is shown.
+        scenario: the task.
+        state: state of the loop.
+        key: key of the whole run.
+        num_trajectories: number of rollouts in it; with 0 the controller is not compiled again.
+    """
+    measure_key, control_key = step_keys(key, state.step)
+
+    def inspect(observed: StateVector, belief: Any) -> Any:
+        return controller.inspect(
+            state.controller, observed, belief, key=control_key, num_trajectories=num_trajectories
+        )
+
+    moment = moment_at(scenario, state)
+    return scenario.frame(state.task, moment, inspect if num_trajectories else None, measure_key)

@@ -1,0 +1,17 @@
+"""The outline of a robot, as recordings keep it."""
+
+import numpy as np
+
+from jaxplore.geometry.footprint import Footprint, Rectangle
+
+
+def outline_of(footprint: Footprint) -> np.ndarray:
+    """Return the corners (4, 2) of a rectangle in the robot's frame [m]; none of another robot."""
+    if not isinstance(footprint, Rectangle):
+        return np.zeros((0, 2))
+    front, rear, half = (
+        float(footprint.front),
+        -float(footprint.rear),
+        0.5 * float(footprint.width),
+    )
+    return np.array([[front, half], [rear, half], [rear, -half], [front, -half]])

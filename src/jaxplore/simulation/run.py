@@ -1,0 +1,208 @@
+"""Runs a scenario with a controller; one function for every kind of task."""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxplore import _checks
+from jaxplore._types import Count, Key
+from jaxplore.control.base import Controller
+from jaxplore.report.console import progress_bar
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.recording import Frame, Recording
+from jaxplore.report.save import save_run
+from jaxplore.simulation.chunks import CHUNK_SECONDS, run_in_chunks
+from jaxplore.simulation.loop import LoopState, frame_arrays, initial_loop_state, run_chunk
+from jaxplore.simulation.scenario import Scenario
+
+NUM_TRAJECTORIES = 60
+"""Rollouts in each frame."""
+
+
+class RunProgress(NamedTuple):
+    """How far a run is.
+
+    Args:
+        time: simulated time [s].
+        time_limit: simulated time at which it ends [s].
+        share: share of the task that is done, from 0 to 1.
+        text: what is done of the task, in words.
+        seconds: wall-clock time since the loop was compiled [s].
+    """
+
+    time: float
+    time_limit: float
+    share: float
+    text: str
+    seconds: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """A finished run.
+
+    Args:
+        recording: every step, and frames of the run.
+        metrics: numbers by which it is judged.
+    """
+
+    recording: Recording
+    metrics: Metrics
+
+    def save(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        overwrite: bool = False,
+        animation: bool = True,
+        settings: Mapping[str, object] | None = None,
+        progress: bool = False,
+    ) -> None:
+        """Write a run folder: metrics.json, arrays.npz, figures and an animation.
+
+        The folder appears complete or not at all.
+
+        Args:
+            path: the folder.
+            overwrite: replace a run folder that is there.
+            animation: draw the animation.
+            settings: written to settings.yaml, from which the command line repeats the run.
+            progress: show how far the drawing is.
+
+        Raises:
+            ValueError: the folder exists, or cannot be written.
+        """
+        with progress_bar("drawing", enabled=progress and animation) as advance:
+            save_run(
+                self.recording,
+                self.metrics,
+                path,
+                settings=settings,
+                animation=animation,
+                overwrite=overwrite,
+                on_progress=lambda share: advance(share, ""),
+            )
+
+
+def simulate(
+    controller: Controller,
+    scenario: Scenario,
+    num_steps: int,
+    *,
+    key: Key,
+    progress: bool = False,
+    num_trajectories: int = NUM_TRAJECTORIES,
+) -> Run:
+    """Simulate a task until it is finished or the steps are done.
+
+    The closed loop is one compiled program that runs in chunks of half a simulated second. Ctrl-C
+    ends the run after the current chunk and returns what was done.
+
+    Args:
+        controller: computes the controls; it is told the scenario's control period.
+        scenario: the task.
+        num_steps: most control periods.
+        key: random key; the same key gives the same run.
+        progress: show how far the run is, its speed and the time left.
+        num_trajectories: rollouts in each frame, for the animation; with 0 the frames show no plan,
+            and the controller is not compiled a second time to look into it.
+
+    Raises:
+        ValueError: fewer than one step, or fewer than 0 rollouts.
+    """
+    with progress_bar("simulating", enabled=progress) as advance:
+
+        def show(now: RunProgress) -> None:
+            speed = now.time / max(now.seconds, 1e-9)
+            left = (now.time_limit - now.time) / speed
+            share = max(now.share, now.time / now.time_limit)
+            advance(
+                min(max(share, 0.0), 1.0),
+                f"{now.time:4.0f} of {now.time_limit:.0f} s  {now.text}  "
+                f"{speed:4.1f} x real time  at most {left:3.0f} s left",
+            )
+
+        recording = record_run(
+            controller,
+            scenario,
+            num_steps,
+            key=key,
+            on_progress=show,
+            num_trajectories=num_trajectories,
+        )
+    seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
+    return Run(recording, recording.metrics(seed=seed))
+
+
+def record_run(
+    controller: Controller,
+    scenario: Scenario,
+    num_steps: int,
+    *,
+    key: Key,
+    on_progress: Callable[[RunProgress], None] = lambda _: None,
+    num_trajectories: int = NUM_TRAJECTORIES,
+) -> Recording:
+    """Simulate like `simulate`, and return the recording alone.
+
+    Args:
+        controller: computes the controls.
+        scenario: the task.
+        num_steps: most control periods.
+        key: random key; the same key gives the same run.
+        on_progress: called after each chunk.
+        num_trajectories: rollouts in each frame.
+
+    Raises:
+        ValueError: fewer than one step, or fewer than 0 rollouts.
+    """
+    limit = _checks.positive_int("num_steps", num_steps)
+    rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
+    period = scenario.period
+    controller = controller.at_period(scenario.control_period)
+    began = time.perf_counter()
+    state = initial_loop_state(controller, scenario, key)
+    chunk = max(1, round(CHUNK_SECONDS / period))
+
+    def run(current: LoopState, steps: Count) -> tuple[LoopState, Any, Count]:
+        return run_chunk(controller, scenario, current, key, steps, chunk)
+
+    def frame(current: LoopState, step: int) -> Frame:
+        arrays = frame_arrays(controller, scenario, current, key, rollouts)
+        return make_frame(scenario, step, arrays)
+
+    def report(current: LoopState, total: int, seconds: float) -> None:
+        share, text = scenario.progress(current.task)
+        on_progress(RunProgress(total * period, limit * period, share, text, seconds))
+
+    done = run_in_chunks(
+        run,
+        lambda current: scenario.is_unfinished(current.task),
+        frame,
+        state,
+        began=began,
+        limit=limit,
+        chunk=chunk,
+        on_chunk=report,
+    )
+    return scenario.recording(controller, state.task, done)
+
+
+def make_frame(scenario: Scenario, step: int, arrays: Mapping[str, Any]) -> Frame:
+    """Make a frame on the host, after so many steps, from the arrays of `Scenario.frame`.
+
+    Scalars become Python numbers, all other arrays NumPy arrays.
+    """
+
+    def on_host(value: Any) -> Any:
+        array = np.asarray(value)
+        return array if array.ndim else array.item()
+
+    return scenario.frame_type(
+        step=step, time=step * scenario.period, **jax.tree.map(on_host, dict(arrays))
+    )
