@@ -200,7 +200,7 @@ def _parts(loops: dict[str, _Loop]) -> list[dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for architecture, loop in loops.items():
         controller, state = loop.controller, loop.after(100)
-        belief, robot = state.belief, state.robot
+        belief, robot = state.task.belief, state.task.robot
         at = controller.mppi.dynamics.position(robot)
         prepare = eqx.filter_jit(lambda c, *given: c._prepare(*given))
         mppi, known, strategy, _ = prepare(controller, state.controller, robot, belief)

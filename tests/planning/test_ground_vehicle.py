@@ -16,6 +16,7 @@ from jaxplore import (
     CollisionCost,
     ControlCost,
     DifferentialDrive,
+    ExplorationScenario,
     GoalCost,
     Knots,
     Lidar,
@@ -24,7 +25,6 @@ from jaxplore import (
     OccupancyGrid,
     Perception,
     SafeFusion,
-    Scenario,
     Situation,
     Smooth,
     State,
@@ -329,7 +329,7 @@ def test_if_all_collide_the_least_deep_one_counts(empty_belief) -> None:
 
 
 @pytest.fixture(scope="module")
-def scenario() -> Scenario:
+def scenario() -> ExplorationScenario:
     cells = np.zeros((30, 40), np.float32)
     cells[0], cells[-1], cells[:, 0], cells[:, -1] = 1.0, 1.0, 1.0, 1.0
     cells[14:17, 18:21] = cells[:10, 30:32] = 1.0

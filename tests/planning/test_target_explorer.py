@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, convolve, distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
 from jaxplore.planning.strategy.frontiers import prospects
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.report.following.data import record_run
-from jaxplore.report.following.data import initial_path_state, run_path_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.run import record_run
 
 RING = jx.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
@@ -115,8 +115,8 @@ def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> Non
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     controller = PASSING.planner.mppi.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)
-    run_path_chunk(controller, lap[1], initial_path_state(controller, lap[1]), key, one, 25)
-    before = run_path_chunk._cached._cache_size()
+    run_chunk(controller, lap[1], initial_loop_state(controller, lap[1]), key, one, 25)
+    before = run_chunk._cached._cache_size()
     moved = jx.PathScenario(
         PASSING.model,
         RING,
@@ -127,8 +127,8 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     )
     costs = 7.0 * jx.ComfortCost(), 50.0 * jx.ObstacleDistanceCost(clearance=0.6)
     heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).planner.mppi
-    run_path_chunk(heavier, moved, initial_path_state(heavier, moved), key, one, 25)
-    assert run_path_chunk._cached._cache_size() == before
+    run_chunk(heavier, moved, initial_loop_state(heavier, moved), key, one, 25)
+    assert run_chunk._cached._cache_size() == before
 
 
 def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
