@@ -1,4 +1,4 @@
-"""Map files: YAML that is not trusted, and outputs that are written whole or not at all."""
+"""Read files that are not trusted, and write files completely or not at all."""
 
 import os
 import reprlib
@@ -10,8 +10,8 @@ import yaml
 from PIL import UnidentifiedImageError
 
 YAML_LIMIT = 100_000
-"""Largest YAML file read [bytes]."""
-# What PyYAML and Pillow let out, beside their own errors, when a file is malformed.
+"""Largest YAML file that is read [bytes]."""
+# Exceptions that PyYAML and Pillow raise for malformed files beside their own.
 MALFORMED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError)
 _YAML_DEPTH = 20
 _YAML_ERRORS = (*MALFORMED, yaml.YAMLError)
@@ -19,11 +19,11 @@ _SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
 
 
 def read_bytes(path: Path, what: str, limit: int) -> bytes:
-    """Return what is in a file.
+    """Read a file of limited size.
 
     Args:
-        path: of the file.
-        what: it is to hold, for messages.
+        path: path of the file.
+        what: expected content, for messages.
         limit: largest file that is read [bytes].
 
     Raises:
@@ -43,11 +43,11 @@ def read_bytes(path: Path, what: str, limit: int) -> bytes:
 
 
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
-    """Return the mapping in a YAML file.
+    """Read a YAML file that holds a mapping.
 
     Args:
-        path: of the file.
-        of: what it is to hold, for messages.
+        path: path of the file.
+        of: expected content, for messages.
         limit: largest file that is read [bytes].
 
     Raises:
@@ -66,8 +66,8 @@ def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[obje
 
 
 def _refuse_intricate(data: bytes) -> None:
-    # A few nested aliases can stand for more entries than fit in memory, and the time PyYAML takes
-    # grows with the square of the depth. A map's YAML is a flat mapping with one list.
+    # A few nested aliases can expand to more entries than fit in memory, and the time of PyYAML
+    # grows with the square of the depth. A legitimate map needs neither.
     depth = 0
     for event in yaml.parse(data, yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
@@ -79,9 +79,14 @@ def _refuse_intricate(data: bytes) -> None:
 
 
 def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
-    """Write all files, or none of them."""
+    """Write all files or none of them: to temporary names first, then renamed.
+
+    Raises:
+        OSError: a file cannot be written; earlier files stay untouched.
+    """
     for path, _ in files:
-        # The one way the second rename fails once the first, in the same folder, has succeeded.
+        # Only a folder of that name could make the second rename in one folder fail after the
+        # first.
         if path.is_dir():
             raise IsADirectoryError(f"{name_of(path)} is a folder")
     staged: list[tuple[Path, Path]] = []
@@ -98,21 +103,21 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
 
 
 def show(value: object) -> str:
-    """Return a short text of any value."""
+    """Return a short text of any value, for messages."""
     try:
         return _SHORT.repr(value)
-    except ValueError:  # a whole number with more digits than Python prints
+    except ValueError:  # an integer with more digits than Python prints
         return f"a {type(value).__name__} that is too long to print"
 
 
 def name_of(path: Path) -> str:
-    """Return a path as it can be printed."""
+    """Return a path for messages, with unprintable characters escaped."""
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
 def reason_of(error: BaseException) -> str:
-    """Return why something failed, in one short line."""
-    if isinstance(error, UnidentifiedImageError):  # its text is the open file's repr
+    """Return the reason of an error in one short line, for messages."""
+    if isinstance(error, UnidentifiedImageError):  # its text is only the repr of the open file
         return "it is none of these"
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     line = " ".join(text.split())

@@ -1,4 +1,4 @@
-"""The files of a map, to be sent where this disk is not."""
+"""Pack the files of a map, to send them to another machine."""
 
 import io
 import os
@@ -9,14 +9,14 @@ import yaml
 from jaxplore.maps.files._files import read_yaml
 
 PACKED = "map.yaml"
-"""Name of the YAML file in a packed map."""
+"""File name of the YAML in a packed map."""
 
 
 def image_of(path: str | os.PathLike[str]) -> Path | None:
-    """Return the file that a ROS map's YAML names as its image; None if there is none.
+    """Return the path of the image that a ROS map's YAML names, or None if there is none.
 
     Raises:
-        ValueError: no YAML mapping.
+        ValueError: a file that is not a YAML mapping.
     """
     entry = read_yaml(Path(path)).get("image")
     if not isinstance(entry, str) or not entry or "\0" in entry:
@@ -26,12 +26,12 @@ def image_of(path: str | os.PathLike[str]) -> Path | None:
 
 
 def packed(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return the files of a ROS map or of a world by name, so that they can lie in any folder.
+    """Return the content of the files of a ROS map or a world, by file names valid in any folder.
 
-    The YAML file is `map.yaml`, and names its image anew.
+    The YAML file becomes `map.yaml`, and refers to its image by the new name.
 
     Raises:
-        ValueError: no YAML mapping.
+        ValueError: a file that is not a YAML mapping.
         OSError: a file that cannot be read.
     """
     entries, image = read_yaml(Path(path)), image_of(path)

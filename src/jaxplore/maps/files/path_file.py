@@ -1,4 +1,4 @@
-"""Path files: waypoints in CSV, with the widths of a track or not, and ROS paths in YAML."""
+"""Read paths from files: waypoints in CSV, with or without track widths, and ROS paths in YAML."""
 
 import math
 from os import PathLike
@@ -11,9 +11,9 @@ from jaxplore.geometry.path import Path
 from jaxplore.maps.files._files import name_of, read_bytes, read_yaml, show
 
 CSV_LIMIT = 10_000_000
-"""Largest CSV file read [bytes]."""
+"""Largest CSV file that is read [bytes]."""
 YAML_LIMIT = 1_000_000
-"""Largest YAML file read [bytes]: some 5000 poses."""
+"""Largest YAML file that is read [bytes]: about 5000 poses."""
 MOST_WAYPOINTS = 100_000
 COLUMNS = {
     2: "x, y",
@@ -28,26 +28,27 @@ def read_path(
     method: str = "cubic",
     is_closed: bool | None = None,
 ) -> Path:
-    """Return the path in a file, smooth through its waypoints.
+    """Read waypoints from a file and return the smooth path through them.
 
-    - `.csv`, `.txt`: a waypoint a row, separated by commas, semicolons or spaces: x, y [m]. With
-      four columns, x, y, room to the right, room to the left [m], as in the centre lines of F1TENTH
-      and TUM. `#` begins a comment; a first row of names is one too.
+    - `.csv`, `.txt`: one waypoint per row, x, y [m], separated by commas, semicolons or spaces.
+      Four columns are x, y, free width to the right, free width to the left [m], as in the centre
+      lines of F1TENTH and TUM. `#` begins a comment, and a first row of column names is skipped.
     - `.yaml`, `.yml`: a ROS `nav_msgs/Path` as `ros2 topic echo` prints it: `poses`, each with
-      `pose: position: x, y`, or with `position` itself. Heights and orientations are not read.
+      `pose: position: x, y`, or with `position` itself. z and orientation are not read.
 
-    Waypoints that repeat the one before are left out: recorded paths have them where the robot
-    stood.
+    A waypoint equal to the one before is dropped: recorded paths repeat them while the robot
+    stands still.
 
     Args:
-        path: of the file.
-        method: see `path_through`.
-        is_closed: whether the path is a lap. When absent it is if the last waypoint is the first,
-            or no farther from it than twice the longest step, and the widths of a track are given.
+        path: path of the file.
+        method: spline method; see `path_through`.
+        is_closed: whether the path is a lap. By default it is closed if the last waypoint equals
+            the first, or if track widths are given and the last waypoint is at most twice the
+            longest step away from the first.
 
     Raises:
-        ValueError: a file that cannot be read, that holds something else or fewer waypoints than
-            two, and what `path_through` refuses; the file is named.
+        ValueError: a file that cannot be read, that holds something else or fewer than two
+            different waypoints, and what `path_through` refuses; one line that names the file.
     """
     file = FilePath(path)
     where = name_of(file)
@@ -74,6 +75,7 @@ def read_path(
         is_closed = ends_meet or (rows.shape[1] == 4 and _nearly_meets(rows[:, :2]))
     if is_closed and ends_meet:
         rows = rows[:-1]
+    # Files give the right width first, `Path` takes the left one first.
     widths = rows[:, [3, 2]] if rows.shape[1] == 4 else None
     try:
         return path_through(rows[:, :2], method=method, is_closed=is_closed, half_widths=widths)
@@ -104,7 +106,7 @@ def _csv_rows(file: FilePath) -> np.ndarray:
             row = [float(cell) for cell in cells if cell.strip()]
         except ValueError:
             if not rows and not any(_is_number(cell) for cell in cells):
-                continue  # names of the columns
+                continue  # a row of column names
             raise ValueError(
                 f"{where}, line {number} is {show(content)}; accepted: numbers"
             ) from None

@@ -1,4 +1,4 @@
-"""Maps as ROS's `map_server` stores them: a YAML file beside an image."""
+"""Read and write maps in the format of ROS's `map_server`: a YAML file beside an image."""
 
 import io
 import os
@@ -16,7 +16,7 @@ from jaxplore.maps.files._files import name_of, read_yaml, replace_files, show
 from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
 
 MODES = ("trinary", "scale", "raw")
-"""How grey becomes probability; see `read_map`."""
+"""Conversions from grey to probability; see `read_map`."""
 
 _UNKNOWN = 0.5
 _SUFFIXES = (".yaml", ".yml")
@@ -35,24 +35,24 @@ class _Settings(NamedTuple):
 def read_map(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[np.float32], float, tuple[float, float, float]]:
-    """Read a map: the YAML file at `path` and the image it names.
+    """Read a map: the YAML file at `path` and the image that it names.
 
-    With shade the mean of red, green and blue in [0, 1], and `occ = 1 - shade` (`occ = shade`
-    where `negate` is set), the probability of a cell is, by `mode`:
+    The shade of a pixel is the mean of red, green and blue in [0, 1]. With `occ = 1 - shade`, or
+    `occ = shade` if `negate` is set, the probability of a cell depends on `mode`:
 
-    - `trinary`: 1 where `occ > occupied_thresh`, 0 where `occ < free_thresh`, else 0.5. An
-      image's alpha counts as a fourth channel of the shade.
-    - `scale`: 0.5 where the pixel is not opaque; else 1 and 0 as above, and in between
+    - `trinary`: 1 if `occ > occupied_thresh`, 0 if `occ < free_thresh`, else 0.5. The alpha channel
+      counts as a fourth channel of the shade.
+    - `scale`: 0.5 if the pixel is not opaque; else 1 and 0 as above, and in between
       `(occ - free_thresh) / (occupied_thresh - free_thresh)`, rounded to hundredths.
-    - `raw`: `v / 100` where `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
+    - `raw`: `v / 100` if `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
 
-    `image`, `resolution` and `origin` must be given; `negate` is 0, `occupied_thresh` 0.65,
-    `free_thresh` 0.25 and `mode` trinary where absent. The image is PGM (or another portable
-    map), PNG or BMP of at most 64 million pixels; a relative name stays in the YAML's folder.
+    `image`, `resolution` and `origin` are required. The defaults are `negate` 0, `occupied_thresh`
+    0.65, `free_thresh` 0.25 and `mode` trinary. The image is PGM (or another portable map), PNG or
+    BMP of at most 64 million pixels. A relative name must stay in the folder of the YAML file.
 
     Returns:
-        The probability, (H, W) in [0, 1] with row 0 at the origin (the image's bottom row); the
-        resolution [m]; the origin's pose (x, y, yaw) [m, m, rad].
+        Probability (H, W) in [0, 1] with row 0 at the origin (the image's bottom row), resolution
+        [m], and pose (x, y, yaw) of the origin [m, m, rad].
 
     Raises:
         ValueError: a file that is missing, unreadable or malformed, or an entry that is not
@@ -62,7 +62,7 @@ def read_map(
     """
     settings = _settings(Path(path))
     greys = read_greys(settings.image, alpha_is_shade=settings.mode == "trinary")
-    # A table per grey level: exact in float64, and a large map needs no float64 copy.
+    # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
     probability = _probability_of(shade, settings).astype(np.float32)[greys.level]
     if settings.mode == "scale" and greys.opaque is not None:
@@ -80,28 +80,28 @@ def write_map(
 ) -> None:
     """Write a map: the YAML file at `path`, and its image beside it under the same stem.
 
-    - `trinary` (PGM): `p > 0.65` is black, `p < 0.25` is 254 and the rest 205, the greys of ROS's
-      `map_saver`; `read_map` returns 1, 0 and 0.5.
-    - `scale` (PNG with alpha): `p` in hundredths; exactly 0.5 (unknown) is transparent.
-    - `raw` (PGM): `100 p` as the pixel's value; exactly 0.5 (unknown) is 255.
+    - `trinary` (PGM): `p > 0.65` becomes 0 (black), `p < 0.25` becomes 254 and the rest 205, the
+      greys of ROS's `map_saver`; `read_map` returns 1, 0 and 0.5.
+    - `scale` (PNG with alpha): `p` in hundredths; exactly 0.5 (unknown) becomes transparent.
+    - `raw` (PGM): `100 p` as the pixel value; exactly 0.5 (unknown) becomes 255.
 
-    From `scale` and `raw`, `read_map` returns `p` rounded to hundredths. Both files are complete
-    before either takes its name, the image first; where there is no room or no permission to write
-    them, nothing is left behind and earlier files are untouched.
+    From `scale` and `raw`, `read_map` returns `p` rounded to hundredths. Both files are written
+    under temporary names and then renamed, the image first. If they cannot be written, nothing is
+    left behind and earlier files stay untouched.
 
     Args:
-        path: ends in .yaml or .yml.
-        probability: (H, W) in [0, 1], row 0 at the origin.
+        path: path of the YAML file; it must end in .yaml or .yml.
+        probability: probability of occupancy (H, W) in [0, 1], row 0 at the origin.
         resolution: side of a cell [m].
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
-        mode: trinary, scale or raw.
+        mode: "trinary", "scale" or "raw".
 
     Raises:
         ValueError: an argument that is not accepted.
         OSError: the files cannot be written.
 
-    Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`; the thresholds of
-    `scale` are 0 and 1, so that nothing is cut off.
+    Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`. The thresholds of
+    `scale` are 0 and 1, so that no probability is clipped.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
@@ -118,8 +118,8 @@ def write_map(
             f"probability spans {values.min()} to {values.max()}; accepted: values in [0, 1]"
         )
     image_path = path.with_suffix(".png" if mode == "scale" else ".pgm")
-    # 205 means unknown, and 1 - 205/255 = 0.19608 is below 0.25: with the default free_thresh
-    # every unknown cell would come back free. 0.196 is what map_saver has always written.
+    # Unknown is 205, and 1 - 205/255 = 0.19608 is below 0.25: with the default free_thresh every
+    # unknown cell would be read as free. 0.196 is what map_saver has always written.
     free, occupied = {"trinary": (0.196, 0.65)}.get(mode, (0.0, 1.0))
     text = yaml.safe_dump(
         {
@@ -186,7 +186,7 @@ def _image_path(path: Path, entry: object) -> Path:
                 "accepted: a name within it, or an absolute path"
             )
         found = image.is_file()
-    except (OSError, RuntimeError):  # a name that is too long; a loop of links
+    except (OSError, RuntimeError):  # a name that is too long, or a loop of symbolic links
         found = False
     if not found:
         raise ValueError(
@@ -198,7 +198,7 @@ def _image_path(path: Path, entry: object) -> Path:
 
 def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
     if settings.mode == "raw":
-        value = np.floor(255 * shade + 0.5)  # half up, as C's round; rint goes to even
+        value = np.floor(255 * shade + 0.5)  # rounds half up like C's round; rint rounds to even
         return np.where(value <= 100, value / 100, _UNKNOWN)
     occ = shade if settings.negate else 1.0 - shade
     low, high = settings.free_thresh, settings.occupied_thresh
@@ -221,7 +221,7 @@ def _image_of(values: NDArray[np.floating], mode: str) -> Image.Image:
 
 
 def _number(name: str, value: object, **bounds: float) -> float:
-    # float() takes what PyYAML leaves as text, such as 5e-2; yaml-cpp reads that as a number.
+    # PyYAML leaves numbers such as 5e-2 as text, which yaml-cpp reads as a number: accept text.
     try:
         if isinstance(value, bool) or not isinstance(value, (int, float, str)):
             raise ValueError
