@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Vector
-from jaxplore.maps.files import _terrain_file
-from jaxplore.maps.files._files import name_of, replace_files
+from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
+from jaxplore.maps.files.untrusted import printable_path, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
@@ -272,8 +272,8 @@ class TerrainMap(eqx.Module):
             OSError: the file cannot be written.
         """
         path = Path(path)
-        data = _terrain_file.pack(path, _arrays_of(self))
-        _terrain_file.unpack(path, data, _terrain_of)
+        data = terrain_file.pack(path, _named_arrays(self))
+        terrain_file.unpack(path, data, _build_terrain)
         replace_files([(path, data)])
 
     @staticmethod
@@ -285,7 +285,7 @@ class TerrainMap(eqx.Module):
                 value that is not accepted; one line that names it.
         """
         path = Path(path)
-        return _terrain_file.unpack(path, _terrain_file.read(path), _terrain_of)
+        return terrain_file.unpack(path, terrain_file.read(path), _build_terrain)
 
 
 def _check_same(name: str, ground: object, grid: object) -> None:
@@ -296,7 +296,7 @@ def _check_same(name: str, ground: object, grid: object) -> None:
 def _heights(path: Path, scale: float, shape: tuple[int, ...]) -> NDArray[np.float32]:
     """Read the elevation (H, W) from an image [m], row 0 at the bottom."""
     scale = _checks.number("elevation_scale", scale, above=0.0, at_most=HIGHEST)
-    where = f"image {name_of(path)}"
+    where = f"image {printable_path(path)}"
     greys = read_greys(path)
     if greys.level.shape != shape:
         found, wanted = (f"{width} x {height}" for height, width in (greys.level.shape, shape))
@@ -350,7 +350,7 @@ def _least(
     return np.take(both, np.arange(0, 2 * new_size, 2), axis=axis)
 
 
-def _arrays_of(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
+def _named_arrays(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
     ground = terrain.ground
     found = {
         "probability": terrain.occupancy,
@@ -368,7 +368,7 @@ def _arrays_of(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(value) for name, value in found.items() if value is not None}
 
 
-def _terrain_of(arrays: dict[str, NDArray[Any]]) -> TerrainMap:
+def _build_terrain(arrays: dict[str, NDArray[Any]]) -> TerrainMap:
     for name in ("slope", "roughness"):
         if not ((arrays[name] >= 0.0) & np.isfinite(arrays[name])).all():
             raise ValueError(f"{name} has values that are negative or not finite")

@@ -11,19 +11,19 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore.maps.files import _files
-from jaxplore.maps.files._entries import (
+from jaxplore.maps.files import untrusted
+from jaxplore.maps.files.world_entries import (
     CHECKS,
-    EXTRAS,
-    MOVER,
-    OTHERS,
+    MOVER_ENTRIES,
+    OPTIONAL_LISTS,
     SHAPES,
+    WORLD_ENTRIES,
     Row,
     checked,
     refuse_unknown,
     touches_solid,
 )
-from jaxplore.maps.files._entries import MovingObstacle as MovingObstacle
+from jaxplore.maps.files.world_entries import MovingObstacle as MovingObstacle
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.hills import hill_elevation, is_on_map
@@ -116,7 +116,7 @@ class World:
     movers: tuple[MovingObstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in OTHERS:
+        for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
         self._check_cells()
         self._check_zones()
@@ -141,14 +141,15 @@ class World:
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
         """
-        refuse_unknown("", entries, (*OTHERS, *SHAPES, "hidden"))
+        refuse_unknown("", entries, (*WORLD_ENTRIES, *SHAPES, "hidden"))
         for key in ("size", "start"):
             if key not in entries:
                 raise ValueError(f"{key} is missing; accepted: a world with size and start")
         hidden = entries.get("hidden", {})
         if not isinstance(hidden, Mapping):
             raise ValueError(
-                f"hidden is {_files.show(hidden)}; accepted: a mapping with {', '.join(SHAPES)}"
+                f"hidden is {untrusted.short_repr(hidden)}; accepted: a mapping with "
+                + ", ".join(SHAPES)
             )
         refuse_unknown("hidden: ", hidden, SHAPES)
         try:
@@ -156,7 +157,7 @@ class World:
         except ValueError as error:
             raise ValueError(f"hidden.{error}") from None
         known = Shapes(**checked(entries, SHAPES))
-        return cls(known=known, hidden=hidden_shapes, **checked(entries, OTHERS))
+        return cls(known=known, hidden=hidden_shapes, **checked(entries, WORLD_ENTRIES))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
@@ -166,11 +167,11 @@ class World:
             ValueError: a file that is missing, unreadable, too large or no YAML mapping, and what
                 `from_dict` raises; one line that names the file.
         """
-        entries = _files.read_yaml(Path(path))
+        entries = untrusted.read_yaml(Path(path))
         try:
             return cls.from_dict(entries)
         except ValueError as error:
-            raise ValueError(f"{_files.name_of(Path(path))}: {error}") from None
+            raise ValueError(f"{untrusted.printable_path(Path(path))}: {error}") from None
 
     def to_dict(self) -> dict[str, object]:
         """Return a mapping from which `from_dict` builds this world again."""
@@ -187,7 +188,7 @@ class World:
         if self.goal is not None:
             entries["goal"] = list(self.goal)
         # Empty lists are left out, so that a file lists only what its world has.
-        extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in EXTRAS}
+        extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in OPTIONAL_LISTS}
         return entries | {kind: rows for kind, rows in extras.items() if rows}
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
@@ -198,11 +199,12 @@ class World:
             OSError: the file cannot be written; an earlier file stays untouched.
         """
         text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None, width=2**31)
-        if len(text) > _files.YAML_LIMIT:
+        if len(text) > untrusted.YAML_LIMIT:
             raise ValueError(
-                f"the world takes {len(text)} bytes; accepted: at most {_files.YAML_LIMIT} of YAML"
+                f"the world takes {len(text)} bytes; "
+                f"accepted: at most {untrusted.YAML_LIMIT} of YAML"
             )
-        _files.replace_files([(Path(path), text.encode())])
+        untrusted.replace_files([(Path(path), text.encode())])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -346,7 +348,7 @@ class World:
 def is_world_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a YAML file describes a world, not a ROS map: it has a size and no image."""
     try:
-        entries = _files.read_yaml(Path(path))
+        entries = untrusted.read_yaml(Path(path))
     except ValueError:
         return False
     return "size" in entries and "image" not in entries
@@ -385,5 +387,5 @@ def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
 def _plain(entry: Row | MovingObstacle) -> object:
     if isinstance(entry, MovingObstacle):
         path = [list(point) for point in entry.path]
-        return dict(zip(MOVER, (path, entry.speed, entry.radius), strict=True))
+        return dict(zip(MOVER_ENTRIES, (path, entry.speed, entry.radius), strict=True))
     return list(entry)

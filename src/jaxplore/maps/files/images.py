@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile
 
-from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
 
 PIXEL_LIMIT = 64_000_000
 """Largest image that is read or written [pixels]."""
@@ -53,7 +53,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
-    where, accepted = f"image {name_of(path)}", "a PGM, PNG or BMP image"
+    where, accepted = f"image {printable_path(path)}", "a PGM, PNG or BMP image"
     too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
     # Pillow warns of large images, which are refused here anyway, and of oddities that it handles.
     with warnings.catch_warnings():
@@ -69,7 +69,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
         except Image.DecompressionBombError:
             raise ValueError(too_large) from None
         except _ERRORS as error:
-            reason = reason_of(error)
+            reason = error_reason(error)
             raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
     if large:
         raise ValueError(too_large)

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import yaml
 
-from jaxplore.maps.files._files import read_yaml
+from jaxplore.maps.files.untrusted import read_yaml
 
 PACKED = "map.yaml"
 """File name of the YAML in a packed map."""
 
 
-def image_of(path: str | os.PathLike[str]) -> Path | None:
+def find_image(path: str | os.PathLike[str]) -> Path | None:
     """Return the path of the image that a ROS map's YAML names, or None if there is none.
 
     Raises:
@@ -25,7 +25,7 @@ def image_of(path: str | os.PathLike[str]) -> Path | None:
     return image if image.is_file() else None
 
 
-def packed(path: str | os.PathLike[str]) -> dict[str, bytes]:
+def pack_map(path: str | os.PathLike[str]) -> dict[str, bytes]:
     """Return the content of the files of a ROS map or a world, by file names valid in any folder.
 
     The YAML file becomes `map.yaml`, and refers to its image by the new name.
@@ -34,7 +34,7 @@ def packed(path: str | os.PathLike[str]) -> dict[str, bytes]:
         ValueError: a file that is not a YAML mapping.
         OSError: a file that cannot be read.
     """
-    entries, image = read_yaml(Path(path)), image_of(path)
+    entries, image = read_yaml(Path(path)), find_image(path)
     if image is None:
         return {PACKED: Path(path).read_bytes()}
     name = f"map{image.suffix}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
-from jaxplore.maps.files._files import name_of, read_bytes, read_yaml, show
+from jaxplore.maps.files.untrusted import printable_path, read_bytes, read_yaml, short_repr
 
 CSV_LIMIT = 10_000_000
 """Largest CSV file that is read [bytes]."""
@@ -51,7 +51,7 @@ def read_path(
             different waypoints, and what `path_through` refuses; one line that names the file.
     """
     file = FilePath(path)
-    where = name_of(file)
+    where = printable_path(file)
     suffix = file.suffix.lower()
     if suffix in (".csv", ".txt"):
         rows = _csv_rows(file)
@@ -89,7 +89,7 @@ def _nearly_meets(points: np.ndarray) -> bool:
 
 
 def _csv_rows(file: FilePath) -> np.ndarray:
-    where = name_of(file)
+    where = printable_path(file)
     data = read_bytes(file, "a path's CSV", CSV_LIMIT)
     try:
         text = data.decode("utf-8-sig")
@@ -108,7 +108,7 @@ def _csv_rows(file: FilePath) -> np.ndarray:
             if not rows and not any(_is_number(cell) for cell in cells):
                 continue  # a row of column names
             raise ValueError(
-                f"{where}, line {number} is {show(content)}; accepted: numbers"
+                f"{where}, line {number} is {short_repr(content)}; accepted: numbers"
             ) from None
         if rows and len(row) != len(rows[0]):
             raise ValueError(
@@ -135,10 +135,12 @@ def _is_number(cell: str) -> bool:
 
 
 def _ros_rows(file: FilePath) -> np.ndarray:
-    where = name_of(file)
+    where = printable_path(file)
     poses = read_yaml(file, "path", YAML_LIMIT).get("poses")
     if not isinstance(poses, list) or not poses:
-        raise ValueError(f"{where} has poses {show(poses)}; accepted: a list, as in nav_msgs/Path")
+        raise ValueError(
+            f"{where} has poses {short_repr(poses)}; accepted: a list, as in nav_msgs/Path"
+        )
     rows = []
     for index, stamped in enumerate(poses):
         pose = stamped.get("pose", stamped) if isinstance(stamped, dict) else None
@@ -149,7 +151,7 @@ def _ros_rows(file: FilePath) -> np.ndarray:
             rows.append([_coordinate(position["x"]), _coordinate(position["y"])])
         except (KeyError, TypeError):
             raise ValueError(
-                f"{where}, poses[{index}] is {show(stamped)}; accepted: pose: position: x, y"
+                f"{where}, poses[{index}] is {short_repr(stamped)}; accepted: pose: position: x, y"
             ) from None
     return np.array(rows, np.float64)
 

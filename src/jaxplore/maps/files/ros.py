@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from jaxplore import _checks
-from jaxplore.maps.files._files import name_of, read_yaml, replace_files, show
 from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
+from jaxplore.maps.files.untrusted import printable_path, read_yaml, replace_files, short_repr
 
 MODES = ("trinary", "scale", "raw")
 """Conversions from grey to probability; see `read_map`."""
@@ -64,7 +64,7 @@ def read_map(
     greys = read_greys(settings.image, alpha_is_shade=settings.mode == "trinary")
     # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
-    probability = _probability_of(shade, settings).astype(np.float32)[greys.level]
+    probability = _probability(shade, settings).astype(np.float32)[greys.level]
     if settings.mode == "scale" and greys.opaque is not None:
         probability[~greys.opaque] = _UNKNOWN
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
@@ -105,9 +105,11 @@ def write_map(
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in .yaml or .yml")
+        raise ValueError(
+            f"path is {printable_path(path)}; accepted: a name that ends in .yaml or .yml"
+        )
     if mode not in MODES:
-        raise ValueError(f"mode is {show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"mode is {short_repr(mode)}; accepted: {', '.join(MODES)}")
     values = np.asarray(probability)
     if values.ndim != 2 or not 0 < values.size <= PIXEL_LIMIT:
         raise ValueError(
@@ -137,13 +139,13 @@ def write_map(
         width=2**31,
     )
     image = io.BytesIO()
-    _image_of(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
+    _grey_image(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
     replace_files([(image_path, image.getvalue()), (path, text.encode())])
 
 
 def _settings(path: Path) -> _Settings:
     entries = read_yaml(path)
-    where = name_of(path)
+    where = printable_path(path)
     for key in ("image", "resolution", "origin"):
         if key not in entries:
             raise ValueError(f"{where}: {key} is missing; accepted: image, resolution and origin")
@@ -158,10 +160,10 @@ def _settings(path: Path) -> _Settings:
         )
     mode = entries.get("mode", "trinary")
     if not isinstance(mode, str) or mode not in MODES:
-        raise ValueError(f"{where}: mode is {show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"{where}: mode is {short_repr(mode)}; accepted: {', '.join(MODES)}")
     negate = entries.get("negate", 0)
     if not isinstance(negate, int) or negate not in (0, 1):
-        raise ValueError(f"{where}: negate is {show(negate)}; accepted: 0, 1, true, false")
+        raise ValueError(f"{where}: negate is {short_repr(negate)}; accepted: 0, 1, true, false")
     return _Settings(
         image=_image_path(path, entries["image"]),
         resolution=_number(f"{where}: resolution", entries["resolution"], above=0.0),
@@ -174,15 +176,15 @@ def _settings(path: Path) -> _Settings:
 
 
 def _image_path(path: Path, entry: object) -> Path:
-    where, accepted = name_of(path), "the name of an image file"
+    where, accepted = printable_path(path), "the name of an image file"
     if not isinstance(entry, str) or not entry or "\0" in entry:
-        raise ValueError(f"{where}: image is {show(entry)}; accepted: {accepted}")
+        raise ValueError(f"{where}: image is {short_repr(entry)}; accepted: {accepted}")
     try:
         folder = path.parent.resolve()
         image = (folder / entry).resolve()
         if not Path(entry).is_absolute() and not image.is_relative_to(folder):
             raise ValueError(
-                f"{where}: image is {show(entry)}, outside the map's folder; "
+                f"{where}: image is {short_repr(entry)}, outside the map's folder; "
                 "accepted: a name within it, or an absolute path"
             )
         found = image.is_file()
@@ -190,13 +192,13 @@ def _image_path(path: Path, entry: object) -> Path:
         found = False
     if not found:
         raise ValueError(
-            f"{where}: image is {show(entry)}, which is not there or not a file; "
+            f"{where}: image is {short_repr(entry)}, which is not there or not a file; "
             f"accepted: {accepted}"
         )
     return image
 
 
-def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
+def _probability(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
     if settings.mode == "raw":
         value = np.floor(255 * shade + 0.5)  # rounds half up like C's round; rint rounds to even
         return np.where(value <= 100, value / 100, _UNKNOWN)
@@ -208,7 +210,7 @@ def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[
     return np.where(occ > high, 1.0, np.where(occ < low, 0.0, between))
 
 
-def _image_of(values: NDArray[np.floating], mode: str) -> Image.Image:
+def _grey_image(values: NDArray[np.floating], mode: str) -> Image.Image:
     if mode == "trinary":
         grey = np.where(values > 0.65, 0, np.where(values < 0.25, 254, 205))
         return Image.fromarray(grey.astype(np.uint8))
@@ -227,12 +229,12 @@ def _number(name: str, value: object, **bounds: float) -> float:
             raise ValueError
         value = float(value)
     except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {show(value)}; accepted: a finite number") from None
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a finite number") from None
     return _checks.number(name, value, **bounds)
 
 
 def _origin(name: str, value: object) -> tuple[float, float, float]:
     if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise ValueError(f"{name} is {show(value)}; accepted: 3 finite numbers [x, y, yaw]")
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: 3 finite numbers [x, y, yaw]")
     x, y, yaw = (_number(f"{name}[{i}]", entry) for i, entry in enumerate(value))
     return x, y, yaw

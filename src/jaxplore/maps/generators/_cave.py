@@ -15,12 +15,11 @@ _STEPS = 8
 
 
 def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
-    """Carve a cave where smooth noise exceeds a level, keeping passages wide enough for the robot.
-    """
+    """Carve a cave where smooth noise exceeds a level, keeping passages wide enough for the robot."""
     rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
     wall = wall_cells(resolution)
     inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
-    # Lower the noise towards the edge of the map, which would otherwise cut it off in straight walls.
+    # Lower the noise towards the edge of the map, so that the cave does not end in straight walls.
     rim = ndimage.distance_transform_edt(inner) * resolution
     rise -= 2.5 * np.exp(-rim / 0.9)
     radius = between(0.75, 0.45, difficulty)

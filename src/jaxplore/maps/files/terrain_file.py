@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
 from jaxplore.maps.resample import CELL_LIMIT
 
 LAYERS = ("probability", "elevation", "slope", "roughness", "traversability")
@@ -45,7 +45,7 @@ def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
         ValueError: a path with another ending.
     """
     if path.suffix.lower() != _SUFFIX:
-        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in {_SUFFIX}")
+        raise ValueError(f"path is {printable_path(path)}; accepted: a name that ends in {_SUFFIX}")
     plain = {name: np.asarray(value, _TYPES[name][0], order="C") for name, value in arrays.items()}
     stream = io.BytesIO()
     np.savez_compressed(stream, allow_pickle=False, **plain)
@@ -58,14 +58,14 @@ def read(path: Path) -> bytes:
     Raises:
         ValueError: a file that is missing, cannot be read or is too large.
     """
-    where, accepted = name_of(path), "the file of a terrain map"
+    where, accepted = printable_path(path), "the file of a terrain map"
     try:
         if not path.is_file():  # opening a pipe would block for ever
             raise ValueError(f"{where} is not there or not a file; accepted: {accepted}")
         with path.open("rb") as file:
             data = file.read(BYTE_LIMIT + 1)
     except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
     if len(data) > BYTE_LIMIT:
         raise ValueError(f"{where} is too large; accepted: at most {BYTE_LIMIT} bytes")
     return data
@@ -89,7 +89,7 @@ def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]]
         return build(_arrays(data))
     except _ERRORS as error:
         raise ValueError(
-            f"{name_of(path)} is not a terrain map ({reason_of(error)}); "
+            f"{printable_path(path)} is not a terrain map ({error_reason(error)}); "
             "accepted: what TerrainMap.save writes"
         ) from None
 

@@ -13,16 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks
-from jaxplore.maps.files import _files
+from jaxplore.maps.files.untrusted import short_repr
 from jaxplore.maps.ground import HIGHEST
 from jaxplore.maps.rasterise import TOLERANCE
 
 Row = tuple[float, ...]
 
 SHAPES = ("walls", "rectangles", "discs")
-EXTRAS = ("hills", "targets", "movers")
-OTHERS = ("origin", "size", "resolution", "wall_reach", "zones", "start", "goal", *EXTRAS)
-MOVER = ("path", "speed", "radius")
+OPTIONAL_LISTS = ("hills", "targets", "movers")
+WORLD_ENTRIES = (
+    *("origin", "size", "resolution", "wall_reach", "zones", "start", "goal"),
+    *OPTIONAL_LISTS,
+)
+MOVER_ENTRIES = ("path", "speed", "radius")
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class MovingObstacle:
     radius: float
 
     def __post_init__(self) -> None:
-        for name in MOVER:
+        for name in MOVER_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
 
 
@@ -58,7 +61,7 @@ def _number(name: str, value: object, **bounds: float) -> float:
             raise ValueError
         value = float(value)
     except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a finite number") from None
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a finite number") from None
     return _checks.number(name, value, **bounds)
 
 
@@ -68,14 +71,14 @@ def _numbers(name: str, value: object, counts: Collection[int], accepted: str) -
             return tuple(_number(name, entry) for entry in value)
         except ValueError:
             pass  # the message below shows the whole entry instead
-    raise ValueError(f"{name} is {_files.show(value)}; accepted: {accepted}")
+    raise ValueError(f"{name} is {short_repr(value)}; accepted: {accepted}")
 
 
 def _rows(
     name: str, value: object, count: int, accepted: str, is_accepted: Callable[[Row], bool]
 ) -> tuple[Row, ...]:
     if not isinstance(value, (list, tuple)):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a list of {accepted}")
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a list of {accepted}")
     rows = tuple(
         _numbers(f"{name}[{index}]", row, (count,), accepted) for index, row in enumerate(value)
     )
@@ -138,7 +141,8 @@ def _path(name: str, value: object) -> tuple[Row, ...]:
 def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
     if not isinstance(value, (list, tuple)):
         raise ValueError(
-            f"{name} is {_files.show(value)}; accepted: a list of mappings with {', '.join(MOVER)}"
+            f"{name} is {short_repr(value)}; accepted: a list of mappings with "
+            + ", ".join(MOVER_ENTRIES)
         )
     return tuple(_mover(f"{name}[{index}]", entry) for index, entry in enumerate(value))
 
@@ -146,15 +150,15 @@ def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
 def _mover(name: str, value: object) -> MovingObstacle:
     if isinstance(value, MovingObstacle):
         return value
-    accepted = f"accepted: a mapping with {', '.join(MOVER)}"
+    accepted = f"accepted: a mapping with {', '.join(MOVER_ENTRIES)}"
     if not isinstance(value, Mapping):
-        raise ValueError(f"{name} is {_files.show(value)}; {accepted}")
-    refuse_unknown(f"{name}: ", value, MOVER)
-    for key in MOVER:
+        raise ValueError(f"{name} is {short_repr(value)}; {accepted}")
+    refuse_unknown(f"{name}: ", value, MOVER_ENTRIES)
+    for key in MOVER_ENTRIES:
         if key not in value:
             raise ValueError(f"{name}.{key} is missing; {accepted}")
     try:
-        return MovingObstacle(**checked(value, MOVER))
+        return MovingObstacle(**checked(value, MOVER_ENTRIES))
     except ValueError as error:
         raise ValueError(f"{name}.{error}") from None
 
@@ -188,7 +192,7 @@ def refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[
     """Raise a `ValueError` if a key of `entries` is not accepted; `where` begins the message."""
     unknown = [key for key in entries if key not in accepted]
     if unknown:
-        names = ", ".join(_files.show(key) for key in unknown[:5])
+        names = ", ".join(short_repr(key) for key in unknown[:5])
         raise ValueError(f"{where}unknown entry {names}; accepted: {', '.join(accepted)}")
 
 

@@ -29,14 +29,14 @@ def read_bytes(path: Path, what: str, limit: int) -> bytes:
     Raises:
         ValueError: a file that is missing, cannot be read or is too large.
     """
-    where = name_of(path)
+    where = printable_path(path)
     try:
         if not path.is_file():
             raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
         with path.open("rb") as file:
             data = file.read(limit + 1)
     except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
     if len(data) > limit:
         raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of {what}")
     return data
@@ -53,15 +53,15 @@ def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[obje
     Raises:
         ValueError: a file that is missing, too large, too intricate or no YAML mapping.
     """
-    where = name_of(path)
+    where = printable_path(path)
     data = read_bytes(path, f"a {of}'s YAML", limit)
     try:
         _refuse_intricate(data)
         entries = yaml.safe_load(data)
     except _YAML_ERRORS as error:
-        raise ValueError(f"{where} is not a {of}'s YAML: {reason_of(error)}") from None
+        raise ValueError(f"{where} is not a {of}'s YAML: {error_reason(error)}") from None
     if not isinstance(entries, dict):
-        raise ValueError(f"{where} holds {show(entries)}; accepted: a YAML mapping of a {of}")
+        raise ValueError(f"{where} holds {short_repr(entries)}; accepted: a YAML mapping of a {of}")
     return entries
 
 
@@ -88,7 +88,7 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
         # Only a folder of that name could make the second rename in one folder fail after the
         # first.
         if path.is_dir():
-            raise IsADirectoryError(f"{name_of(path)} is a folder")
+            raise IsADirectoryError(f"{printable_path(path)} is a folder")
     staged: list[tuple[Path, Path]] = []
     try:
         for path, data in files:
@@ -102,7 +102,7 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def show(value: object) -> str:
+def short_repr(value: object) -> str:
     """Return a short text of any value, for messages."""
     try:
         return _SHORT.repr(value)
@@ -110,12 +110,12 @@ def show(value: object) -> str:
         return f"a {type(value).__name__} that is too long to print"
 
 
-def name_of(path: Path) -> str:
+def printable_path(path: Path) -> str:
     """Return a path for messages, with unprintable characters escaped."""
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
-def reason_of(error: BaseException) -> str:
+def error_reason(error: BaseException) -> str:
     """Return the reason of an error in one short line, for messages."""
     if isinstance(error, UnidentifiedImageError):  # its text is only the repr of the open file
         return "it is none of these"
