@@ -225,7 +225,7 @@ class Doubling(eqx.Module):
         value = follow(self.rest, jnp.zeros(shape))
 
         def level(number: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-            """Add 2^number periods if the number of periods has that binary digit; then double."""
+            """Add 2^number periods if the number of periods has that bit set; then double."""
             through, within, value, position = carry
             is_part = (self.num_far[direction] >> number) & 1
             position = position - (is_part << number)

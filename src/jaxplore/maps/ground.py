@@ -141,7 +141,7 @@ class Ground(eqx.Module):
         return self._look_up(self.elevation, cell)
 
     def at(self, points: Float[Array, "*N 2"]) -> GroundSample:
-        """Return the layers at the cell that contains each world point (x, y) [m]; 0 off the map."""
+        """Return the layers of the cell with each world point (x, y) [m]; 0 off the map."""
         cell = self.to_cell(points)
         return GroundSample(
             elevation=self._look_up(self.elevation, cell),

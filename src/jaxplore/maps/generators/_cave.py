@@ -15,7 +15,7 @@ _STEPS = 8
 
 
 def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
-    """Carve a cave where smooth noise exceeds a level, keeping passages wide enough for the robot."""
+    """Carve a cave where smooth noise exceeds a level, with passages as wide as the robot needs."""
     rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
     wall = wall_cells(resolution)
     inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
