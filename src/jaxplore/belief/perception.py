@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import (
     ROOMY,
@@ -205,6 +206,8 @@ class Perception(eqx.Module):
             grid: prior map; 0.5 everywhere if nothing is known.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
         """
+        # The robot stands on free ground, whatever the prior map says: otherwise no path starts
+        # there.
         height, width = grid.shape
         rows, columns = jnp.mgrid[:height, :width]
         centres = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
@@ -272,13 +275,7 @@ class Perception(eqx.Module):
             elapsed: time since the last update [s].
         """
         information = self._information(belief.grid, belief.idleness, belief.information)
-        height, width = belief.dwell.shape
-        rows, columns = jnp.mgrid[:height, :width]
-        nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
-        distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
-        stay = elapsed * jnp.exp(-0.5 * (distance / 0.5) ** 2)
-        dwell = belief.dwell * jnp.exp(-elapsed / self.memory)
-        dwell = dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)  # NaN if the pose is unknown
+        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)
         guidance = self._guidance(belief.clearance, information, dwell, is_known)
         is_explored = is_known | self._is_goal_next(guidance, pose)
@@ -346,12 +343,13 @@ class Perception(eqx.Module):
     ) -> GuidanceField:
         roads = roadmap(clearance, self.required_clearance, self.field_sensor.stride)
         frame, is_open = roads.frame, roads.is_open
-        worth = information.total * jnp.exp(-dwell / self.patience)
-        pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
+        worth = information.total * dwell_discount(dwell, self.patience)
+        # The bound keeps the logarithm finite where there is no information.
+        reward = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
         is_leftover = worth < self.min_information
         detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
         is_source = worth >= LEFTOVER_SHARE * self.min_information
-        source = jnp.where(is_source, detour - pull, jnp.inf)
+        source = jnp.where(is_source, detour - reward, jnp.inf)
         if self.goal is not None and not self.is_goal_apart:
             source = self._with_goal(source, frame, is_open, is_known)
         distance = geodesic(source, roads.slowness, is_open)

@@ -53,6 +53,11 @@ class Dynamics(eqx.Module):
         return jnp.clip(jnp.zeros(self.control_size), self.control_min, self.control_max)
 
     @property
+    def control_half_range(self) -> ControlVector:
+        """Half the width of the control range (nu,), a natural scale for sampling noise."""
+        return 0.5 * (self.control_max - self.control_min)
+
+    @property
     def footprint(self) -> Footprint:
         """Footprint of the robot on the ground; by default a disc of its radius."""
         return Disc(self.radius)

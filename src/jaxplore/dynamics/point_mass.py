@@ -7,9 +7,9 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore.dynamics._bounds import positive
-from jaxplore.dynamics._vectors import angle, length
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.vectors import angle, length
 
 
 class PointMass(ContinuousDynamics):
