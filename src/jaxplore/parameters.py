@@ -83,6 +83,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
             raise ValueError(f"parameter {path} is {value!r}; accepted: finite numbers")
         new = jnp.broadcast_to(new, place.value.shape)
 
+        # `steps` is a default, because a closure would see later values of the loop variable.
         def there(tree: Any, steps: tuple[str | int, ...] = place.steps) -> Any:
             for step in steps:
                 is_field = isinstance(step, str) and step.startswith(".")
@@ -109,6 +110,7 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
 
 
 def _match(path: str, known: tuple[str, ...]) -> str:
+    # Try the path as given first: a component may itself be called "controller".
     for given in (path, path.removeprefix(PREFIX)):
         if given in known:
             return given
@@ -127,12 +129,13 @@ def _is_within(wanted: list[str], parts: list[str]) -> bool:
     """Return whether the wanted names are a subsequence of the parts that ends with the last."""
     if wanted[-1] != parts[-1]:
         return False
-    rest = iter(parts)
+    rest = iter(parts)  # `in` consumes the iterator, which tests for a subsequence
     return all(name in rest for name in wanted)
 
 
 def _places(tree: Any) -> dict[str, _Place]:
     found: dict[str, _Place] = {}
+    # If two leaves have the same path, it refers to the first.
     for names, steps, value in _walk(tree, (), ()):
         found.setdefault(".".join(names), _Place(steps, value))
     return found

@@ -87,6 +87,7 @@ def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     frame = clearance.frame.coarsen(stride, stride / 2.0)
     height, width = clearance.values.shape
     rows, columns = -(-height // stride), -(-width // stride)
+    # Pad with 0, which is closed, so that the map's last blocks are complete.
     padded = jnp.pad(clearance.values, ((0, rows * stride - height), (0, columns * stride - width)))
     room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
     spare = (room - required) / required
@@ -102,6 +103,7 @@ def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -
         frame: pose and node spacing of the lattice.
         num_layers: number of layers of closed nodes into which the field is extended; static.
     """
+    # Rotate the descent from the axes of the lattice to those of the world.
     along_row, along_column = descent(distance, num_layers)
     cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
     direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
@@ -219,6 +221,8 @@ def _settled(start: Array, half: Array) -> Array:
     own = shifted(half, 0, 0)
 
     def relax(value: Array) -> Array:
+        # Take the minimum over straight and over diagonal neighbours before adding the node's own
+        # half, which saves an addition per neighbour.
         leaving, leaving_diagonally = value + half, value + DIAGONAL * half
         along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
         across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
@@ -316,6 +320,7 @@ def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"
     vector = jnp.zeros((2, height, width))
     for down, right in NEIGHBOURS:
         length = (down * down + right * right) ** 0.5
+        # Differences with closed neighbours are infinite or NaN, and count as no slope.
         fall = value - shifted(around, down, right)
         fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
         unit = jnp.asarray([down / length, right / length])

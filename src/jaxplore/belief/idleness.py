@@ -58,6 +58,8 @@ class IdlenessMap(eqx.Module):
 
     def interest(self, idleness: GridValues) -> GridValues:
         """Return the information (H, W) of observing each cell [nat]."""
+        # Without forgetting only cells that were never observed are uncertain. expm1 keeps the
+        # digits of short times.
         if self.memory is None:
             chance = jnp.where(jnp.isinf(idleness), 0.5, 0.0)
         else:

@@ -169,6 +169,7 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius)),
         )
         self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
+        # The clearance field must resolve the clearance at which paths have no extra cost.
         self.max_clearance = max(
             _checks.number("max_clearance", max_clearance, above=0.0),
             float(math.ceil(ROOMY * float(self.required_clearance))),
@@ -257,6 +258,7 @@ class Perception(eqx.Module):
         """
         scans = (scans,) if isinstance(scans, Scan) else tuple(scans)
         grid, idleness = belief.grid, belief.idleness
+        # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
             grid = updated(grid, sighting, self.sensor_model)
@@ -329,6 +331,7 @@ class Perception(eqx.Module):
         """
         if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
+        # Off the map the cost is `outside`, which says nothing about the sources.
         cost = guidance(pose[:2])
         return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)
 

@@ -68,9 +68,11 @@ def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lid
     angles = yaw + jnp.asarray(lidar.beam_angles)
     cells: RayCells = jax.vmap(lambda angle: traverse(start, angle, length))(angles)
     is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
+    # The face of the first wall is visible, so a beam sees up to the entry of that cell.
     sight = jnp.where(is_wall, cells.entry, jnp.inf).min(axis=-1, keepdims=True)
     is_seen = cells.is_crossed & (cells.entry <= sight) & (cells.entry < length) & is_open
     index = cells.cell[..., 0] * width + cells.cell[..., 1]
+    # Cells that are not seen are scattered to an index out of bounds, which is dropped.
     index = jnp.where(is_seen & grid.contains(cells.cell), index, height * width)
     mask = jnp.zeros(height * width, bool).at[index.reshape(-1)].set(True, mode="drop")
     return mask.reshape(height, width)

@@ -45,6 +45,7 @@ class Structure:
         return self._hash
 
     def __eq__(self, other: object) -> bool:
+        # jax.jit compares cache keys on each call: identity and hash are the fast ways out.
         if self is other:
             return True
         return (
@@ -58,6 +59,7 @@ class Structure:
 def take_apart(tree: Any) -> Inputs:
     """Split a pytree into its distinct arrays and its static structure."""
     values, treedef = jax.tree.flatten(tree)
+    # Arrays are compared by identity: comparing values would force a transfer from the device.
     numbers: dict[int, int] = {}
     arrays: list[Array] = []
     leaves: list[tuple[int | None, Any]] = []

@@ -177,6 +177,7 @@ def _plan(
     draft = mppi.draft(memory, key=key, shift=False)
     costs = mppi.price(draft, initial, belief)
     _, _, info = mppi.conclude(draft, costs)
+    # Rollouts are recomputed with all states, because a controller step keeps only their costs.
     batch = None
     if return_batch:
         everything = (mppi.dynamics, mppi.cost, initial, draft.controls, mppi.dt, belief)

@@ -173,6 +173,7 @@ class ModelEnsemble(Disturbance):
                 f"models have {len(structures)} structures; accepted: one or more models of one "
                 "class that differ in numbers only"
             )
+        # A leading axis of models lets rollouts map over them like over any other draw.
         stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
         self.models = eqx.combine(stacked, static[0])
 

@@ -47,6 +47,7 @@ class ZeroOrderHold(Interpolation):
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
         """Return weights of 1 for the last knot at or before each time."""
         index, _, _ = _interval(times, num_knots, end)
+        # `_interval` puts the end into the last interval, where the knot before it would be held.
         at_end = times >= end
         index = jnp.where(at_end, num_knots - 1, index)
         return _one_hot(index, num_knots, times) * _fade(times, end)[:, None]

@@ -74,6 +74,7 @@ class Knots(Parameterisation):
         """Return the interpolated controls, and the knots clipped to the bounds."""
         knots = space.clip_samples(samples)
         default = space.default[:, None]
+        # Interpolated controls can overshoot the knots, so they are clipped again.
         deviation = jnp.einsum("tp,puk->tuk", self._matrix(space.horizon), knots - default)
         return space.clip_samples(default + deviation), knots
 

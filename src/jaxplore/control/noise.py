@@ -41,6 +41,7 @@ class Noise(eqx.Module):
         covariance = self.covariance(sequence.shape[0])
         if covariance is None:
             return sequence
+        # Solve with the Cholesky factor, which is more accurate than inverting the covariance.
         factor = jnp.linalg.cholesky(covariance)
         solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence)
         return solved
@@ -127,6 +128,7 @@ class LogNormalNoise(Noise):
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
         """Return noise of shape (P, nu, K)."""
+        # E[exp(s y - s^2)^2] = 1, so the product with z keeps variance 1.
         normal_key, log_key = jax.random.split(key)
         scale = jnp.exp(self.spread * jax.random.normal(log_key, shape) - self.spread**2)
         return self.noise.draw(shape, key=normal_key) * scale
@@ -179,6 +181,7 @@ class NoiseBank(Noise):
         self.check(shape)
         which_key, sign_key = jax.random.split(key)
         which = jax.random.randint(which_key, (), 0, self.stored.shape[0])
+        # Random signs multiply the number of distinct draws by 2^nu at no cost.
         signs = jax.random.rademacher(sign_key, (shape[1], 1), jnp.float32)
         return self.stored[which] * signs
 

@@ -147,6 +147,7 @@ def shifted(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence
         steps: number of steps; may be a fraction.
         after: row (nu,) by which the sequence is extended.
     """
+    # Rows beyond the end read the extension, which is appended as one more row.
     length = sequence.shape[0]
     position = jnp.arange(length, dtype=steps.dtype) + steps
     first = jnp.floor(position)

@@ -121,6 +121,8 @@ class ConditionalValueAtRisk(Risk):
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:
         """Return the mean of the tail (K,)."""
+        # This form weights the outcome at the quantile by its fraction in the tail, so it holds
+        # also if (1 - level) M is not a whole number.
         quantile = _quantile(totals, self.level)
         excess = jnp.mean(jnp.maximum(totals - quantile, 0.0), axis=0)
         return quantile + excess / (1.0 - self.level)

@@ -72,6 +72,8 @@ class Smooth(Parameterisation):
         self, nominal: SmoothNominal, samples: Samples, space: ControlSpace
     ) -> tuple[ControlSamples, Samples]:
         """Return the clipped controls, and the effective rates that lead to them."""
+        # Return the rates that the clipped controls correspond to, not those drawn: their average
+        # is then unbiased at the bounds.
         rates = self._bounded(samples)
         base = nominal.controls[:, :, None]
         controls = space.clip_samples(base + space.dt * rates)

@@ -17,6 +17,7 @@ def speed_range(min_speed: ArrayLike, max_speed: ArrayLike) -> tuple[Scalar, Sca
 
 def positive(name: str, value: Vector, size: int) -> ControlVector:
     """Return `value` as `size` positive numbers (size,); a single number is repeated."""
+    # The numbers of a traced value are unknown, so only its shape matters, in the broadcast below.
     if not _checks.is_traced(value):
         accepted = f"one positive number, or {size}"
         try:

@@ -50,6 +50,7 @@ class Augmented(Dynamics):
         """Names of the controls."""
         return (*self.physical.control_names, *self.virtual.control_names)
 
+    # Bounds are computed from the parts, so that a changed part cannot disagree with them.
     @property  # type: ignore[misc]
     def control_min(self) -> ControlVector:  # type: ignore[override]
         """Lower bounds of the controls (nu,)."""
@@ -95,6 +96,7 @@ class Augmented(Dynamics):
         self, state: StateVector, control: ControlVector, t: Scalar, dt: Scalar
     ) -> StateVector:
         """Return the state (nx,) after a step of `dt` seconds that begins at time `t` [s]."""
+        # The parts do not influence each other within a step; costs couple them.
         parts = (self.physical, self.virtual)
         states, controls = self.split_state(state), self.split_control(control)
         reached = [

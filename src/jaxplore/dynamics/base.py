@@ -112,6 +112,7 @@ class Dynamics(eqx.Module):
             before: state (nx,) before the step.
             after: state (nx,) after the step, which collides.
         """
+        # Select by masks instead of branches: the method is traced.
         kept = ("x", "y") if isinstance(self.footprint, Disc) else ("x", "y", "yaw")
         stays = jnp.asarray([name in kept for name in self.state_names])
         stops = jnp.asarray([name in ("v", "vx", "vy", "vz") for name in self.state_names])

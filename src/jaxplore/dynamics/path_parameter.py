@@ -48,7 +48,7 @@ class PathParameter(Dynamics):
             raise ValueError(f"min_rate is {min_rate!r}; accepted: at most max_rate, {max_rate!r}")
         self.control_min, self.control_max = low[None], high[None]
         self.end = None if end is None else _checks.scalar("end", end, above=0.0)
-        self.radius = jnp.zeros(())
+        self.radius = jnp.zeros(())  # a virtual state has no extent
 
     @classmethod
     def along(cls, path: Path, max_rate: ArrayLike) -> "PathParameter":
@@ -57,6 +57,7 @@ class PathParameter(Dynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return phi (1,) after `dt` seconds."""
+        # Clip here as well: an unclipped rate could otherwise move phi faster than it may.
         rate = jnp.clip(control[0], self.control_min[0], self.control_max[0])
         phi = jnp.maximum(state[0] + dt * rate, 0.0)
         return jnp.stack([phi if self.end is None else jnp.minimum(phi, self.end)])

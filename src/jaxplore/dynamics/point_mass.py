@@ -88,6 +88,8 @@ class PointMass(ContinuousDynamics):
             return state
         components = tuple(state)
         position, velocity = components[: self.dimensions], components[self.dimensions :]
+        # Scale the vector instead of clipping components, which would change its direction. The
+        # division is guarded for gradients at rest.
         speed = length(*velocity)
         is_fast = speed > self.max_speed
         scale = jnp.where(is_fast, self.max_speed / jnp.where(is_fast, speed, 1.0), 1.0)

@@ -34,6 +34,7 @@ def over_poses(
         )
     if position.ndim == 1:
         return gain(position, heading)
+    # A single `vmap` over many poses would write its intermediate arrays to main memory.
     if position.shape[0] <= BATCH:
         return jax.vmap(gain)(position, heading)
     values: Array = jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)

@@ -146,6 +146,7 @@ class EntropyFan(eqx.Module):
         def beam(angle: Scalar) -> Scalar:
             direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
             cell = jnp.floor(start + depth[:, None] * direction).astype(jnp.int32)
+            # Samples off the map read an index out of bounds, which is filled with 0.
             index = cell[:, 0] * width + cell[:, 1]
             index = jnp.where(grid.contains(cell), index, height * width)
             sample = entropy.reshape(-1).at[index].get(mode="fill", fill_value=0.0)

@@ -59,6 +59,7 @@ class InformationField(eqx.Module):
         view = self._view(field_of_view)
         height, width = self.cumulative.shape[1:]
         nodes = stencil((height, width), self.frame.to_grid(position), 0.0)
+        # A full circle needs no interpolation over direction, and does not depend on the heading.
         if view >= 2.0 * math.pi - 1e-6:
             return gather(self.cumulative, nodes, 0.0, self.sectors.shape[0])
         is_finite = jnp.isfinite(heading)

@@ -93,6 +93,7 @@ class FieldSensor(eqx.Module):
             raise ValueError(
                 "method is 'doubling'; accepted with noise or without no_return: 'scan'"
             )
+        # One beam in the middle of each sector stands for all beams of the sensor within it.
         angles = (np.arange(count) + 0.5) * (2.0 * np.pi / count)
         length = lidar.max_range / resolution
         spacing = lidar.beam_spacing if near_weight and lidar.num_beams > 1 else None
@@ -216,6 +217,8 @@ class FieldSensor(eqx.Module):
 
         def renew(number: Array, values: Values) -> Values:
             tile = jnp.stack([order[number] // tiles[1], order[number] % tiles[1]])
+            # A direction is stale if one of its beams reaches a changed block: a sum of products
+            # over blocks is a fast way to take `any`.
             blocks = jax.lax.dynamic_slice(changed, tuple(tile * BLOCKS), (size, size))
             is_stale = jnp.tensordot(blocks.astype(jnp.float32), self.nearby, 2) > 0.0
             return self._renew(maps, self._first, tile * TILE, (TILE, TILE), is_stale, values)
@@ -346,6 +349,8 @@ def _nearby(offset: np.ndarray, stride: int) -> np.ndarray:
     Returns:
         Mask (n, n, D) over blocks and directions, with the tile's own blocks in the middle.
     """
+    # For each offset of a beam, its end cells over all nodes of the tile form a rectangle, which
+    # covers a rectangle of blocks.
     side = TILE * stride // BLOCKS
     margin = -(-int(np.abs(offset).max() + stride) // side)
     reached = np.zeros((BLOCKS + 2 * margin, BLOCKS + 2 * margin, len(offset)), bool)

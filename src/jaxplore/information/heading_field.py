@@ -31,6 +31,8 @@ class HeadingField(eqx.Module):
         height, width, count = self.values.shape
         around = stencil((height, width), self.frame.to_grid(position), 0.0)
         is_finite = jnp.isfinite(heading)
+        # Converting NaN to an index is undefined, so a heading that is not finite is replaced here
+        # and masked at the end.
         angle = jnp.where(is_finite, heading, 0.0) - self.frame.origin[2]
         turn = angle * (count / (2.0 * math.pi))
         floor = jnp.floor(turn)

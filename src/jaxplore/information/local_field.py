@@ -84,6 +84,7 @@ class LocalFieldSensor(eqx.Module):
             resolution=resolution,
             no_return=pose.no_return,
         )
+        # The field by heading is then one matrix product: which beams belong to which heading.
         membership = np.zeros((count, len(first)), np.float32)
         np.add.at(membership, (np.repeat(np.arange(count), beams.shape[1]), which), 1.0)
         self.beams_of_heading = jnp.asarray(membership)

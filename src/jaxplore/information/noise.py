@@ -187,6 +187,7 @@ class UniformNoise(RangeNoise):
         """Return the probability of a reading in each cell."""
         if self.half_width == 0:
             return hit
+        # Differences of prefix sums give the sliding sum; padding lets it run beyond both ends.
         n, width = hit.shape[0], self.half_width
         until = jnp.pad(jnp.cumsum(jnp.pad(hit, width)), (1, 0))
         return (until[2 * width + 1 :] - until[:n]) / (2 * width + 1)

@@ -118,6 +118,7 @@ class PoseInformation(eqx.Module):
             cells = traverse(start, angle, length)
             if self.noise is not None:
                 cells = _only_crossed(cells)
+            # A cell that the beam does not leave within its range cannot be measured as passed.
             in_range = cells.exit <= length
             is_cell = in_range & cells.is_crossed
             found = settled(grid.at_cell(cells.cell), self.sensor)

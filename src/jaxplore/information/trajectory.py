@@ -130,6 +130,7 @@ class TrajectoryInformation(eqx.Module):
         first = jax.vmap(window.first)(positions)
         seen = jax.vmap(window.gather)(first, views.cell, views.value)
 
+        # Keep the best contribution of each cell so far. A pose adds what exceeds it.
         def add(best: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
             first, contribution = given
             known = window.read(best, first)
@@ -249,6 +250,7 @@ def path_headings(positions: Float[Array, "T 2"]) -> Float[Array, " T"]:
         heading = jnp.where(given[0], given[1], last)
         return heading, heading
 
+    # Before its first move the robot has the heading of that move.
     first = jnp.where(moves.any(), angle[jnp.argmax(moves)], 0.0)
     _, headings = jax.lax.scan(keep, first, (moves, angle))
     return jnp.append(headings, headings[-1])

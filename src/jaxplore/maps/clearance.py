@@ -31,6 +31,7 @@ def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) ->
     """
     reach = max(1, math.ceil(max_distance / frame.resolution + 0.5))
     far = float((reach + 1) ** 2)
+    # Start with a value beyond the bound instead of infinity, which would spoil the sums.
     squared = jnp.where(blocked, 0.0, far)
     for axis in (0, 1):
         squared = _least_over_shifts(squared, reach, axis)

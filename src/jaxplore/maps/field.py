@@ -50,6 +50,7 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
     inside &= (column >= -slack) & (column <= width - 1 + slack)
     row = jnp.clip(jnp.where(inside, row, 0.0), 0.0, height - 1.0)
     column = jnp.clip(jnp.where(inside, column, 0.0), 0.0, width - 1.0)
+    # On the last node take the interval before it, and on an axis of one node the node itself.
     first_row = jnp.minimum(row.astype(jnp.int32), max(height - 2, 0))
     first_column = jnp.minimum(column.astype(jnp.int32), max(width - 2, 0))
     down, right = min(1, height - 1) * width, min(1, width - 1)

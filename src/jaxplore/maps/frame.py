@@ -67,6 +67,7 @@ class GridFrame(eqx.Module):
             node: offset of node (0, 0) from the corner of cell `first` [cells].
             first: cell (row, column) at which the lattice begins; (0, 0) by default.
         """
+        # The new frame's origin is the outer corner of its first cell, half a stride before node 0.
         corner = jnp.full(2, node - stride / 2.0)
         if first is not None:
             corner = corner + first.astype(jnp.float32)

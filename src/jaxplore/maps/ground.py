@@ -175,6 +175,7 @@ class Ground(eqx.Module):
 
     def _look_up(self, layer: GridValues, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
         height, width = self.shape
+        # Clip first: an index out of bounds would be clamped or wrapped silently.
         row = jnp.clip(cell[..., 0], 0, height - 1)
         column = jnp.clip(cell[..., 1], 0, width - 1)
         return jnp.where(self.contains(cell), layer[row, column], 0.0)

@@ -52,6 +52,7 @@ def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach
             np.minimum(a, b) - reach, np.maximum(a, b) + reach, mask, frame
         )
         along = b - a
+        # A segment of length zero is a point: keep the division finite.
         squared = max(float(along @ along), np.finfo(np.float64).tiny)
         share = np.clip((centres - a) @ along / squared, 0.0, 1.0)
         gap = centres - (a + share[..., None] * along)

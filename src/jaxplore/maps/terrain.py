@@ -62,6 +62,7 @@ class TerrainMap(eqx.Module):
     def __init__(self, grid: OccupancyGrid, ground: Ground) -> None:
         _check_same("shape", ground.shape, grid.shape)
         _check_same("resolution", ground.resolution, grid.resolution)
+        # Shapes and resolutions are static, but origins may be traced and cannot be compared then.
         origins = (ground.frame.origin, grid.frame.origin)
         if not _checks.is_traced(*origins):
             _check_same("origin", *(tuple(np.asarray(origin).tolist()) for origin in origins))

@@ -116,6 +116,7 @@ class World:
     movers: tuple[MovingObstacle, ...] = ()
 
     def __post_init__(self) -> None:
+        # The class is frozen, so checked values are written with `object.__setattr__`.
         for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
         self._check_cells()
@@ -312,6 +313,7 @@ class World:
             raise ValueError(
                 f"{name} is {list(place)}; accepted: a point on the map, {self._extent()}"
             )
+        # A point within rounding of the far edge belongs to the cell beyond: clip it to the map.
         row, column = cell_at((x, y), GridFrame(self.resolution))
         if solid[min(row, solid.shape[0] - 1), min(column, solid.shape[1] - 1)]:
             raise ValueError(
@@ -331,6 +333,7 @@ class World:
         for index, point in enumerate(mover.path):
             self._check_place(f"{name}[{index}]", point, solid)
         local = np.array(mover.path) - self.origin
+        # The path is closed, so the last segment leads back to the first point.
         for index, ends in enumerate(np.stack([local, np.roll(local, -1, axis=0)], axis=1)):
             if touches_solid(solid, ends, mover.radius, self.resolution):
                 following = (index + 1) % len(mover.path)

@@ -129,6 +129,7 @@ class Sensor(eqx.Module):
     @property
     def beam_angles(self) -> np.ndarray:
         """Direction of each beam (B,) relative to the heading [rad]."""
+        # A single beam has no edges to lie on: it points along the heading.
         if self.num_beams == 1:
             return np.zeros(1, np.float32)
         first = -math.pi if self.is_full_circle else -self.field_of_view / 2.0
@@ -168,6 +169,8 @@ class Sensor(eqx.Module):
         rise = self._rise(cells, pose, world, ground)
         stops, ends = self._stops(cells, solid, rise, world.resolution)
         first = first_entry(cells, stops, world.resolution)
+        # Moving obstacles hide what is behind them, but are themselves hidden by whatever ends a
+        # beam before, which for a camera includes ground that gives no return.
         is_mover = None
         if movers is not None:
             angles = pose[2] + jnp.asarray(self.beam_angles)
@@ -207,6 +210,7 @@ class Sensor(eqx.Module):
         resolution = grid.resolution
         cells = self._cells(grid, pose)
         rise = self._rise(cells, pose, grid, ground)
+        # The small constant keeps a noise-free reading from rounding into the cell in front.
         margin = jnp.minimum(2.0 * self.range_noise, 0.5 * resolution) / resolution + 1e-3
         reading = (scan.ranges / resolution)[:, None]
         is_return = scan.is_return[:, None]
@@ -281,6 +285,7 @@ class Sensor(eqx.Module):
         # At the sensor's own position neither atan2 nor the bearing is defined.
         x = jnp.where(is_here, 1.0, offset[:, 0])
         angle = jnp.arctan2(offset[:, 1], x)
+        # Wrap the bearing to (-pi, pi].
         turn = angle - pose[2]
         bearing = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
         in_view = is_here | (jnp.abs(bearing) <= 0.5 * self.field_of_view + ROUNDING)
@@ -313,6 +318,7 @@ class Sensor(eqx.Module):
                 f"ground has {ground.shape} cells of {ground.frame.resolution:g} m; accepted: "
                 f"those of the map, {grid.shape} of {grid.resolution:g} m"
             )
+        # The sensor moves with the ground under the robot, so heights are relative to its cell.
         own = ground.elevation_at_cell(grid.frame.to_cell(pose[:2]))
         return ground.elevation_at_cell(cells.cell) - (own + self.height)
 

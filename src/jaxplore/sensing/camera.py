@@ -81,6 +81,7 @@ class Camera(Sensor):
         view = _checks.scalar("vertical_view", vertical_view, above=0.0, below=2.0 * STEEPEST)
         self.vertical_view = view
         self.height = _checks.scalar("height", height, above=0.0)
+        # Both edges of the view must stay below the steepest angle.
         most = STEEPEST - (0.0 if _checks.is_traced(view) else 0.5 * float(view))
         self.tilt = _checks.scalar("tilt", tilt, at_least=-most, at_most=most)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
@@ -92,6 +93,7 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        # Ground that fills the view ends a column without a return.
         _, wall = self._visible(cells, solid, rise, resolution)
         return solid & wall, solid | (cells.is_crossed & ~wall)
 
@@ -114,6 +116,8 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        # What is solid is not known here: visibility follows from the ground alone, and obstacles
+        # in front are accounted for by the reading.
         ground, wall = self._visible(cells, jnp.zeros_like(is_hit), rise, resolution)
         return is_hit & wall, is_passed & ground
 

@@ -65,6 +65,8 @@ def disc_distance(
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     along = x * cos + y * sin
     square = radius**2 - (x * sin - y * cos) ** 2
+    # Rays that miss a disc have no square root: guard its argument as well as the result, because
+    # the gradient of `where` evaluates both.
     is_crossed = (radius > 0.0) & (square > 0.0)
     half = jnp.sqrt(jnp.where(is_crossed, square, 1.0))
     is_met = is_crossed & (along + half > 0.0) & jnp.isfinite(along)

@@ -113,6 +113,7 @@ class InverseSensorModel(eqx.Module):
         """
         low = jax.scipy.special.logit(_checks.scalar("free", free, above=0.0, below=0.5))
         high = jax.scipy.special.logit(_checks.scalar("occupied", occupied, above=0.5, below=1.0))
+        # A step as large as the range of the clamp takes any cell from one clamp to the other.
         return cls(high - low, low - high, low, high, is_decisive=True)
 
     def log_odds(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
@@ -133,6 +134,8 @@ class InverseSensorModel(eqx.Module):
         """
         log_odds = self.log_odds(probability) + log_odds_change
         updated = jax.nn.sigmoid(jnp.clip(log_odds, self.minimum, self.maximum))
+        # Converting to log-odds and back would change the last bits of unmeasured cells, and clip
+        # those beyond the clamp.
         is_kept = (log_odds_change == 0.0) | self.stays(probability, log_odds_change)
         return jnp.where(is_kept, probability, updated)
 

@@ -98,6 +98,7 @@ class Lidar(Sensor):
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
         if rise is None:
             return is_hit, is_passed
+        # A reading just before higher ground is the ground itself, seen through the noise.
         slope = first_entry(cells, _is_higher(cells, rise))[:, None]
         is_before = cells.entry < slope
         near = NEAR_GROUND * self.range_noise / resolution + 1e-3

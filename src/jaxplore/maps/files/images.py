@@ -88,6 +88,7 @@ def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
             return Greys(levels, maxval or 65535, opaque)
         return Greys(3 * levels.astype(np.int32) + 65535 * opaque, 4 * 65535, opaque)
     has_alpha = image.has_transparency_data
+    # Grey images are weighted by 3, so that their levels are comparable with sums of three colours.
     if image.mode in ("1", "L", "LA"):
         mode, weight = "LA" if has_alpha else "L", 3
     else:

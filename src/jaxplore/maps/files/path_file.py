@@ -70,6 +70,7 @@ def read_path(
     rows = rows[np.concatenate([[True], ~repeats])]
     if len(rows) < 2:
         raise ValueError(f"{where} has {len(rows)} different waypoints; accepted: two or more")
+    # `path_through` closes the path itself, so a repeated first waypoint is dropped.
     ends_meet = len(rows) > 3 and bool((rows[0, :2] == rows[-1, :2]).all())
     if is_closed is None:
         is_closed = ends_meet or (rows.shape[1] == 4 and _nearly_meets(rows[:, :2]))

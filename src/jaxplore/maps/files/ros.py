@@ -65,6 +65,7 @@ def read_map(
     # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
     probability = _probability(shade, settings).astype(np.float32)[greys.level]
+    # Row 0 of a map is at its origin, the bottom row of the image.
     if settings.mode == "scale" and greys.opaque is not None:
         probability[~greys.opaque] = _UNKNOWN
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
@@ -180,6 +181,7 @@ def _image_path(path: Path, entry: object) -> Path:
     if not isinstance(entry, str) or not entry or "\0" in entry:
         raise ValueError(f"{where}: image is {short_repr(entry)}; accepted: {accepted}")
     try:
+        # A map from an untrusted source must not read files elsewhere by a relative name.
         folder = path.parent.resolve()
         image = (folder / entry).resolve()
         if not Path(entry).is_absolute() and not image.is_relative_to(folder):

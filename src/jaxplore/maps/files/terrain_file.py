@@ -126,6 +126,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDAr
         count = math.prod(shape)
         if not 0 < count <= CELL_LIMIT:
             raise ValueError(f"{name} has shape {shape}, not 1 to {CELL_LIMIT} cells")
+        # One byte more than expected shows whether the member is longer than its header says.
         data = file.read(count * dtype.itemsize + 1)
     if len(data) != count * dtype.itemsize:
         raise ValueError(f"{name} has more or fewer values than its shape says")

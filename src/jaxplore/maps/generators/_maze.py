@@ -22,6 +22,7 @@ def maze(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
     shape = len(rows), len(columns)
     ways = _tree(rng, shape)
     _braid(rng, ways, shape, 1.0 - difficulty)
+    # Start from solid rock: corridors and openings are carved out of it.
     occupied[:] = True
     for (row, column), others in ways.items():
         occupied[slice(*rows[row]), slice(*columns[column])] = False

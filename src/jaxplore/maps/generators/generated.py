@@ -107,6 +107,7 @@ def generate_map(
         wall = wall_cells(resolution)
         for edge in (occupied, occupied.T):
             edge[:wall] = edge[-wall:] = True
+    # Kinds with the same seed get independent random numbers.
     rng = np.random.default_rng((KINDS.index(kind), seed))
     _DRAW[kind](rng, occupied, difficulty, resolution)
     _fill_unreachable(occupied, resolution)

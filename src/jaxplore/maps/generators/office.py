@@ -225,6 +225,7 @@ def _furnish(
         if area < smallest_room or rng.random() < 0.2:
             continue
         shape = [max(1, round(side / resolution)) for side in sides]
+        # Try several places, and undo a piece that would cut off a part of the room.
         for _ in range(12):
             placed = _place(rng, shape, pieces.shape, aisle, at_wall)
             if placed is None:
