@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplore._trees import stack_trees
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
@@ -174,7 +175,7 @@ class ModelEnsemble(Disturbance):
                 "class that differ in numbers only"
             )
         # A leading axis of models lets rollouts map over them like over any other draw.
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
+        stacked = stack_trees(arrays)
         self.models = eqx.combine(stacked, static[0])
 
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
