@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from jaxplore._types import GridMask, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, downhill, geodesic, near_point, roadmap
+from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic, point_sources, roadmap
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -56,6 +56,6 @@ def goal_field(
     share = jnp.mean(padded.reshape(rows, stride, columns, stride), axis=(1, 3), dtype=jnp.float32)
     slowness = roads.frame.resolution * (1.0 + TIGHT * roads.tightness**4)
     slowness = slowness * (1.0 + unknown_factor * share)
-    source = near_point(goal, roads.frame, roads.is_open)
+    source = point_sources(goal, roads.frame, roads.is_open)
     distance = geodesic(source, slowness, roads.is_open)
-    return downhill(distance, roads.frame, num_layers)
+    return descent_field(distance, roads.frame, num_layers)

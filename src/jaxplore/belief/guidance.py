@@ -95,7 +95,9 @@ def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     return Roadmap(frame, tightness, room >= required - 1e-4)
 
 
-def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -> GuidanceField:
+def descent_field(
+    distance: Float[Array, "H W"], frame: GridFrame, num_layers: int
+) -> GuidanceField:
     """Return a cost-to-go on a lattice as a field, extended into closed nodes.
 
     Args:
@@ -115,7 +117,7 @@ def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -
     )
 
 
-def near_point(
+def point_sources(
     point: Position, frame: GridFrame, is_open: Bool[Array, "H W"]
 ) -> Float[Array, "H W"]:
     """Return the sources of `geodesic` for paths that end at a point.

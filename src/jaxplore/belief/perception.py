@@ -18,9 +18,9 @@ from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import (
     ROOMY,
     GuidanceField,
-    downhill,
+    descent_field,
     geodesic,
-    near_point,
+    point_sources,
     roadmap,
 )
 from jaxplore.belief.idleness import IdlenessMap
@@ -32,7 +32,7 @@ from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.base import Scan, Sensor, updated
+from jaxplore.sensing.base import Scan, Sensor, update_grid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 LEFTOVER_DETOUR = 1e3
@@ -261,7 +261,7 @@ class Perception(eqx.Module):
         # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
-            grid = updated(grid, sighting, self.sensor_model)
+            grid = update_grid(grid, sighting, self.sensor_model)
             if index == 0 and self.watch is not None and idleness is not None:
                 step = jnp.asarray(elapsed, jnp.float32)
                 idleness = self.watch.seen(idleness, sighting.is_seen, step)
@@ -356,12 +356,12 @@ class Perception(eqx.Module):
         if self.goal is not None and not self.is_goal_apart:
             source = self._with_goal(source, frame, is_open, is_known)
         distance = geodesic(source, roads.slowness, is_open)
-        return downhill(distance, frame, LAYERS)
+        return descent_field(distance, frame, LAYERS)
 
     def _with_goal(self, source: Array, frame: GridFrame, is_open: Array, is_known: Flag) -> Array:
         """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
         assert self.goal is not None
-        at_goal = near_point(self.goal, frame, is_open) + GOAL_DETOUR
+        at_goal = point_sources(self.goal, frame, is_open) + GOAL_DETOUR
         return jnp.minimum(jnp.where(is_known, jnp.inf, source), at_goal)
 
 

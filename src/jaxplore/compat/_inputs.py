@@ -56,7 +56,7 @@ class Structure:
         )
 
 
-def take_apart(tree: Any) -> Inputs:
+def split_arrays(tree: Any) -> Inputs:
     """Split a pytree into its distinct arrays and its static structure."""
     values, treedef = jax.tree.flatten(tree)
     # Arrays are compared by identity: comparing values would force a transfer from the device.
@@ -74,7 +74,7 @@ def take_apart(tree: Any) -> Inputs:
     return Inputs(tuple(arrays), Structure(treedef, tuple(leaves)))
 
 
-def put_together(inputs: Inputs) -> Any:
+def join_arrays(inputs: Inputs) -> Any:
     """Rebuild the pytree from its arrays and its structure."""
     leaves = [
         value if number is None else inputs.arrays[number]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
-from jaxplore.compat._inputs import Inputs, Structure, put_together, take_apart
+from jaxplore.compat._inputs import Inputs, Structure, join_arrays, split_arrays
 from jaxplore.compat.batch import Batch, rollout_batch
 from jaxplore.control.base import Info
 from jaxplore.control.mppi import MPPI
@@ -114,7 +114,7 @@ class Planner:
             )
             # Pass a NumPy number: converting it to a JAX array first would take longer.
             heat = np.float32(_checks.number("temperature", plain, above=0.0))
-        known, structure = take_apart(belief)
+        known, structure = split_arrays(belief)
         planned: PlannedControl = _plan(
             self._inputs.arrays,
             heat,
@@ -137,7 +137,7 @@ class Planner:
     @functools.cached_property
     def _inputs(self) -> Inputs:
         """Arrays and structure of the controller, cached: to split it takes a tenth of a ms."""
-        return take_apart(self.mppi)
+        return split_arrays(self.mppi)
 
 
 def _array(name: str, value: Vector | Rows, shape: tuple[int, ...]) -> Any:
@@ -169,8 +169,8 @@ def _plan(
     structures: tuple[Structure, Structure],
     return_batch: bool,
 ) -> PlannedControl:
-    mppi: MPPI = put_together(Inputs(arrays, structures[0]))
-    belief = put_together(Inputs(known, structures[1]))
+    mppi: MPPI = join_arrays(Inputs(arrays, structures[0]))
+    belief = join_arrays(Inputs(known, structures[1]))
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
     before = mppi.dynamics.default_control if applied is None else applied
     memory = mppi.init(nominal)._replace(applied=before)

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from jaxplore.control.parameterisations import Samples
 
 
-def whole(mesh: Mesh) -> Mesh:
+def auto_mesh(mesh: Mesh) -> Mesh:
     """Return a mesh of the same devices whose axes the compiler may shard automatically.
 
     The axes of a user's mesh may be of the explicit kind.
@@ -20,7 +20,7 @@ def whole(mesh: Mesh) -> Mesh:
     return Mesh(mesh.devices, mesh.axis_names)
 
 
-def spread(samples: Samples, mesh: Mesh) -> Samples:
+def shard_samples(samples: Samples, mesh: Mesh) -> Samples:
     """Return the samples, sharded over the devices along their last axis."""
     sharding = NamedSharding(mesh, _spec(None, None, mesh.axis_names))
     shared: Samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
@@ -29,7 +29,7 @@ def spread(samples: Samples, mesh: Mesh) -> Samples:
     return shared
 
 
-def on_each(
+def map_over_devices(
     costs: Callable[[Array, Array, Any], Array],
     mesh: Mesh,
     initial: Float[Array, "*nx_K"],
@@ -65,7 +65,7 @@ def on_each(
     return total
 
 
-def check_share(num_samples: int, mesh: Mesh) -> None:
+def check_divisible(num_samples: int, mesh: Mesh) -> None:
     """Raise a `ValueError` if the samples cannot be divided evenly among the devices."""
     if num_samples % mesh.size:
         raise ValueError(

@@ -11,7 +11,7 @@ from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolato
 
 from jaxplore import _checks
 from jaxplore._types import Rows, Vector
-from jaxplore.geometry.path import Path, nodes_for
+from jaxplore.geometry.path import Path, count_nodes
 
 METHODS = ("cubic", "monotone", "akima")
 BOUNDARIES = ("not-a-knot", "natural", "clamped")
@@ -44,7 +44,7 @@ def line_path(start: Vector, end: Vector, *, half_widths: Rows | None = None) ->
         lambda phi: first + phi[:, None] * along,
         lambda phi: np.broadcast_to(along, (phi.size, 2)),
         length,
-        num_nodes=nodes_for(length, np.zeros(1)),
+        num_nodes=count_nodes(length, np.zeros(1)),
         half_widths=half_widths,
     )
 
@@ -122,7 +122,7 @@ def clothoid_path(
     turns = 0.5 * lengths * (bends + ends)
     headings = heading + np.concatenate([[0.0], np.cumsum(turns)])
     total = float(starts[-1])
-    count = nodes_for(total, np.concatenate([bends, ends]))
+    count = count_nodes(total, np.concatenate([bends, ends]))
 
     def theta(phi: np.ndarray) -> np.ndarray:
         piece = np.clip(np.searchsorted(starts, phi, side="right") - 1, 0, len(rows) - 1)
@@ -226,7 +226,7 @@ def path_through(
     first, bend = slope(fine), second(fine)
     size = np.maximum(np.hypot(*first.T), 1e-3)
     curvature = (first[:, 0] * bend[:, 1] - first[:, 1] * bend[:, 0]) / size**3
-    count = nodes_for(total, curvature)
+    count = count_nodes(total, curvature)
     return Path(
         lambda phi: spline(parameter(phi)),
         direction,

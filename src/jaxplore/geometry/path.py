@@ -297,7 +297,7 @@ def errors_at(point: PathPoint, position: Position) -> PathErrors:
     )
 
 
-def nodes_for(length: float, curvature: np.ndarray) -> int:
+def count_nodes(length: float, curvature: np.ndarray) -> int:
     """Return the number of table nodes for a path of a length [m] and given curvatures [1/m]."""
     sharpest = float(np.max(np.abs(curvature), initial=0.0))
     wanted = 1 + math.ceil(min(NODES_PER_RADIUS * sharpest * length, MOST_NODES))

@@ -7,7 +7,7 @@ from jaxplore import _checks
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
 
-WAYS_OUT = 40
+MAX_ATTEMPTS = 40
 """Attempts with ever smaller bends before the track is refused as too wide for its length."""
 
 
@@ -48,7 +48,7 @@ def race_track(
     angles = np.linspace(0.0, 2.0 * np.pi, 40 * bends, endpoint=False)
     wave = (sizes * np.cos(np.outer(angles, waves) + phases)).sum(axis=1)
     wave /= np.abs(wave).max()
-    for flat in 0.75 * 0.93 ** np.arange(WAYS_OUT):
+    for flat in 0.75 * 0.93 ** np.arange(MAX_ATTEMPTS):
         radius = 1.0 + flat * wave
         ring = np.stack([radius * np.cos(angles), radius * np.sin(angles)], axis=-1)
         ring *= total / np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum()

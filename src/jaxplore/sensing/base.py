@@ -242,7 +242,7 @@ class Sensor(eqx.Module):
         model: InverseSensorModel,
         ground: Ground | None = None,
     ) -> OccupancyGrid:
-        """Return the occupancy grid after a scan: `sight`, then `updated`.
+        """Return the occupancy grid after a scan: `sight`, then `update_grid`.
 
         Args:
             belief: occupancy grid before the scan.
@@ -254,7 +254,7 @@ class Sensor(eqx.Module):
         Raises:
             ValueError: a ground of another shape or resolution than the belief.
         """
-        return updated(belief, self.sight(belief, scan, pose, ground), model)
+        return update_grid(belief, self.sight(belief, scan, pose, ground), model)
 
     def sees(
         self,
@@ -323,7 +323,9 @@ class Sensor(eqx.Module):
         return ground.elevation_at_cell(cells.cell) - (own + self.height)
 
 
-def updated(belief: OccupancyGrid, sighting: Sighting, model: InverseSensorModel) -> OccupancyGrid:
+def update_grid(
+    belief: OccupancyGrid, sighting: Sighting, model: InverseSensorModel
+) -> OccupancyGrid:
     """Apply the inverse sensor model to each cell that a scan hit or passed.
 
     Each cell is updated once per scan, however many beams cross it. It is updated as occupied if at

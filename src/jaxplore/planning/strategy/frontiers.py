@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import dwell_discount
-from jaxplore.belief.guidance import Roadmap, geodesic, near_point, roadmap
+from jaxplore.belief.guidance import Roadmap, geodesic, point_sources, roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
@@ -62,7 +62,7 @@ def prospects(
         near: nodes between a frontier and a frontier cell at most; static.
     """
     roads = roadmap(belief.clearance, required_clearance, stride)
-    start = near_point(position, roads.frame, roads.is_open)
+    start = point_sources(position, roads.frame, roads.is_open)
     distance = geodesic(start, roads.slowness, roads.is_open)
     worth = belief.information.total * dwell_discount(belief.dwell, belief.patience)
     can_reach = roads.is_open & jnp.isfinite(distance)
