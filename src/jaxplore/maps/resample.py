@@ -9,8 +9,8 @@ CELL_LIMIT = 64_000_000
 """Largest map that is created [cells]."""
 
 _OCCUPIED_THRESHOLD = 0.65
-# Overlaps below this, in old cells, are rounding errors: 0.15 m is not 3 x 0.05 m in binary.
-_SLIVER = 1e-6
+SLIVER = 1e-6
+"""Parts of a cell below this are rounding errors: 0.15 m is not 3 x 0.05 m in binary [cells]."""
 
 
 def resample(
@@ -47,7 +47,7 @@ def resample(
     if values.ndim != 2 or values.size == 0:
         raise ValueError(f"probability has shape {values.shape}; accepted: (H, W) with H, W >= 1")
     shrink = resolution / new_resolution
-    height, width = (max(1.0, float(np.ceil((n - _SLIVER) * shrink))) for n in values.shape)
+    height, width = (max(1.0, float(np.ceil((n - SLIVER) * shrink))) for n in values.shape)
     if height * width > CELL_LIMIT:
         raise ValueError(
             f"new_resolution is {new_resolution}; accepted: a resolution of at most {CELL_LIMIT} "
@@ -72,8 +72,8 @@ def _overlaps(size: int, new_size: int, ratio: float) -> tuple[NDArray[np.intp],
     """Return the first and last old cell along an axis that each new cell overlaps."""
     # A new cell larger than the whole axis covers all of it. The bound also avoids infinity here.
     edges = np.arange(new_size + 1) * min(ratio, float(size))
-    first = np.floor(edges[:-1] + _SLIVER).astype(np.intp)
-    last = np.ceil(edges[1:] - _SLIVER).astype(np.intp) - 1
+    first = np.floor(edges[:-1] + SLIVER).astype(np.intp)
+    last = np.ceil(edges[1:] - SLIVER).astype(np.intp) - 1
     return np.clip(first, 0, size - 1), np.clip(last, 0, size - 1)
 
 

@@ -20,12 +20,10 @@ from jaxplore.maps.files.untrusted import printable_path, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
+from jaxplore.maps.resample import SLIVER
 
 UNKNOWN = 0.5
 """Probability of a cell that was never measured; a robot drives only where it is lower."""
-
-# Overlaps below this, in old cells, are rounding errors: 0.15 m is not 3 x 0.05 m in binary.
-_SLIVER = 1e-6
 
 
 class TerrainSample(NamedTuple):
@@ -321,7 +319,7 @@ def _mean(
     size = values.shape[axis]
     if size == 1:
         return np.repeat(values, new_size, axis)
-    number = min(size, max(1, int(np.ceil(min(ratio, float(size)) - _SLIVER))))
+    number = min(size, max(1, int(np.ceil(min(ratio, float(size)) - SLIVER))))
     begin, end = _edges(size, new_size, ratio)
     share = (np.arange(number) + 0.5) / number
     # Shift by half a cell, so that the centres of old cells are at whole numbers. Samples beyond
@@ -341,8 +339,8 @@ def _least(
     """Return the minimum of the old cells that each new cell overlaps along an axis."""
     size = values.shape[axis]
     begin, end = _edges(size, new_size, ratio)
-    first = np.clip(np.floor(begin + _SLIVER).astype(np.intp), 0, size - 1)
-    stop = np.clip(np.ceil(end - _SLIVER).astype(np.intp), first + 1, size)
+    first = np.clip(np.floor(begin + SLIVER).astype(np.intp), 0, size - 1)
+    stop = np.clip(np.ceil(end - SLIVER).astype(np.intp), first + 1, size)
     # `reduceat` accepts only indices below the size: pad by one cell, so that `size` is one.
     padding = [(0, 1) if axis == other else (0, 0) for other in range(values.ndim)]
     padded = np.pad(values, padding, constant_values=1.0)

@@ -29,7 +29,7 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.hills import hill_elevation, is_on_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
-from jaxplore.maps.resample import CELL_LIMIT
+from jaxplore.maps.resample import CELL_LIMIT, SLIVER
 
 FREE_PROBABILITY = 0.01
 """Probability of a free cell (quadrotor design notes)."""
@@ -37,9 +37,6 @@ UNKNOWN_PROBABILITY = 0.5
 """Prior probability of a cell in a zone."""
 SOLID_PROBABILITY = 0.99
 """Probability of a solid cell (quadrotor design notes)."""
-
-# A size that exceeds a whole number of cells by less than this does so by rounding [cells].
-_SLIVER = 1e-6
 
 
 @dataclass(frozen=True)
@@ -210,7 +207,7 @@ class World:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the map."""
-        width, height = (max(1, math.ceil(side / self.resolution - _SLIVER)) for side in self.size)
+        width, height = (max(1, math.ceil(side / self.resolution - SLIVER)) for side in self.size)
         return height, width
 
     def truth(self) -> OccupancyGrid:

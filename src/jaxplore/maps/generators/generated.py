@@ -22,6 +22,7 @@ from jaxplore.maps.generators._rooms import rooms
 from jaxplore.maps.generators._warehouse import warehouse
 from jaxplore.maps.generators.office import ROBOT_RADIUS, office
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.resample import CELL_LIMIT
 
 KINDS = ("rooms", "office", "maze", "cave", "warehouse", "hall", "open")
 """Kinds of maps that `generate_map` can draw."""
@@ -35,7 +36,6 @@ _SIZES = {
     "hall": (18.0, 13.0),
     "open": (22.0, 16.0),
 }
-_CELL_LIMIT = 64_000_000
 
 
 def generate_map(
@@ -94,9 +94,9 @@ def generate_map(
     difficulty = _checks.number("difficulty", difficulty, at_least=0.0, at_most=1.0)
     width, height = _extent(_SIZES[kind] if size is None else size)
     resolution = _checks.number("resolution", resolution, above=0.0, at_most=0.2)
-    if (width / resolution) * (height / resolution) > _CELL_LIMIT:
+    if (width / resolution) * (height / resolution) > CELL_LIMIT:
         raise ValueError(
-            f"resolution is {resolution}; accepted: at most {_CELL_LIMIT} cells on "
+            f"resolution is {resolution}; accepted: at most {CELL_LIMIT} cells on "
             f"{width} m x {height} m"
         )
     if kind == "office":

@@ -9,13 +9,13 @@ from scipy import ndimage
 
 from jaxplore import _checks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.resample import CELL_LIMIT
 
 ROBOT_RADIUS = 0.3
 """Radius of the disc robot for which the whole building is connected [m]."""
 START_CLEARANCE = 0.5
 """Least distance from the walls at the start pose [m]."""
 
-_CELL_LIMIT = 64_000_000
 _DOOR_CLEARANCE = 0.9
 _AISLE = 0.8
 # Furniture: kind, sides [m], least area of a room for it [m^2], whether it stands at a wall.
@@ -68,9 +68,9 @@ def office(
     width = _checks.number("width", width, at_least=8.0)
     height = _checks.number("height", height, at_least=7.0)
     resolution = _checks.number("resolution", resolution, above=0.0, at_most=0.2)
-    if (width / resolution) * (height / resolution) > _CELL_LIMIT:
+    if (width / resolution) * (height / resolution) > CELL_LIMIT:
         raise ValueError(
-            f"resolution is {resolution}; accepted: at most {_CELL_LIMIT} cells on "
+            f"resolution is {resolution}; accepted: at most {CELL_LIMIT} cells on "
             f"{width} m x {height} m"
         )
     rng = np.random.default_rng(number)
