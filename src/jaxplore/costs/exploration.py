@@ -9,10 +9,12 @@ from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Scalar, Vector
 from jaxplore.belief.belief import Belief, StrategicBelief
-from jaxplore.costs._distance import length, offset
+from jaxplore.belief.dwell import dwell_discount
+from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 from jaxplore.maps.field import ScalarField
 
 
@@ -37,7 +39,7 @@ class InformationCost(Cost):
         if not self.is_fading:
             return -reward
         dwell = ScalarField(belief.dwell, field.frame, jnp.zeros(()))
-        return -reward * jnp.exp(-dwell(state.position) / belief.patience)
+        return -reward * dwell_discount(dwell(state.position), belief.patience)
 
 
 class GuidanceCost(Cost):
@@ -152,4 +154,4 @@ class HomingCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the distance, or 0."""
-        return jnp.where(belief.is_explored, length(offset(state, self.goal)), 0.0)
+        return jnp.where(belief.is_explored, length(*offset(state, self.goal)), 0.0)

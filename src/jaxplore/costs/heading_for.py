@@ -5,10 +5,10 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.costs._distance import length
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 
 
 class ToGoalCost(Cost):
@@ -43,7 +43,7 @@ class ToGoalCost(Cost):
         way = belief.to_goal.direction(position)
         sin, cos = sin_cos(heading)
         facing = cos * way[0] + sin * way[1]
-        return belief.to_goal(position) + self.turning * (length((way[0], way[1])) - facing)
+        return belief.to_goal(position) + self.turning * (length(way[0], way[1]) - facing)
 
 
 class RegionCost(Cost):
@@ -73,4 +73,4 @@ class RegionCost(Cost):
         x, y = position[0] - belief.pose[0], position[1] - belief.pose[1]
         angle = belief.pose[2] + self.direction
         sin, cos = sin_cos(angle)
-        return length((x, y)) - (x * cos + y * sin)
+        return length(x, y) - (x * cos + y * sin)

@@ -223,7 +223,7 @@ class Team(eqx.Module):
     def half_range(self) -> ControlVector:
         """Half the range of each control (nu,); 1 of one that is fixed."""
         model = self.mppi.dynamics
-        half = 0.5 * (model.control_max - model.control_min)
+        half = model.control_half_range
         return jnp.where(half > 0.0, half, 1.0)
 
     @property

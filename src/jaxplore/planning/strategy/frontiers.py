@@ -8,7 +8,8 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import Roadmap, geodesic, near_point, roadmap
+from jaxplore.belief.dwell import dwell_discount
+from jaxplore.belief.guidance import Roadmap, geodesic, point_sources, roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
@@ -61,9 +62,9 @@ def prospects(
         near: nodes between a frontier and a frontier cell at most; static.
     """
     roads = roadmap(belief.clearance, required_clearance, stride)
-    start = near_point(position, roads.frame, roads.is_open)
+    start = point_sources(position, roads.frame, roads.is_open)
     distance = geodesic(start, roads.slowness, roads.is_open)
-    worth = belief.information.total * jnp.exp(-belief.dwell / belief.patience)
+    worth = belief.information.total * dwell_discount(belief.dwell, belief.patience)
     can_reach = roads.is_open & jnp.isfinite(distance)
     length = _frontier_length(belief.grid, stride, near, roads.is_open.shape)
     is_view = can_reach & (worth >= min_information)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Int
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, downhill, geodesic
+from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
 from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
@@ -124,7 +124,7 @@ class TargetExplorer(Controller):
         """Return the state before the first step, without a target."""
         rows, columns = (-(-side // self.stride) for side in self.shape)
         lattice = self.frame.coarsen(self.stride, self.stride / 2.0)
-        nowhere = downhill(jnp.zeros((rows, columns)), lattice, LAYERS)
+        nowhere = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
         return TargetState(
             self.tracker.init(),
             jnp.zeros(2, jnp.int32),
@@ -218,5 +218,5 @@ class TargetExplorer(Controller):
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
         distance = geodesic(source, found.roads.slowness, found.roads.is_open)
-        guidance = downhill(distance, found.roads.frame, LAYERS)
+        guidance = descent_field(distance, found.roads.frame, LAYERS)
         return state._replace(node=node, has_target=has_target, guidance=guidance)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks
 from jaxplore._types import Count, Flag, GridMask, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, Roadmap, downhill, geodesic, roadmap
+from jaxplore.belief.guidance import GuidanceField, Roadmap, descent_field, geodesic, roadmap
 from jaxplore.belief.perception import LAYERS
 from jaxplore.belief.zones import Zones
 from jaxplore.information.trajectory import TrajectoryInformation, path_headings
@@ -115,7 +115,7 @@ class Targets(eqx.Module):
             ValueError: a target of another shape than the map.
         """
         roads = self._roads(belief)
-        return downhill(self._cost(belief, roads, target), roads.frame, LAYERS)
+        return descent_field(self._cost(belief, roads, target), roads.frame, LAYERS)
 
     def way(
         self, belief: Belief, target: GridMask, position: Position
@@ -134,7 +134,7 @@ class Targets(eqx.Module):
         cost = self._cost(belief, roads, target)
         is_near, _ = _nearest(roads, position)
         leads = (is_near & jnp.isfinite(cost)).any()
-        return downhill(cost, roads.frame, LAYERS), leads
+        return descent_field(cost, roads.frame, LAYERS), leads
 
     def distances(self, belief: Belief, position: Position) -> Float[Array, " N"]:
         """Return the length of the shortest way to each target, N = Z + 1 [m].

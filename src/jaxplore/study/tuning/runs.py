@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from jaxplore.build.exploration import build
 from jaxplore.build.path import build_path
 from jaxplore.control.base import Controller
-from jaxplore.maps.files.packing import PACKED, image_of, packed
+from jaxplore.maps.files.packing import PACKED, find_image, pack_map
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.exploration import BASELINES, Settings, make_settings
 from jaxplore.settings.path import PathSettings, make_path_settings
@@ -283,14 +283,14 @@ def _file_of(entries: Entries) -> str | None:
 
 
 def _packed(path: str, is_path: bool) -> Files:
-    return {Path(path).name: Path(path).read_bytes()} if is_path else packed(path)
+    return {Path(path).name: Path(path).read_bytes()} if is_path else pack_map(path)
 
 
 @functools.cache
 def _content(path: str) -> str:
     parts = [Path(path).read_bytes()]
     if path.endswith((".yaml", ".yml")):
-        image = image_of(path)
+        image = find_image(path)
         parts += [] if image is None else [image.read_bytes()]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
