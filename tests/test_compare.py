@@ -16,19 +16,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from jaxplore.build import controllers as building
 
 import jaxplore as jx
 from jaxplore import Comparison, Metrics, compare
-from jaxplore.build.exploration import build
+from jaxplore.build import controllers as building
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation import simulate as simulation
-from jaxplore.simulation.loop import _before_control, _initial_memory, run_chunk
-from jaxplore.simulation.exploration.scenario import Scenario
 from jaxplore.report.exploration.data import Recording
+from jaxplore.simulation import simulate as simulation
+from jaxplore.simulation.exploration.scenario import Scenario
+from jaxplore.simulation.loop import _before_control, _initial_memory, run_chunk
 
 Experiments = dict[str, tuple[Controller, Scenario, int]]
 

@@ -7,11 +7,10 @@ import pytest
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import build
-from jaxplore.report.exploration.metrics import compute_metrics
-from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation.exploration.reachability import open_spot
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.data import Recording
+from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.perform import perform, results_for

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from jaxplore import Faults
-from jaxplore.build.exploration import Experiment, build
-from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.data import Record
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import Scenario
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 SHORT: dict[str, Any] = {
     "map": "zones",
