@@ -59,6 +59,13 @@ def build_controller(
             every=max(1, round(settings.rates.control / settings.rates.fields)),
             **arguments(settings.controller, explorer),
         )
+    return _quadrotor_controller(settings, robot, place, perception)
+
+
+def _quadrotor_controller(
+    settings: Settings, robot: Dynamics, place: Place, perception: Perception
+) -> Controller:
+    """Return informative MPPI or one of its baselines."""
     given = settings.informative
     flight = Flight(
         **arguments(given, Flight),

@@ -60,7 +60,7 @@ def in_degrees(angle: float) -> float:
 DIFFERENCES: dict[str, Difference] = {
     "exploration.robot.max_speed": Difference(1.0, "a walking pace, for a robot in a building"),
     "exploration.lidar.max_range": Difference(
-        5.0, "a short-range lidar, so that exploring is work"
+        5.0, "a short-range lidar, as small indoor robots have"
     ),
     "exploration.lidar.range_noise": Difference(0.02, "the noise of a short-range lidar"),
     "path.robot.max_acceleration": Difference(6.0, "a race car of F1TENTH's size"),

@@ -156,7 +156,7 @@ def mpcc(
     The defaults are those of `jaxplore run path`: a car of F1TENTH's size on a track. Where there
     are obstacles, `other` is `avoidance_cost()`.
 
-    The function is long because its signature is the only place of these numbers.
+    The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
         robot: its model.

@@ -228,7 +228,9 @@ def informative_mppi(
     Two-layer: MPPI tracks a reference that climbs the information field, half of its samples around
     the controls that follow it. Parallel: MPPI reads the field, without reference and bias. Both
     also pay for guidance, the way through the whole map to what remains, which the notes do not
-    have.
+    have. With a `target_choice`, two-layer goes from zone to zone: the sequential architecture.
+
+    The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
         robot: its model.
@@ -321,8 +323,8 @@ def zone_choice(
         method: "remaining", by what remains of a zone, see `RemainingInformation`; or a method of
             `TrajectoryInformation`, by what the scans on the way there tell.
         distance_weight: of the length of the way; the default of the method when absent.
-        depleted: share of a zone below which it is done with. A third remains for ever, because no
-            beam reaches the inside of the walls in a zone.
+        depleted: what remains of a zone that is done with. It is more than what remains for ever,
+            such as the inside of walls, which no scan reaches.
 
     Raises:
         ValueError: an unknown method, and what the parts refuse.
