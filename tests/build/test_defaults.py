@@ -138,6 +138,12 @@ def test_settings_and_python_build_equal_controllers(place: str, architecture: s
     assert_equal(found.controller, by_hand(place, architecture, found.scenario))
 
 
+def test_an_unknown_rule_is_refused(empty_belief) -> None:
+    perception = jx.Perception(jx.Lidar(8, 1.0), 0.5, 0.2, num_directions=4)
+    with pytest.raises(ValueError, match="rule is 'luck'; accepted: wander, random-frontier"):
+        target_explorer(office_robot(), "luck", perception, empty_belief.grid)
+
+
 RACE_CAR = jx.Ackermann(
     wheelbase=0.33,
     max_speed=5.0,
@@ -173,7 +179,7 @@ def test_settings_and_python_build_equal_controllers_along_a_path(
         jx.mpcc(RACE_CAR, track, **expected),
     )
     assert_equal(found.controller, made.controller)
-    assert_equal(found.scenario.model, made.model)
+    assert_equal(found.scenario.robot, made.model)
     assert_equal(found.scenario.path, track)
 
 

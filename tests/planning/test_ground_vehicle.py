@@ -200,6 +200,7 @@ def test_parts_of_the_template() -> None:
         ({"temperature": -1.0}, r"temperature is"),
         ({"clearance": 0.0}, r"clearance is"),
         ({"margin": -0.1}, r"margin is"),
+        ({"parameterisation": "splines"}, r"parameterisation is 'splines'; accepted: direct, smo"),
     ],
 )
 def test_bad_arguments(arguments, message: str) -> None:

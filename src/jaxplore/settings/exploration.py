@@ -338,9 +338,7 @@ class Settings(RunSettings):
     architecture: Architecture = "explorer"
     goal: tuple[float, float] | tuple[float, float, float] | None = None
     goal_radius: Positive | None = setting(ExplorationScenario, "goal_radius")
-    max_unknown: Fraction | None = setting(
-        ExplorationScenario, "max_unknown"
-    )
+    max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
     hover_time: NonNegative = setting(ExplorationScenario, "hover_time")
     altitude: float = setting(Flight, "altitude")
     resolution: Positive = setting(office, "resolution")
