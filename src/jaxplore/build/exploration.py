@@ -1,5 +1,7 @@
 """Runs that explore, from settings."""
 
+from typing import Any
+
 import jax
 
 from jaxplore.belief.idleness import IdlenessMap
@@ -59,7 +61,9 @@ def _perception(
     goal = None if place.goal is None else place.goal[:2]
     watch = settings.watch
     # Absent, it is the default of `Perception`, not of the scenario's end.
-    unknown = {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
+    unknown: dict[str, Any] = (
+        {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
+    )
     return Perception(
         sensors,
         place.world.resolution,

@@ -1,7 +1,7 @@
 """Both architectures of informative MPPI for a quadrotor, with the design notes' numbers."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -333,7 +333,7 @@ def zone_choice(
         zones, goal, depleted=depleted, required_clearance=perception.required_clearance
     )
     # Each method has a unit, and so a default, of its own.
-    weight = {} if distance_weight is None else {"weight": distance_weight}
+    weight: dict[str, Any] = {} if distance_weight is None else {"weight": distance_weight}
     if method == "remaining":
         return RemainingInformation(targets, **weight)
     scans = TrajectoryInformation(PoseInformation(lidar, perception.sensor_model), method)
