@@ -45,8 +45,7 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
-from jaxplore.build.exploration import build
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")

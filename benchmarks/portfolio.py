@@ -23,8 +23,9 @@ from rich.console import Console
 
 from benchmarks.setting import MAPS
 from benchmarks.tables import table
-from jaxplore.build.exploration import Experiment, build
-from jaxplore.settings.exploration import make_settings, read_settings, scenario_path
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.settings.exploration import read_settings, scenario_path
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import record_run
 

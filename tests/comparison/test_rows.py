@@ -7,10 +7,9 @@ import pytest
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.settings.exploration import make_settings
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run
 from jaxplore.study.comparison.maps import MapFile

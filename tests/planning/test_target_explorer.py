@@ -176,7 +176,7 @@ def test_distance_advantage_is_by_dijkstra(half_known) -> None:
 def make(rule, **changes) -> TargetExplorer:
     tracker = explorer(ROBOT, horizon=15, num_samples=64, information_weight=0.0)
     frame = OccupancyGrid(world(), RESOLUTION).frame
-    given = {"required_clearance": REQUIRED, **NUMBERS, **changes}
+    given = {"required_clearance": REQUIRED, "every": 4, **NUMBERS, **changes}
     return TargetExplorer(tracker, rule, frame, SHAPE, STRIDE, **given)
 
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jaxplore import Faults
-from jaxplore.build.exploration import Experiment, build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.settings.exploration import make_settings
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 

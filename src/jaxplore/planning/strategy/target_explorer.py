@@ -95,11 +95,11 @@ class TargetExplorer(Controller):
         stride: int,
         *,
         required_clearance: ArrayLike,
-        min_information: ArrayLike = 10.0,
+        min_information: ArrayLike,
         leftover_share: ArrayLike = LEFTOVER_SHARE,
         min_frontier: ArrayLike = 0.75,
         near: ArrayLike = 0.4,
-        every: int = 4,
+        every: int,
         stays: bool = False,
     ) -> None:
         self.tracker, self.rule, self.frame = tracker, rule, frame
