@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from jaxplore import DifferentialDrive, Lidar, office, start_pose
 from jaxplore.gym.registration import ENVIRONMENT, register_environment
 from jaxplore.gym.vector_environment import _step_each
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NAME = f"jaxplore.gym:{ENVIRONMENT}"
 TOGETHER = {"num_envs": 3, "vectorization_mode": "vector_entry_point"}

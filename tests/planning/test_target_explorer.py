@@ -25,6 +25,7 @@ from jaxplore.planning.strategy.target_rules import (
     RandomFrontier,
     Wander,
 )
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25

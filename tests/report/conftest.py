@@ -241,6 +241,7 @@ def path_run(
         acceleration=np.stack([np.cos(k), np.sin(k)], axis=-1),
         effective_sample_size=np.full(steps, 8.0, np.float32),
         is_finite=np.ones(steps, bool),
+        is_faulty=np.zeros(steps, bool),
     )
     recording = PathRecording(
         records=records,

@@ -378,7 +378,7 @@ def test_an_exception_leaves_what_was_there(
     if overwrite:
         comparison.save(place, animation=False)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    monkeypatch.setattr(module, name, fail)
+    monkeypatch.setattr(module if name == "curves_figure" else ExplorationRecording, name, fail)
     with pytest.raises(RuntimeError, match="in the middle"):
         comparison.save(place, overwrite=overwrite)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
@@ -391,7 +391,7 @@ def test_a_disk_that_fills_is_one_line_and_leaves_nothing(
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(module, "write_animation", full)
+    monkeypatch.setattr(ExplorationRecording, "write_animation", full)
     with pytest.raises(ValueError, match=r"it' cannot be written: No space left") as caught:
         comparison.save(tmp_path / "it")
     assert "\n" not in str(caught.value)
@@ -404,7 +404,7 @@ def test_ctrl_c_while_drawing_leaves_out_animations_only(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(module, "write_animation", interrupt)
+    monkeypatch.setattr(ExplorationRecording, "write_animation", interrupt)
     # Caught here as well, so that pytest itself does not take it for a user's.
     with contextlib.suppress(KeyboardInterrupt):
         comparison.save(tmp_path / "it")

@@ -48,7 +48,10 @@ def test_many_steps_are_thinned(vehicle):
     members = vehicle.records.members
     many = type(members)(*(np.repeat(np.asarray(rows), 500, axis=0) for rows in members))
     records = vehicle.records._replace(
-        members=many, coverage=np.zeros(5000, np.float32), entropy=np.zeros(5000, np.float32)
+        members=many,
+        state=np.zeros((5000, 5), np.float32),
+        coverage=np.zeros(5000, np.float32),
+        entropy=np.zeros(5000, np.float32),
     )
     line = members_figure(dataclasses.replace(vehicle, records=records)).axes[1].lines[0]
     assert 1000 < len(line.get_xdata()) <= 2000

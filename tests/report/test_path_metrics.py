@@ -26,6 +26,7 @@ def recording(steps: int = 6, **changes) -> PathRecording:
         "acceleration": np.full((steps, 2), np.nan),
         "effective_sample_size": np.full(steps, 10.0),
         "is_finite": np.ones(steps, bool),
+        "is_faulty": np.zeros(steps, bool),
     }
     fields = {name: changes.pop(name) for name in list(changes) if name in records}
     given = {

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 SIZE = (40, 60)
 

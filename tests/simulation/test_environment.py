@@ -16,6 +16,7 @@ from jaxplore.simulation.environment.action_modes import (
     waypoint_mppi,
 )
 from jaxplore.simulation.environment.environment import Environment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import record_run
 
 KEY = jax.random.key(5)

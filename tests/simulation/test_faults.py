@@ -162,7 +162,9 @@ def test_without_odometry_the_controller_is_told_so_and_the_run_goes_on(flawless
     # Without a place for it, no scan and no field touches what is known.
     for state in lost.states[11:21]:
         for a, b in zip(
-            jax.tree.leaves(state.task.belief), jax.tree.leaves(lost.states[10].belief), strict=True
+            jax.tree.leaves(state.task.belief),
+            jax.tree.leaves(lost.states[10].task.belief),
+            strict=True,
         ):
             np.testing.assert_array_equal(a, b)
     assert differs(lost.maps[20:22], lost.maps[19:21])[1]

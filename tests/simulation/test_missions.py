@@ -323,8 +323,8 @@ def test_where_it_begins_depends_on_the_key_alone() -> None:
     assert phases[0] != phases[1]
     assert all(0.0 <= phase < 1.0 for phase in phases)
     controller, moved = begin(scenario(start=(2.0, 2.0, 1.0), mover=CROSSING), (0.3, 0.0), 3)
-    assert float(moved.movers.phase[0]) == phases[0]
-    found = [float(begin(given, seed=seed)[1].movers.phase[0]) for seed in range(12)]
+    assert float(moved.task.moving_obstacles.phase[0]) == phases[0]
+    found = [float(begin(given, seed=seed)[1].task.moving_obstacles.phase[0]) for seed in range(12)]
     assert min(found) < 0.3
     assert max(found) > 0.7
     assert controller.command.shape == (2,)

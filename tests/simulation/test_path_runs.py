@@ -8,6 +8,7 @@ import pytest
 
 import jaxplore as jx
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.run import record_run
 
 RING = jx.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
@@ -98,11 +99,11 @@ def test_what_is_recorded_is_what_geometry_says(lap) -> None:
 
 def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> None:
     scenario = lap[1]
-    again = record_path_run(PASSING.controller, scenario, 100, key=jax.random.key(0))
+    again = record_run(PASSING.controller, scenario, 100, key=jax.random.key(0))
     np.testing.assert_array_equal(again.records.state, lap[0].recording.records.state[:100])
     assert not np.array_equal(
         again.records.state,
-        record_path_run(
+        record_run(
             PASSING.controller, scenario, 100, key=jax.random.key(1), num_trajectories=0
         ).records.state,
     )
@@ -186,7 +187,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
 
     following = mpcc(other=OTHER + Lost())
     scenario = jx.PathScenario(following.model, RING)
-    recording = record_path_run(
+    recording = record_run(
         following.controller, scenario, 20, key=jax.random.key(0), num_trajectories=0
     )
     assert not recording.records.is_finite.any()
@@ -198,7 +199,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
     [
         ({"laps": 0}, "laps"),
         ({"path": jx.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
-        ({"model": jx.Augmented(CAR, jx.Pendulum())}, "model has the states x, y"),
+        ({"model": jx.Augmented(CAR, jx.Pendulum())}, "robot has the states x, y"),
         ({"start": [0.0, 1.0]}, "start"),
         ({"control_rate": 0.0}, "control_rate"),
         ({"tracking_noise": (-1.0, 0.0)}, "tracking_noise"),
@@ -208,7 +209,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
 )
 def test_what_is_no_scenario_is_refused(given, named) -> None:
     with pytest.raises(ValueError, match=named):
-        jx.PathScenario(**{"model": ALONE.model, "path": RING, **given})
+        jx.PathScenario(**{"robot": ALONE.model, "path": RING, **given})
 
 
 @pytest.mark.parametrize(

@@ -306,8 +306,8 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 def test_no_sensor_and_no_mover() -> None:
     with pytest.raises(ValueError, match=r"sensors is \(\); accepted: a sensor, or several"):
         ExplorationScenario(GRID, ROBOT, (), START)
-    assert scenario(movers=MovingObstacles.none()).movers is None
-    assert scenario().movers is None
+    assert scenario(moving_obstacles=MovingObstacles.none()).moving_obstacles is None
+    assert scenario().moving_obstacles is None
     assert scenario().num_targets == 0
     assert scenario(targets=[(0.5, 0.5), (0.7, 0.5)]).num_targets == 2
 

@@ -63,7 +63,8 @@ class Column(NamedTuple):
         read = number or (lambda each: getattr(each, name))
 
         def value(runs: Sequence[Any]) -> Quartiles:
-            return quartiles([missing if (one := read(each)) is None else one for each in runs])
+            numbers = [missing if (one := read(each)) is None else float(one) for each in runs]
+            return quartiles(numbers)
 
         def shown(spread: Quartiles) -> str:
             low, median, high = (
