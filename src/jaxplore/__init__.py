@@ -7,7 +7,6 @@ from jaxplore.belief.guidance import GuidanceField as GuidanceField
 from jaxplore.belief.idleness import IdlenessMap as IdlenessMap
 from jaxplore.belief.obstacles import Obstacles as Obstacles
 from jaxplore.belief.perception import Perception as Perception
-from jaxplore.belief.tracks import Tracks as Tracks
 from jaxplore.belief.zones import Zones as Zones
 from jaxplore.belief.zones import entropy_proxy as entropy_proxy
 from jaxplore.belief.zones import unknown_fraction as unknown_fraction
@@ -94,8 +93,6 @@ from jaxplore.costs.exploration import StrategyReferenceCost as StrategyReferenc
 from jaxplore.costs.heading_for import RegionCost as RegionCost
 from jaxplore.costs.heading_for import ToGoalCost as ToGoalCost
 from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
-from jaxplore.costs.moving import TrackedObstacleCost as TrackedObstacleCost
-from jaxplore.costs.obstacle_distance import ObstacleDistanceCost as ObstacleDistanceCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
 from jaxplore.costs.path_following import ContouringCost as ContouringCost

@@ -220,7 +220,7 @@ def covariances(
     if covariance is None:
         bound = {"at_least": 0.0} if may_be_zero else {"above": 0.0}
         return isotropic(one_each("std", std, number, **bound))
-    given = array("covariance", covariance, (2, 2), (number, 2, 2), may_be_empty=number == 0)
+    given = array("covariance", covariance, (number, 2, 2), (2, 2), may_be_empty=number == 0)
     _check_covariance(given, may_be_zero)
     return jnp.broadcast_to(given, (number, 2, 2))
 

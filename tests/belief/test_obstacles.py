@@ -9,10 +9,18 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from jaxplore import Obstacles, Outlines
+from jaxplore.belief.obstacles import FAR
 
 SQUARE = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
 SPEED = st.floats(-3, 3, width=32)
+SHORT = st.floats(0, 2, width=32)
 RATE = st.one_of(st.floats(-2, 2, width=32), st.floats(-(2.0**-10), 2.0**-10, width=32))
+
+
+@jax.jit
+def later(obstacles: Obstacles, elapsed):
+    """Return obstacles a time later, of which none was measured."""
+    return obstacles.after(elapsed)
 
 
 @jax.jit
@@ -69,11 +77,56 @@ def test_the_covariance_is_that_of_small_errors(turn_rate: float) -> None:
     np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)
 
 
-def test_draws_are_spread_as_predicted() -> None:
+@given(velocity=st.tuples(SPEED, SPEED), turn_rate=RATE, elapsed=SHORT, t=SHORT)
+def test_time_that_goes_by_changes_no_prediction(velocity, turn_rate, elapsed, t) -> None:
+    obstacle = one(velocity, turn_rate, std=0.1, growth=0.2, turn_growth=0.3)
+    expected = predicted(obstacle, jnp.asarray(elapsed + t))
+    found = predicted(later(obstacle, jnp.asarray(elapsed)), jnp.asarray(t))
+    for one_, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+        np.testing.assert_allclose(one_, other, rtol=1e-3, atol=1e-3)
+
+
+def test_the_deviation_is_that_of_the_longest_axis() -> None:
+    obstacle = one([1.0, 0.5], 0.3, covariance=[[0.04, 0.01], [0.01, 0.02]], turn_growth=0.1)
+    covariance = np.asarray(predicted(obstacle, jnp.asarray(1.5))[2][0], np.float64)
+    expected = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
+    assert float(obstacle.deviation(jnp.asarray(1.5))[0]) == pytest.approx(expected, rel=1e-5)
+
+
+def test_the_extent_is_the_radius_of_the_circle_that_holds_the_outline() -> None:
+    both = one([0.0, 0.0], 0.0) + Obstacles(Outlines.discs([[3.0, 4.0]], 1.5))
+    np.testing.assert_allclose(both.extents, [np.sqrt(0.5), 1.5], rtol=1e-6)
+
+
+def test_what_is_not_known_is_predicted_out_of_reach() -> None:
+    two = Outlines.polygons([SQUARE, SQUARE], [0.1, 0.2])
+    some = Obstacles(two, [[1.0, 0.0], [0.0, 1.0]], std=1.0, is_known=np.array([True, False]))
+    outlines, centres, covariance = predicted(some, jnp.asarray(1.0))
+    np.testing.assert_allclose(centres[0], [2.5, 1.5])
+    assert (np.asarray(centres[1]) >= FAR).all()
+    assert (np.asarray(outlines.corners[1]) >= FAR).all()
+    np.testing.assert_array_equal(outlines.radii, np.float32([0.1, 0.0]))
+    assert not np.any(covariance[1])
+    assert float(some.extents[1]) == float(some.deviation(jnp.zeros(()))[1]) == 0.0
+
+
+def test_a_measured_outline_keeps_its_shape_and_has_turned() -> None:
+    obstacle = one([1.0, 0.0], np.pi / 2)
+    place, seen = jnp.asarray([[5.0, 6.0]]), jnp.asarray([True])
+    after = obstacle.update(place, jnp.zeros((1, 2)), seen, jnp.asarray(0.1), jnp.asarray(1.0))
+    np.testing.assert_array_equal(after.centres, place)
+    turned = np.array([[5.5, 5.5], [5.5, 6.5], [4.5, 6.5], [4.5, 5.5]])
+    np.testing.assert_allclose(after.outlines.corners[0], turned, atol=1e-6)
+    np.testing.assert_allclose(after.covariance[0], 0.01 * np.eye(2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("elapsed", [0.0, 0.8])
+def test_draws_are_spread_as_predicted(elapsed: float) -> None:
     obstacle = one(
         [1.0, 0.5], 0.3, covariance=[[0.04, 0.01], [0.01, 0.02]], growth=0.1, turn_growth=0.05
     )
-    t = jnp.asarray(1.5)
+    obstacle = later(obstacle, jnp.asarray(elapsed))
+    t = jnp.asarray(1.5 - elapsed)
     keys = jax.random.split(jax.random.key(0), 20000)
     centres = jax.jit(jax.vmap(lambda key: obstacle.drawn(key).predicted_centres(t)[0]))(keys)
     _, expected, covariance = predicted(obstacle, t)
@@ -104,6 +157,9 @@ def test_a_draw_is_known_exactly_and_keeps_its_shape() -> None:
         ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance"),
         ({"growth": float("nan")}, "growth"),
         ({"turn_growth": -0.1}, "turn_growth"),
+        ({"age": -0.1}, "age"),
+        ({"is_known": np.array([True, False])}, r"is_known has shape \(2,\); accepted: \(1,\)"),
+        ({"memory": 0.0}, "memory"),
     ],
 )
 def test_what_is_no_obstacle_is_refused(given_, named) -> None:

@@ -23,7 +23,7 @@ from jaxplore import (
     Entropic,
     MeanVariance,
     ModelEnsemble,
-    ObstacleDistanceCost,
+    MovingObstacleCost,
     Obstacles,
     Outcomes,
     Outlines,
@@ -36,6 +36,7 @@ from jaxplore import (
     WorstCase,
     rollout_costs,
 )
+from jaxplore.belief.belief import Belief
 
 COUNTS = [1, 2, 7, 10]
 LEVELS = [Fraction(n, 20) for n in range(1, 20)] + [Fraction(1, 3), Fraction(6, 7)]
@@ -454,13 +455,15 @@ def test_bad_input_is_named(build, message: str) -> None:
 # Obstacles that may go elsewhere
 
 
-OBSTACLES = Obstacles(
-    Outlines.discs([[1.5, 0.2], [0.5, 1.0]], 0.3),
-    [[-0.5, 0.0], [0.0, -0.4]],
-    [0.3, 0.0],
-    std=0.2,
-    growth=0.3,
-    turn_growth=0.2,
+OBSTACLES = Belief(
+    obstacles=Obstacles(
+        Outlines.discs([[1.5, 0.2], [0.5, 1.0]], 0.3),
+        [[-0.5, 0.0], [0.0, -0.4]],
+        [0.3, 0.0],
+        std=0.2,
+        growth=0.3,
+        turn_growth=0.2,
+    )
 )
 
 
@@ -477,7 +480,7 @@ def stages(cost, model, noise, initial, controls, dt, keys, draws, belief):
             state = model.step(state, control, dt)
         else:
             state = noise.step_at(model, state, control, dt * t, dt, draw)
-        known = belief.drawn(key)
+        known = Belief(obstacles=belief.obstacles.drawn(key))
         return state, cost.stage(State(state, model), control, dt * (t + 1.0), known)
 
     inputs = (jnp.arange(len(controls), dtype=jnp.float32), controls, keys, draws)
@@ -491,7 +494,7 @@ def stages(cost, model, noise, initial, controls, dt, keys, draws, belief):
 def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> None:
     """Against each outcome on its own, with the obstacles of its draw as what is believed."""
     model, dt, count = PointMass(), jnp.asarray(0.1), 5
-    cost = ObstacleDistanceCost(caution=0.0, clearance=1.0)
+    cost = MovingObstacleCost(nearness=None, clearance=1.0, margin=0.02, nearest_only=True)
     uncertain = UncertainObstacles(robot)
     controls = jnp.asarray(np.random.default_rng(0).normal(size=(8, 2, 3)), jnp.float32)
     initial = jnp.asarray([0.0, 0.0, 1.0, 0.0])
@@ -525,8 +528,8 @@ def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> Non
 def test_an_averse_robot_keeps_more_room_from_what_is_uncertain() -> None:
     """The cheaper of two ways past an obstacle depends on the measure of risk."""
     model, dt = PointMass(), jnp.asarray(0.1)
-    obstacle = Obstacles(Outlines.discs([[1.0, 0.0]], 0.3), std=0.25)
-    cost = ObstacleDistanceCost(caution=0.0, clearance=0.05, collision=1.0)
+    obstacle = Belief(obstacles=Obstacles(Outlines.discs([[1.0, 0.0]], 0.3), std=0.25))
+    cost = MovingObstacleCost(nearness=None, clearance=0.05, collision=1.0, margin=0.02)
     near, far = 0.75, 1.05
     starts = jnp.asarray([[0.0, 0.0], [near, far], [2.0, 2.0], [0.0, 0.0]])
     effort = jnp.asarray([0.0, 0.25])

@@ -10,10 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore import Ackermann, CollisionCost, DifferentialDrive, ObstacleCost, State
+from jaxplore import (
+    Ackermann,
+    CollisionCost,
+    DifferentialDrive,
+    MovingObstacleCost,
+    ObstacleCost,
+    Obstacles,
+    State,
+)
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.tracks import Tracks
-from jaxplore.costs.moving import TrackedObstacleCost
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.field import ScalarField
 
@@ -51,12 +57,30 @@ def between(belief) -> Belief:
     return dataclasses.replace(belief, clearance=field)
 
 
-def tracks(positions, velocities, radii, std, is_known, growth=0.2, age=0.0) -> Tracks:
-    arrays = (np.asarray(a, np.float32) for a in (positions, velocities, radii, std))
-    ages = jnp.full(len(positions), age, jnp.float32)
-    known = jnp.asarray(np.asarray(is_known, bool))
-    growth_, memory = (jnp.asarray(number, jnp.float32) for number in (growth, 3.0))
-    return Tracks(*map(jnp.asarray, arrays), ages, growth_, known, memory)
+def tracks(positions, velocities, radii, std, is_known, growth=0.2, age=0.0) -> Obstacles:
+    """Return discs as a tracker knows them; of those that are not known nothing is checked."""
+    place, velocity, spread = (jnp.asarray(a, jnp.float32) for a in (positions, velocities, std))
+    covariance = spread[:, None, None] ** 2 * jnp.eye(2)
+    ages, known = jnp.full(len(place), age, jnp.float32), jnp.asarray(np.asarray(is_known, bool))
+    return eqx.tree_at(
+        lambda some: (
+            some.outlines.corners,
+            some.centres,
+            some.velocities,
+            some.covariance,
+            some.age,
+            some.is_known,
+        ),
+        Obstacles.unseen(radii, growth),
+        (
+            place[:, None],
+            place,
+            velocity,
+            covariance,
+            ages,
+            known,
+        ),
+    )
 
 
 NOBODY = tracks(np.zeros((3, 2)), np.zeros((3, 2)), np.ones(3), np.ones(3), np.zeros(3))
@@ -110,7 +134,7 @@ def test_it_is_how_deep_the_discs_are_in_map_and_movers(
         spread = math.hypot(float(std[n]), 0.2 * (0.5 + t))
         expected += squared_depth(gap, too_close + 1.5 * spread)
     seen = tracks(positions, velocities, radii, std, is_known, age=0.5)
-    belief = dataclasses.replace(between, tracks=seen)
+    belief = dataclasses.replace(between, obstacles=seen)
     cost = CollisionCost(margin=0.07, reaction_time=0.3, caution=1.5, reach=0.0)
     found = price(cost, state_of(name, here, yaw, v), belief, t)
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-2)
@@ -122,12 +146,12 @@ def test_it_is_the_hard_parts_of_the_costs_that_have_them(name, between) -> None
     ours = CollisionCost(margin=0.05, reaction_time=0.1, caution=0.0, reach=0.0)
     numbers = {"margin": 0.05, "reaction_time": 0.1}
     static = ObstacleCost(clearance=1e-6, collision=1.0, **numbers)
-    tracked = [TrackedObstacleCost(collision=c, **numbers) for c in (1.0, 0.0)]
+    tracked = [MovingObstacleCost(collision=c, **numbers) for c in (1.0, 0.0)]
     paid = []
     for _ in range(40):
         places, moves = rng.uniform(2.0, 7.0, (3, 2)), rng.uniform(-1.0, 1.0, (3, 2))
         seen = tracks(places, moves, rng.uniform(0, 1, 3), rng.uniform(0.1, 1, 3), [1, 1, 0])
-        belief = dataclasses.replace(between, tracks=seen)
+        belief = dataclasses.replace(between, obstacles=seen)
         state = state_of(name, rng.uniform(2.0, 7.0, 2), rng.uniform(-3, 3), rng.uniform(-1, 1))
         of_map = price(static, state, belief)
         of_movers = price(tracked[0], state, belief, 0.7) - price(tracked[1], state, belief, 0.7)
@@ -143,7 +167,7 @@ def test_caution_keeps_free_what_an_obstacle_may_take(between) -> None:
         jnp.full((9, 9), 9.0), between.grid.frame, jnp.zeros(())
     ))  # fmt: skip
     seen = tracks([[4.0, 4.0]] * 3, np.zeros((3, 2)), [0.3] * 3, [0.3] * 3, [1, 0, 0], 0.4, 1.0)
-    belief = dataclasses.replace(open_map, tracks=seen)
+    belief = dataclasses.replace(open_map, obstacles=seen)
     for caution in (0.0, 1.0, 2.0):
         cost = CollisionCost(0.0, 0.0, caution)
         # One second ago and for none more, the deviation is hypot(0.3, 0.4) m.
@@ -160,7 +184,7 @@ def test_without_tracks_or_known_ones_only_the_map_counts(name, between) -> None
     for here in ((4.5, 2.0), (3.0, 3.0), (7.4, 7.4)):
         state = state_of(name, here, 0.5, 0.3)
         prices = [
-            price(CollisionCost(), state, dataclasses.replace(between, tracks=each))
+            price(CollisionCost(), state, dataclasses.replace(between, obstacles=each))
             for each in (None, NOBODY, unseen)
         ]
         assert prices[0] == prices[1] == prices[2]
@@ -180,7 +204,7 @@ def test_defaults(between) -> None:
 def test_slopes_are_finite_at_the_centre_of_an_obstacle_and_off_the_map(name, between) -> None:
     seen = tracks([[4.0, 4.0], [np.nan, 0.0], [0.0, 0.0]], np.zeros((3, 2)), *[np.ones(3)] * 2,
                   [1, 0, 0])  # fmt: skip
-    belief = dataclasses.replace(between, tracks=seen)
+    belief = dataclasses.replace(between, obstacles=seen)
     robot = ROBOTS[name][0]
 
     @jax.jit
@@ -217,7 +241,7 @@ def test_to_be_where_an_obstacle_could_be_costs_a_little(
         reached = t * np.hypot(*velocities[n].astype(np.float64))
         expected += 0.5 * max(too_close + reached - from_now, 0.0) ** 2
     seen = tracks(positions, velocities, radii, np.zeros(3), is_known)
-    belief, state = dataclasses.replace(between, tracks=seen), state_of(name, here, yaw, v)
+    belief, state = dataclasses.replace(between, obstacles=seen), state_of(name, here, yaw, v)
     with_it, without = (
         price(CollisionCost(0.07, 0.3, 0.0, reach), state, belief, t) for reach in (0.5, 0.0)
     )
@@ -228,7 +252,7 @@ def test_to_be_where_an_obstacle_could_be_costs_a_little(
 def test_one_that_goes_away_could_come_back(between) -> None:
     open_map = ScalarField(jnp.full((9, 9), 9.0), between.grid.frame, jnp.zeros(()))
     seen = tracks([[4.0, 4.0]] * 3, [[1.0, 0.0]] * 3, [0.3] * 3, [0.0] * 3, [1, 0, 0])
-    belief = dataclasses.replace(between, clearance=open_map, tracks=seen)
+    belief = dataclasses.replace(between, clearance=open_map, obstacles=seen)
     state = state_of("disc", (3.0, 4.0), 0.0, 0.0)
     paid = {t: price(CollisionCost(), state, belief, t) for t in (0.0, 0.4, 1.0)}
     # 1 m apart, less 0.3 m of it and 0.22 m of the robot: 0.48 m are free.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxplore import (
+    MPPI,
     CollisionCost,
     ControlCost,
     ControlJerkCost,
@@ -18,7 +19,6 @@ from jaxplore import (
     Ground,
     InformationField,
     MovingObstacleCost,
-    ObstacleDistanceCost,
     Obstacles,
     OccupancyGrid,
     Outlines,
@@ -36,8 +36,6 @@ from jaxplore import (
 )
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.tracks import Tracks
-from jaxplore.costs.moving import TrackedObstacleCost
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 
@@ -58,8 +56,29 @@ def obstacles_at(place: np.ndarray, size: float = 1.0) -> Obstacles:
         covariance=size * np.array([[3.0, 1.0], [1.0, 4.0]]),
         growth=size,
         turn_growth=0.1 * size,
+        age=0.5 * size,
+        memory=size,
     )
 
+
+def discs_at(place: np.ndarray, size: float = 1.0) -> Obstacles:
+    """Return two discs at a place, of which all is uncertain."""
+    return Obstacles(
+        Outlines.discs([place, place], size),
+        size * np.array([[0.5, 0.25], [1.0, 0.5]]),
+        [0.1 * size, 0.2 * size],
+        centres=place + size * np.array([[0.25, 0.0], [0.0, 0.5]]),
+        covariance=size * np.array([[3.0, 1.0], [1.0, 4.0]]),
+        growth=size,
+        turn_growth=0.1 * size,
+        age=0.5 * size,
+        memory=size,
+    )
+
+
+ALL = {"clearance": 0.4, "margin": 0.02, "caution": 1.0}
+OTHER = {"margin": 4.0, "reaction_time": 5.0}
+ALL_OTHER = {"clearance": 2.0, "collision": 3.0, "caution": 6.0, **OTHER}
 
 # Two of each kind in which every number differs.
 PAIRS = {
@@ -82,18 +101,18 @@ PAIRS = {
         DiscObstacleCost(np.ones((2, 2)), [1.0, 2.0], 3.0, 4.0, 5.0, 6.0),
     ],
     "moving": [
-        MovingObstacleCost([HERE, HERE], np.zeros((2, 2))),
-        MovingObstacleCost(
-            np.ones((2, 2)),
-            np.ones((2, 2)),
-            [1.0, 2.0],
-            covariance=[[3.0, 1.0], [1.0, 4.0]],
-            growth=5.0,
-        ),
+        MovingObstacleCost(discs_at(HERE), collision=None),
+        MovingObstacleCost(discs_at(np.ones(2), 2.0), nearness=2.0, collision=None, **OTHER),
     ],
     "outlined": [
-        ObstacleDistanceCost(obstacles_at(HERE)),
-        ObstacleDistanceCost(obstacles_at(np.ones(2), 2.0), 2.0, 3.0, 4.0, 5.0, 6.0),
+        MovingObstacleCost(obstacles_at(HERE), nearness=None, **ALL, nearest_only=True),
+        MovingObstacleCost(
+            obstacles_at(np.ones(2), 2.0), nearness=None, **ALL_OTHER, nearest_only=True
+        ),
+    ],
+    "moving, all terms": [
+        MovingObstacleCost(obstacles_at(HERE), **ALL),
+        MovingObstacleCost(obstacles_at(np.ones(2), 2.0), nearness=2.0, **ALL_OTHER),
     ],
     "effort": [ControlCost(), ControlCost()],
     "quadratic effort": [
@@ -103,7 +122,7 @@ PAIRS = {
     "rate": [ControlRateCost(1.0), ControlRateCost(2.0)],
     "jerk": [ControlJerkCost(1.0), ControlJerkCost(2.0)],
     "collision": [CollisionCost(1.0, 1.0, 1.0, 1.0), CollisionCost(2.0, 3.0, 4.0, 5.0)],
-    "tracked": [TrackedObstacleCost(), TrackedObstacleCost(1.0, 2.0, 3.0)],
+    "tracked": [MovingObstacleCost(), MovingObstacleCost(nearness=2.0, collision=3.0, **OTHER)],
     "terrain": [TerrainCost(), TerrainCost(1.0, 2.0)],
     "traversability": [TraversabilityCost(), TraversabilityCost(1.0, 0.9)],
     "to goal": [ToGoalCost(), ToGoalCost(2.0)],
@@ -126,10 +145,14 @@ def small_belief(seed: int = 0) -> Belief:
         return jnp.asarray(rng.uniform(0.0, 1.0, (6, 6)), jnp.float32)
 
     guidance = GuidanceField(field(), jnp.asarray(ways, jnp.float32), frame, jnp.asarray(1e4))
-    discs = Tracks.unseen([0.3, 0.4, 0.5])
+    discs = Obstacles.unseen([0.3, 0.4, 0.5])
     places = jnp.asarray([HERE, [1.0, -1.0], [np.nan, 0.0]], jnp.float32)
     known = jnp.asarray([True, True, False])
-    discs = eqx.tree_at(lambda some: (some.positions, some.is_known), discs, (places, known))
+    discs = eqx.tree_at(
+        lambda some: (some.outlines.corners, some.centres, some.is_known),
+        discs,
+        (places[:, None], places, known),
+    )
     return Belief(
         grid=OccupancyGrid(np.zeros((6, 6)), 1.0, origin),
         clearance=ScalarField(field(), frame, jnp.zeros(())),
@@ -138,7 +161,7 @@ def small_belief(seed: int = 0) -> Belief:
         dwell=jnp.zeros((6, 6)),
         ground=Ground(rng.uniform(0.0, 0.5, (6, 6)), 1.0, origin),
         to_goal=guidance,
-        tracks=discs,
+        obstacles=discs,
     )
 
 
@@ -238,13 +261,17 @@ def test_the_same_cost_serves_another_model(name, drone, shuffled) -> None:
         assert values[0] == pytest.approx(values[1], rel=1e-6)
 
 
+NOBODY = Obstacles(Outlines.discs(np.zeros((0, 2)), []), np.zeros((0, 2)), covariance=np.eye(2))
+
+
 @pytest.mark.parametrize(
     "cost",
     [
         DiscObstacleCost([], 0.3),
         DiscObstacleCost(np.zeros((0, 3)), []),
-        MovingObstacleCost([], []),
-        MovingObstacleCost(np.zeros((0, 2)), np.zeros((0, 2)), [], covariance=np.eye(2)),
+        MovingObstacleCost(Obstacles(Outlines.discs([], 0.3), [])),
+        MovingObstacleCost(NOBODY, **ALL),
+        MovingObstacleCost(NOBODY, nearness=None, **ALL, nearest_only=True),
     ],
 )
 def test_no_obstacles_cost_nothing(cost) -> None:
@@ -262,4 +289,30 @@ def test_no_obstacles_cost_nothing(cost) -> None:
 
 def test_some_moving_obstacles_need_as_many_velocities() -> None:
     with pytest.raises(ValueError, match=r"velocities has shape \(0,\); accepted: \(1, 2\)"):
-        MovingObstacleCost([[1.0, 2.0]], [])
+        Obstacles(Outlines.discs([[1.0, 2.0]], 0.3), [])
+
+
+@pytest.mark.parametrize(
+    ("name", "missing", "lacking"),
+    [
+        ("collision", "clearance", "the belief of a Perception"),
+        ("tracked", "obstacles", r"Belief\(obstacles=\.\.\.\), or obstacles given to the cost"),
+        ("to goal", "to_goal", "the belief of a Perception with a goal apart"),
+    ],
+)
+def test_a_part_that_the_belief_lacks_is_named(name, missing, lacking, drone) -> None:
+    without = eqx.tree_at(
+        lambda known: getattr(known, missing), small_belief(), None, is_leaf=lambda x: x is None
+    )
+    for known in (without, Belief()):
+        with pytest.raises(ValueError, match=f"^belief has no {missing}; accepted: {lacking}$"):
+            total(PAIRS[name][0], drone(), CONTROLS[0], jnp.zeros(()), CONTROLS, known)
+
+
+def test_a_controller_says_so_too() -> None:
+    robot = DifferentialDrive()
+    given = {"horizon": 3, "num_samples": 4, "noise_std": [1.0, 1.0], "dt": 0.1}
+    mppi = MPPI(robot, MovingObstacleCost(), **given, temperature=1.0)
+    for known in (None, Belief()):
+        with pytest.raises(ValueError, match=r"^belief has no obstacles; accepted"):
+            mppi.step(mppi.init(), jnp.zeros(5), known, key=jax.random.key(0))

@@ -119,7 +119,7 @@ def test_where_there_is_no_way_to_go_no_heading_is_better(homing, at) -> None:
 
 def test_without_the_field_it_says_what_is_missing_when_traced(belief, at) -> None:
     assert belief.to_goal is None
-    message = "belief.to_goal is None; accepted: the belief of a Perception with a goal apart"
+    message = "belief has no to_goal; accepted: the belief of a Perception with a goal apart"
     with pytest.raises(ValueError, match=message):
         jax.jit(lambda values: ToGoalCost().stage(
             State(values, at(0.0, 0.0).dynamics), jnp.zeros(2), jnp.zeros(()), belief

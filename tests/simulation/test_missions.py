@@ -247,7 +247,7 @@ def watched() -> Watched:
     tracks, times = [], []
     for scan in range(100):
         state, _ = advance(controller, given, state, 1 if scan == 0 else 2)
-        tracks.append(jax.tree.map(np.asarray, state.task.belief.tracks))
+        tracks.append(jax.tree.map(np.asarray, state.task.belief.obstacles))
         times.append(2 * scan * PERIOD)
     return Watched(state, float(state.task.moving_obstacles.phase[0]), tracks, times)
 
@@ -264,8 +264,8 @@ def test_tracks_follow_what_is_in_sight(watched) -> None:
         assert (track.age[0] == 0.0) == in_sight
         assert bool(track.is_known[0]) == any(seen)
         if in_sight:
-            errors.append(track.positions[0] - there)
-            assert track.std[0] == pytest.approx(0.05)
+            errors.append(track.centres[0] - there)
+            np.testing.assert_allclose(track.covariance[0], 0.05**2 * np.eye(2), rtol=1e-6)
             assert np.abs(np.abs(track.velocities[0]) - [1.0, 0.0]).max() < 4 * 0.1
     assert 20 < sum(seen) < 100
     assert np.abs(errors).max() < 4 * 0.05
@@ -280,8 +280,8 @@ def test_out_of_sight_tracks_go_on_and_grow_older(watched) -> None:
     for before, after in zip(watched.tracks[first:-1], watched.tracks[first + 1 :], strict=True):
         if after.age[0] > 0.0:
             assert after.age[0] == pytest.approx(before.age[0] + 2 * PERIOD, abs=1e-5)
-            expected = before.positions[0] + 2 * PERIOD * before.velocities[0]
-            np.testing.assert_allclose(after.positions[0], expected, atol=1e-4)
+            expected = before.centres[0] + 2 * PERIOD * before.velocities[0]
+            np.testing.assert_allclose(after.centres[0], expected, atol=1e-4)
             checked += 1
     assert checked > 5
 

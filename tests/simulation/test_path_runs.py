@@ -22,7 +22,8 @@ CAR = jx.Ackermann(
     integrator=jx.Euler(),
 )
 OTHER = 20.0 * jx.ComfortCost(lateral=1.0, free_lateral=6.0)
-AROUND = 100.0 * jx.ObstacleDistanceCost(collision=1.0)
+KEEP = {"nearness": None, "margin": 0.02, "caution": 1.0, "nearest_only": True}
+AROUND = 100.0 * jx.MovingObstacleCost(clearance=0.4, collision=1.0, **KEEP)
 
 
 def mpcc(path=RING, *, other=OTHER, **changes):
@@ -122,7 +123,7 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
         growth=0.3,
         traffic=jx.Traffic(RING, [5.0, 9.0], [0.1, 0.2], [0.3, -0.8], radii=[0.2, 0.3]),
     )
-    costs = 7.0 * jx.ComfortCost(), 50.0 * jx.ObstacleDistanceCost(clearance=0.6)
+    costs = 7.0 * jx.ComfortCost(), 50.0 * jx.MovingObstacleCost(clearance=0.6, **KEEP)
     heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).controller
     run_chunk(heavier, moved, initial_loop_state(heavier, moved), key, one, 25)
     assert run_chunk._cached._cache_size() == before

@@ -1,21 +1,34 @@
 """What the robot knows."""
 
+from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridValues, Pose, Scalar
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.tracks import Tracks
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
+if TYPE_CHECKING:
+    # Whatever explores has a map: its code need not ask each time whether it is there.
+    _Present = TypeVar("_Present")
+    Part = Annotated[_Present, "None where the belief has no such part"]
+else:
+    Part = Optional
+
 
 class Belief(eqx.Module):
-    """The robot's map and the fields derived from it: all that a cost may read.
+    """The robot's map, the fields derived from it, and the moving obstacles: all costs may read.
+
+    Any part may be absent, None. A robot that explores has the map and its fields (`Perception`
+    makes them); one that follows a path has `Belief(obstacles=...)`. A cost that needs a part that
+    is absent raises a `ValueError` when it is traced.
 
     Args:
         grid: occupancy, from the robot's own scans.
@@ -30,22 +43,22 @@ class Belief(eqx.Module):
         ground: what it drives on, known beforehand; level and passable when absent.
         to_goal: cost to go to the goal [m], through whatever is not known to be blocked, and the
             way there; absent if nothing asks for it.
-        tracks: what moves, as the robot's tracker knows it; nothing when absent.
+        obstacles: moving obstacles that the robot knows of; none when absent.
         idleness: (H, W) time since each cell was seen [s], infinite if never; absent if nobody
             keeps watch.
     """
 
-    grid: OccupancyGrid
-    clearance: ScalarField
-    information: InformationField
-    guidance: GuidanceField
-    dwell: Float[Array, "rows columns"]
+    grid: Part[OccupancyGrid] = None
+    clearance: Part[ScalarField] = None
+    information: Part[InformationField] = None
+    guidance: Part[GuidanceField] = None
+    dwell: Part[Float[Array, "rows columns"]] = None
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
     patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
     pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))
     ground: Ground | None = None
     to_goal: GuidanceField | None = None
-    tracks: Tracks | None = None
+    obstacles: Obstacles | None = None
     idleness: GridValues | None = None
 
     @property
@@ -84,3 +97,32 @@ class StrategicBelief(Belief):
         index = before.astype(jnp.int32)
         start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
         return start + (row - before) * (end - start)
+
+
+class MissingPartError(ValueError):
+    """A cost needs a part that the belief does not have."""
+
+
+def part(belief: Any, name: str) -> Any:
+    """Return a part of a belief that a cost needs.
+
+    Args:
+        belief: a `Belief`, any object with such an attribute, or None.
+        name: of the part.
+
+    Raises:
+        MissingPartError: it is absent, or there is no belief.
+    """
+    found = getattr(belief, name, None)
+    if found is None:
+        raise MissingPartError(f"belief has no {name}; accepted: {_SOURCES.get(name, _MAP)}")
+    return found
+
+
+_MAP = "the belief of a Perception"
+_SOURCES = {
+    "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
+    "to_goal": "the belief of a Perception with a goal apart",
+    **dict.fromkeys(("potential", "best", "local", "reference"), "a StrategicBelief"),
+}
+"""Where parts of a belief come from; what is not listed is derived from the map."""

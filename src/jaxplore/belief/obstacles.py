@@ -1,48 +1,65 @@
-"""Obstacles that a robot knows of, and where they will be."""
+"""Moving obstacles as a robot knows them, and where they will be."""
 
+import dataclasses
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float
 
-from jaxplore._checks import array, covariances, one_each
+from jaxplore._checks import array, covariances, one_each, scalar
 from jaxplore._types import Key, Rows, Scalar, Vector
 from jaxplore.geometry.outlines import Outlines
 
+FAR = 1e9
+"""Where predictions put an obstacle that is not known, along x and y [m]."""
+
 
 class Obstacles(eqx.Module):
-    """N obstacles, and how they go on: with constant velocity and constant turn rate.
+    """N moving obstacles: where they are, how they move, and how well that is known.
 
-    The n-th turns with the rate w about its centre p, whose velocity v turns with it. At time t
+    Each moves with constant velocity and constant turn rate. The n-th turns with the rate w about
+    its centre p, whose velocity v turns with it. At time t
 
         p(t) = p + t (s v + c J v),   s = sin(w t) / (w t),   c = (1 - cos(w t)) / (w t)
 
-    with J a quarter turn to the left: an arc, or for w = 0 a line, and one that stands where v = 0
-    as well. Where it is becomes less certain with time, to first order in the errors of p, v and w:
+    with J a quarter turn to the left: an arc, or for w = 0 a line; it stands still where v = 0 as
+    well. Its position becomes less certain with the time a since it was measured, to first order in
+    the errors of p, v and w:
 
-        C(t) = C + (growth t)^2 I + turn_growth^2 d d^T,   d = dp(t) / dw
+        C(t) = C + (growth (a + t))^2 I + turn_growth^2 d d^T,   d = dp / dw over the time a + t
 
     (The constant-turn model with known rate of Li and Jilkov, "Survey of maneuvering target
-    tracking. Part I: dynamic models", IEEE TAES 2003, section V.B.1. Its errors here are constants
-    that nobody knows, not white noise: they last.)
+    tracking. Part I: dynamic models", IEEE TAES 2003, section V.B.1. Its errors here are unknown
+    constants, not white noise: they last.)
 
-    All of it are leaves: other obstacles in the same number do not recompile.
+    An obstacle that is not known, because it was never seen or is forgotten, is predicted out of
+    reach (`FAR`), exactly, and without size. So no cost counts it, whatever its numbers are.
+
+    A tracker starts with `unseen` and calls `update`.
+
+    All fields are array leaves: other obstacles of the same number do not recompile.
 
     Args:
         outlines: where they are now.
-        velocities: (N, 2) of their centres [m/s]; they stand when absent.
+        velocities: (N, 2) of their centres [m/s]; 0 when absent.
         turn_rates: (N,) or one number [rad/s], positive to the left.
         centres: (N, 2) about which they turn [m]; the middles of their bounding boxes when absent.
-        std: of where they are now along either axis, (N,) or one number [m]; 0, exact, when absent.
+        std: of their positions along either axis when they were measured, (N,) or one number [m];
+            0, exact, when absent.
         covariance: (N, 2, 2), or (2, 2) for all [m^2]; instead of `std`.
         growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
         turn_growth: standard deviation of the turn rate, (N,) or one number [rad/s].
+        age: time since each was measured, (N,) or one number [s]; they are as of now when absent.
+        is_known: (N,) false: never seen, or forgotten; all are known when absent.
+        memory: time without a measurement after which `update` forgets an obstacle [s].
 
     Raises:
-        ValueError: shapes that do not fit, numbers that are not finite, a negative deviation, a
-            covariance that is not symmetric and positive semidefinite, `std` beside it.
+        ValueError: shapes that do not fit, numbers that are not finite, a negative deviation or
+            age, a covariance that is not symmetric and positive semidefinite, `std` beside it, a
+            memory that is not positive.
     """
 
     outlines: Outlines
@@ -52,6 +69,9 @@ class Obstacles(eqx.Module):
     covariance: Float[Array, "N 2 2"]
     growth: Float[Array, " N"]
     turn_growth: Float[Array, " N"]
+    age: Float[Array, " N"] | None
+    is_known: Bool[Array, " N"] | None
+    memory: Scalar
 
     def __init__(
         self,
@@ -64,6 +84,9 @@ class Obstacles(eqx.Module):
         covariance: Rows | None = None,
         growth: Vector = 0.0,
         turn_growth: Vector = 0.0,
+        age: Vector | None = None,
+        is_known: ArrayLike | None = None,
+        memory: ArrayLike = 3.0,
     ) -> None:
         number = outlines.number
         rows: dict[str, Any] = {"may_be_empty": number == 0}
@@ -81,46 +104,149 @@ class Obstacles(eqx.Module):
         self.covariance = covariances(std, covariance, number, may_be_zero=True)
         self.growth = one_each("growth", growth, number, at_least=0.0)
         self.turn_growth = one_each("turn_growth", turn_growth, number, at_least=0.0)
+        self.age = None if age is None else one_each("age", age, number, at_least=0.0)
+        self.is_known = None if is_known is None else jnp.array(is_known, bool)
+        if self.is_known is not None and self.is_known.shape != (number,):
+            raise ValueError(f"is_known has shape {self.is_known.shape}; accepted: ({number},)")
+        self.memory = scalar("memory", memory, above=0.0)
+
+    @classmethod
+    def unseen(cls, radii: Vector, growth: Vector = 0.2, memory: ArrayLike = 3.0) -> "Obstacles":
+        """Return the discs that a tracker starts with: none has been seen yet.
+
+        Args:
+            radii: (N,) [m]; none of them is fine.
+            growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
+            memory: time without a measurement after which an obstacle is forgotten [s]. It may be
+                anywhere by then, and who keeps clear of all of that runs into walls.
+
+        Raises:
+            ValueError: radii that are not N finite numbers >= 0, a negative growth, a memory that
+                is not positive.
+        """
+        sizes = array("radii", radii, ("N",), at_least=0.0, may_be_empty=True)
+        number = sizes.shape[0]
+        return cls(
+            Outlines.discs(jnp.zeros((number, 2)), sizes),
+            growth=growth,
+            age=0.0,
+            is_known=jnp.zeros(number, bool),
+            memory=memory,
+        )
 
     def __add__(self, other: "Obstacles") -> "Obstacles":
-        """Return the obstacles of both."""
+        """Return the obstacles of both, which are forgotten as those of `self` are."""
         both = (self, other)
+        names = ("velocities", "turn_rates", "centres", "covariance", "growth", "turn_growth")
         merged: dict[str, Array] = {
-            name: jnp.concatenate([getattr(each, name) for each in both])
-            for name in ("centres", "covariance", "growth", "turn_growth")
+            name: jnp.concatenate([getattr(each, name) for each in both]) for name in names
         }
-        velocities = jnp.concatenate([each.velocities for each in both])
-        turn_rates = jnp.concatenate([each.turn_rates for each in both])
-        return Obstacles(self.outlines + other.outlines, velocities, turn_rates, **merged)
+        if self.is_known is not None or other.is_known is not None:
+            merged["is_known"] = jnp.concatenate([each._known for each in both])
+        if self.age is not None or other.age is not None:
+            merged["age"] = jnp.concatenate([each._age for each in both])
+        return dataclasses.replace(self, outlines=self.outlines + other.outlines, **merged)
+
+    @property
+    def extents(self) -> Float[Array, " N"]:
+        """Radii of the circles about the centres that hold the outlines [m]."""
+        away = self.outlines.corners - self.centres[:, None]
+        square = jnp.max(jnp.sum(away * away, axis=-1), axis=-1)
+        # The slope of the root at 0, at the centre of a disc, is not a number.
+        is_zero = square <= 0.0
+        reach = jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
+        return self._if_known(reach + self.outlines.radii, 0.0)
+
+    @property
+    def speeds(self) -> Float[Array, " N"]:
+        """Speeds of the centres (N,) [m/s]; 0 of those that are not known."""
+        return self._if_known(jnp.hypot(*self.velocities.T), 0.0)
 
     def predicted_centres(self, t: Scalar) -> Float[Array, "N 2"]:
         """Return where the centres are `t` seconds from now (N, 2) [m]."""
-        half = 0.5 * t * self.turn_rates
-        chord = t * jnp.sinc(half / jnp.pi)
-        return self.centres + chord[:, None] * _turned(self.velocities, half)
+        return self._if_known(self._centres_at(t), FAR)
 
     def predicted(self, t: Scalar) -> Outlines:
         """Return the outlines as they are `t` seconds from now."""
-        corners = self.outlines.corners - self.centres[:, None]
-        turned = jax.vmap(_turned, in_axes=(1, None), out_axes=1)(corners, t * self.turn_rates)
-        return Outlines(turned + self.predicted_centres(t)[:, None], self.outlines.radii)
+        corners = self._corners_at(t, self._centres_at(t))
+        radii = self._if_known(self.outlines.radii, 0.0)
+        return Outlines(self._if_known(corners, FAR), radii)
 
     def predicted_covariance(self, t: Scalar) -> Float[Array, "N 2 2"]:
         """Return the covariance of the centres `t` seconds from now (N, 2, 2) [m^2]."""
-        half = 0.5 * t * self.turn_rates
-        # The chord is t sinc(half) long and half a turn ahead of the velocity.
-        stretch = 0.5 * t * t * _sinc_slope(half)
-        swing = 0.5 * t * t * jnp.sinc(half / jnp.pi)
-        ahead, beside = (
-            _turned(self.velocities, half),
-            _turned(self.velocities, half + 0.5 * jnp.pi),
-        )
-        per_turn = stretch[:, None] * ahead + swing[:, None] * beside
-        drift = (self.growth * t) ** 2
-        return (
+        per_turn = self._slope_at(t)
+        drift = (self.growth * self._time_at(t)) ** 2
+        covariance = (
             self.covariance
             + drift[:, None, None] * jnp.eye(2)
             + (self.turn_growth**2)[:, None, None] * per_turn[:, :, None] * per_turn[:, None, :]
+        )
+        return self._if_known(covariance, 0.0)
+
+    def deviation(self, t: Scalar) -> Float[Array, " N"]:
+        """Return the standard deviation (N,) of the centres `t` seconds from now [m].
+
+        It is that along the axis where it is greatest: the root of the greatest eigenvalue of C(t).
+        """
+        covariance = self.predicted_covariance(t)
+        a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+        return jnp.sqrt(0.5 * (a + c) + jnp.hypot(0.5 * (a - c), b))
+
+    def after(self, elapsed: Scalar) -> "Obstacles":
+        """Return the obstacles a time later, without a measurement [s].
+
+        They have moved on as predicted and are that much older. Those that were seen by a tracker
+        are forgotten when their age exceeds `memory`.
+        """
+        centres, age = self._centres_at(elapsed), self._age + elapsed
+        # Obstacles that move straight keep their velocity to the bit.
+        is_straight = (self.turn_rates == 0.0)[:, None]
+        turned = _turned(self.velocities, elapsed * self.turn_rates)
+        return dataclasses.replace(
+            self,
+            outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
+            centres=centres,
+            velocities=jnp.where(is_straight, self.velocities, turned),
+            age=age,
+            is_known=None if self.is_known is None else self.is_known & (age <= self.memory),
+        )
+
+    def update(
+        self,
+        measured_positions: Float[Array, "N 2"],
+        measured_velocities: Float[Array, "N 2"],
+        is_seen: Bool[Array, " N"],
+        position_std: Scalar,
+        elapsed: Scalar,
+    ) -> "Obstacles":
+        """Return the obstacles a time later, with what a tracker measures of them then.
+
+        Obstacles that are measured are where they were measured. The others have moved on as
+        predicted, and are forgotten when their age exceeds `memory`. A measurement that is not
+        finite is no measurement.
+
+        Args:
+            measured_positions: (N, 2) of the centres [m].
+            measured_velocities: (N, 2) [m/s].
+            is_seen: (N,) which of them are measured.
+            position_std: standard deviation of a measured position along either axis [m].
+            elapsed: time since the last update [s].
+        """
+        measured = jnp.concatenate([measured_positions, measured_velocities], axis=-1)
+        is_measured = is_seen & jnp.isfinite(measured).all(axis=-1)
+        takes = is_measured[:, None]
+        later = self.after(elapsed)
+        centres = jnp.where(takes, measured_positions, later.centres)
+        age = jnp.where(is_measured, 0.0, later._age)
+        exactness = position_std * position_std * jnp.eye(2)
+        return dataclasses.replace(
+            self,
+            outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
+            centres=centres,
+            velocities=jnp.where(takes, measured_velocities, later.velocities),
+            covariance=jnp.where(takes[:, None], exactness, self.covariance),
+            age=age,
+            is_known=(self._known | is_measured) & (age <= self.memory),
         )
 
     def drawn(self, key: Key) -> "Obstacles":
@@ -128,16 +254,72 @@ class Obstacles(eqx.Module):
         number = self.outlines.number
         first, second, third = jax.random.split(key, 3)
         shift = jax.random.normal(first, (number, 2))
-        off = jnp.einsum("nij,nj->ni", _root(self.covariance), shift)
         faster = self.growth[:, None] * jax.random.normal(second, (number, 2))
         turn = self.turn_growth * jax.random.normal(third, (number,))
-        outlines = Outlines(self.outlines.corners + off[:, None], self.outlines.radii)
-        return Obstacles(
-            outlines,
-            self.velocities + faster,
-            self.turn_rates + turn,
+        off = jnp.einsum("nij,nj->ni", _root(self.covariance), shift)
+        velocities = self.velocities
+        if self.age is not None:
+            # The errors of velocity and turn rate have lasted since the measurement.
+            off = off + self.age[:, None] * faster
+            off = off + turn[:, None] * self._slope_at(jnp.zeros(()))
+            velocities = _turned(velocities, self.age * turn)
+        return dataclasses.replace(
+            self,
+            outlines=Outlines(self.outlines.corners + off[:, None], self.outlines.radii),
+            velocities=velocities + faster,
+            turn_rates=self.turn_rates + turn,
             centres=self.centres + off,
+            covariance=jnp.zeros_like(self.covariance),
+            growth=jnp.zeros(number),
+            turn_growth=jnp.zeros(number),
+            age=None,
         )
+
+    def _if_known(self, values: Array, otherwise: float) -> Array:
+        """Return values (N, ...), and something else of obstacles that are not known."""
+        if self.is_known is None:
+            return values
+        rows = self.is_known.reshape(-1, *[1] * (values.ndim - 1))
+        return jnp.where(rows, values, otherwise)
+
+    @property
+    def _known(self) -> Bool[Array, " N"]:
+        return jnp.ones_like(self.growth, bool) if self.is_known is None else self.is_known
+
+    @property
+    def _age(self) -> Float[Array, " N"]:
+        return jnp.zeros_like(self.growth) if self.age is None else self.age
+
+    def _time_at(self, t: Scalar) -> Float[Array, "*N"]:
+        """Return the time between the measurement and `t` seconds from now [s]."""
+        return t if self.age is None else self.age + t
+
+    def _centres_at(self, t: Scalar) -> Float[Array, "N 2"]:
+        """Return the centres at a time, also of those that are not known (N, 2) [m]."""
+        half = 0.5 * t * self.turn_rates
+        chord = t * jnp.sinc(half / jnp.pi)
+        return self.centres + chord[:, None] * _turned(self.velocities, half)
+
+    def _corners_at(self, t: Scalar, centres: Float[Array, "N 2"]) -> Float[Array, "N V 2"]:
+        """Return the corners at a time (N, V, 2), turned and put around centres [m]."""
+        corners = self.outlines.corners - self.centres[:, None]
+        turned = jax.vmap(_turned, in_axes=(1, None), out_axes=1)(corners, t * self.turn_rates)
+        return turned + centres[:, None]
+
+    def _slope_at(self, t: Scalar) -> Float[Array, "N 2"]:
+        """Return d, the derivative of the centres at a time by the turn rates (N, 2) [m s]."""
+        time = self._time_at(t)
+        half = 0.5 * time * self.turn_rates
+        # The chord since the measurement is time sinc(half) long, and half a turn ahead of the
+        # velocity that was measured, from which the velocity of now has turned on.
+        stretch = 0.5 * time * time * _sinc_slope(half)
+        swing = 0.5 * time * time * jnp.sinc(half / jnp.pi)
+        along = half if self.age is None else half - self.age * self.turn_rates
+        ahead, beside = (
+            _turned(self.velocities, along),
+            _turned(self.velocities, along + 0.5 * jnp.pi),
+        )
+        return stretch[:, None] * ahead + swing[:, None] * beside
 
 
 def _turned(vectors: Float[Array, "N 2"], angles: Float[Array, " N"]) -> Float[Array, "N 2"]:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxplore._trees import stack_trees
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
-from jaxplore.belief.obstacles import Obstacles
+from jaxplore.belief.belief import part
 from jaxplore.dynamics.base import Dynamics
 
 
@@ -216,7 +216,7 @@ class UncertainObstacles(Disturbance):
     `ConditionalValueAtRisk`, this gives the collision risk of a whole control sequence. The robot's
     rollout is computed once for all outcomes, unless the robot is disturbed as well.
 
-    The belief must be `Obstacles`, or have them as `obstacles`; they are replaced by the draw.
+    Reads and replaces `belief.obstacles`.
 
     Args:
         robot: disturbance of the robot itself; none by default.
@@ -254,9 +254,8 @@ class UncertainObstacles(Disturbance):
 
     def belief(self, belief: Any, drawn: Any) -> Any:
         """Return the belief with the drawn obstacles."""
-        if isinstance(belief, Obstacles):
-            return belief.drawn(drawn[0])
-        return eqx.tree_at(lambda known: known.obstacles, belief, belief.obstacles.drawn(drawn[0]))
+        obstacles = part(belief, "obstacles").drawn(drawn[0])
+        return eqx.tree_at(lambda known: known.obstacles, belief, obstacles)
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
         """Raise a `ValueError` if the disturbance of the robot does not fit the model."""

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore._xla import cut
+from jaxplore.belief.belief import MissingPartError
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.risk import Risk
 from jaxplore.costs.base import Cost
@@ -256,7 +257,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     check_state(dynamics, reached.shape)
     for _, term in cost.terms():
         # A cost that reads the belief fails here, whatever the error: it is checked in `step`.
-        with contextlib.suppress(AttributeError, TypeError):
+        with contextlib.suppress(AttributeError, TypeError, MissingPartError):
             check_costs(dynamics, term, horizon, None)
 
 

@@ -7,15 +7,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Flag, Scalar
-from jaxplore.belief.belief import Belief
-from jaxplore.belief.tracks import Tracks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.belief.belief import Belief, part
 from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
-from jaxplore.costs._distance import offset
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.geometry.vectors import length
+from jaxplore.geometry.outlines import nearest
 
 
 class CollisionCost(Cost):
@@ -26,11 +24,11 @@ class CollisionCost(Cost):
     its surface is expected,
 
         ((c - d)_+ / 0.05 m)^2 + sum_n ((c + caution s_n(t) - g_n)_+ / 0.05 m)^2,
-        c = r + margin + reaction_time |v|,   s_n(t) = deviation of its place
+        c = r + margin + reaction_time |v|,   s_n(t) = standard deviation of its position
 
-    the hard part of `ObstacleCost` and `TrackedObstacleCost` alone. For a `Portfolio`, whose
+    the collision terms of `ObstacleCost` and `MovingObstacleCost` alone. For a `Portfolio`, whose
     members weigh how far to keep from obstacles, but not whether to hit them. Moving obstacles are
-    those of `belief.tracks`; where it is absent there are none.
+    those of `belief.obstacles`; where it is absent there are none.
 
     What moves may turn at any time. With v_n an obstacle's speed and h_n the distance of a disc's
     centre from where its surface is now, a rollout pays beside that, far less,
@@ -49,7 +47,7 @@ class CollisionCost(Cost):
         reach: cost of each step that is a metre deep in where an obstacle could be [1/m^2].
 
     Raises:
-        ValueError: a negative value.
+        ValueError: a negative value. When traced, a belief without a clearance.
     """
 
     margin: Scalar
@@ -72,34 +70,30 @@ class CollisionCost(Cost):
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the squared depth, in 5 cm."""
         too_close = contact(state, self.margin, self.reaction_time)
-        parts = levers(state)
+        field, parts = part(belief, "clearance"), levers(state)
 
         def clearance(lever: Lever) -> Scalar:
             centre = state.position
-            return belief.clearance(jnp.stack(shifted(tuple(centre), lever)) if lever else centre)
+            return field(jnp.stack(shifted(tuple(centre), lever)) if lever else centre)
 
         deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)
         total = deep * deep
-        if belief.tracks is None:
+        obstacles = belief.obstacles
+        if obstacles is None:
             return total
-        tracks: Tracks = belief.tracks
+        points = [shifted(tuple(state.position), lever) for lever in parts]
 
-        def gap(centre: Array, radius: Scalar) -> Scalar:
-            away = offset(state, centre)
-            distances = [length(*shifted(away, lever)) for lever in parts]
-            return functools.reduce(jnp.minimum, distances) - radius
+        def gap(corners: Array, radius: Scalar) -> Scalar:
+            distances = [nearest(corners, radius, x, y).distance for x, y in points]
+            return functools.reduce(jnp.minimum, distances)
 
-        def price(obstacle: tuple[Array, Array, Scalar, Scalar, Scalar, Flag]) -> Scalar:
-            expected, now, radius, spread, speed, counts = obstacle
+        def price(obstacle: tuple[Array, Array, Scalar, Scalar, Scalar]) -> Scalar:
+            expected, now, radius, spread, speed = obstacle
             inside = depth(gap(expected, radius), too_close + spread)
             within = jnp.maximum(too_close + speed * t - gap(now, radius), 0.0)
-            return jnp.where(counts, inside * inside + self.reach * within * within, 0.0)
+            return inside * inside + self.reach * within * within
 
-        is_known = tracks.is_known
-        expected, now = (
-            jnp.where(is_known[:, None], places, 0.0)
-            for places in (tracks.predicted(t), tracks.positions)
-        )
-        spreads = self.caution * jnp.where(is_known, tracks.deviation(t), 0.0)
-        speeds = jnp.where(is_known, jnp.hypot(*tracks.velocities.T), 0.0)
-        return total + add_up(price, (expected, now, tracks.radii, spreads, speeds, is_known))
+        expected, now = obstacles.predicted(t), obstacles.predicted(jnp.zeros(()))
+        spreads = self.caution * obstacles.deviation(t)
+        things = (expected.corners, now.corners, expected.radii, spreads, obstacles.speeds)
+        return total + add_up(price, things)

@@ -8,13 +8,16 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Scalar, Vector
-from jaxplore.belief.belief import Belief, StrategicBelief
+from jaxplore.belief.belief import Belief, StrategicBelief, part
 from jaxplore.belief.dwell import dwell_discount
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
+from jaxplore.information.field import InformationField
+from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
 
 
@@ -34,11 +37,11 @@ class InformationCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return minus the information of a scan per beam."""
-        field = belief.information
+        field: InformationField = part(belief, "information")
         reward = field(state.position, state.heading) / field.num_beams
         if not self.is_fading:
             return -reward
-        dwell = ScalarField(belief.dwell, field.frame, jnp.zeros(()))
+        dwell = ScalarField(part(belief, "dwell"), field.frame, jnp.zeros(()))
         return -reward * dwell_discount(dwell(state.position), belief.patience)
 
 
@@ -76,13 +79,14 @@ class GuidanceCost(Cost):
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost to go and of the heading."""
         position, heading = state.position, state.heading
-        way = belief.guidance.direction(position)
+        guidance: GuidanceField = part(belief, "guidance")
+        way = guidance.direction(position)
         sin, cos = sin_cos(heading)
         facing = cos * way[0] + sin * way[1]
-        here = belief.guidance(belief.pose[:2])
+        here = guidance(belief.pose[:2])
         # Off the lattice there is nothing to compare with.
-        least = jnp.where(here < belief.guidance.outside, here - self.reach, -jnp.inf)
-        return jnp.maximum(belief.guidance(position), least) + self.turning * (1.0 - facing)
+        least = jnp.where(here < guidance.outside, here - self.reach, -jnp.inf)
+        return jnp.maximum(guidance(position), least) + self.turning * (1.0 - facing)
 
 
 class PotentialCost(Cost):
@@ -104,8 +108,10 @@ class PotentialCost(Cost):
     ) -> Scalar:
         """Return minus the information."""
         if self.by_heading:
-            return -belief.potential(state.position, state.heading)
-        return -belief.best(state.position)
+            by_heading: HeadingField = part(belief, "potential")
+            return -by_heading(state.position, state.heading)
+        best: ScalarField = part(belief, "best")
+        return -best(state.position)
 
 
 class LocalInformationCost(Cost):
@@ -119,7 +125,8 @@ class LocalInformationCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
         """Return minus the information."""
-        return -belief.local(state.position, state.heading)
+        local: HeadingField = part(belief, "local")
+        return -local(state.position, state.heading)
 
 
 class StrategyReferenceCost(Cost):
@@ -130,6 +137,7 @@ class StrategyReferenceCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
         """Return the squared distance at the time when the state is reached."""
+        part(belief, "reference")
         position, wanted = state.position, belief.reference_at(t)
         x, y = position[0] - wanted[0], position[1] - wanted[1]
         return x * x + y * y

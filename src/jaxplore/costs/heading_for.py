@@ -4,7 +4,8 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
-from jaxplore.belief.belief import Belief
+from jaxplore.belief.belief import Belief, part
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
@@ -35,15 +36,12 @@ class ToGoalCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost to go and of the heading."""
-        if belief.to_goal is None:
-            raise ValueError(
-                "belief.to_goal is None; accepted: the belief of a Perception with a goal apart"
-            )
+        to_goal: GuidanceField = part(belief, "to_goal")
         position, heading = state.position, state.heading
-        way = belief.to_goal.direction(position)
+        way = to_goal.direction(position)
         sin, cos = sin_cos(heading)
         facing = cos * way[0] + sin * way[1]
-        return belief.to_goal(position) + self.turning * (length(way[0], way[1]) - facing)
+        return to_goal(position) + self.turning * (length(way[0], way[1]) - facing)
 
 
 class RegionCost(Cost):
@@ -69,8 +67,8 @@ class RegionCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the distance gone elsewhere."""
-        position = state.position
-        x, y = position[0] - belief.pose[0], position[1] - belief.pose[1]
-        angle = belief.pose[2] + self.direction
+        position, pose = state.position, part(belief, "pose")
+        x, y = position[0] - pose[0], position[1] - pose[1]
+        angle = pose[2] + self.direction
         sin, cos = sin_cos(angle)
         return length(x, y) - (x * cos + y * sin)

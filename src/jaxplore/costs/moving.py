@@ -1,169 +1,203 @@
-"""Costs of being near obstacles that move: those given beforehand, and those the robot tracks."""
+"""The cost of being near moving obstacles."""
 
 import functools
-import itertools
-from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._checks import array, covariances, isotropic, one_each
-from jaxplore._types import ControlVector, Flag, Rows, Scalar, Vector
-from jaxplore.belief.tracks import Tracks
+from jaxplore._types import ControlVector, Scalar
+from jaxplore.belief.belief import part
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.costs._contact import contact, depth, levers, shifted
-from jaxplore.costs._distance import offset
-from jaxplore.costs._many import add_up
+from jaxplore.costs._many import add_up, least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.geometry.vectors import length
+from jaxplore.geometry.outlines import nearest
+
+SMALLEST = 1e-3
+"""Least width of a Gaussian [m]: a point robot meets a point that is known exactly."""
+
+
+class _Obstacle(NamedTuple):
+    """One obstacle when the state is reached, or N of them on the first axis; unused ones are None.
+
+    `form` are the coefficients of x^2, x y and y^2 in the exponent of its Gaussian, `variances`
+    those in the variance of its distance.
+    """
+
+    centre: Any
+    form: Any
+    corners: Any
+    radius: Any
+    variances: Any
 
 
 class MovingObstacleCost(Cost):
-    """Nearness to where moving obstacles are expected, a Gaussian around each:
+    """Nearness to moving obstacles where they are expected when the state is reached:
 
-        sum_n exp(-1/2 d_n^T S_n(t)^-1 d_n),   d_n = p - (p_n + v_n t)
-        S_n(t) = C_n + ((growth t)^2 + (r + r_n)^2) I
+        sum_n [ nearness exp(-1/2 e_n^T S_n(t)^-1 e_n)
+                + ((clearance - d_n)_+ / clearance)^2 + collision ((c - d_n)_+ / 0.05 m)^2 ]
 
-    They go on straight, and where they are becomes less certain with time: `growth` is the standard
-    deviation of their velocity. The robot's radius r and theirs widen the Gaussian, so at contact
-    with an obstacle that is known exactly it is exp(-1/2), about 0.6, and still rises further in.
+        e_n = p - p_n(t),   S_n(t) = C_n(t) + (r + r_n)^2 I
+        d_n = g_n - caution s_n,   s_n^2 = u^T C_n(t) u,   c = r + margin + reaction_time |v|
 
-    The peak is 1 at any time, not normalised: uncertainty spreads the cost and makes it no smaller.
+    with p the robot's centre, r its radius and v its speed; p_n(t) the centre of obstacle n, C_n(t)
+    its covariance (`Obstacles`) and r_n the radius of the circle about its centre that holds it;
+    g_n the distance of p from its outline, negative inside, and u the direction of the way there.
 
-    Of a robot that several discs cover (`Footprint`), r is their radius, and of each obstacle's
-    term the greatest over their centres p counts.
+    - The Gaussian keeps away from where an obstacle may be. Its peak is 1 at any time: uncertainty
+      spreads it and makes it no smaller. At contact with a disc that is known exactly it is
+      exp(-1/2), about 0.6, and still rises further in.
+    - The ramp and the collision term are those of `ObstacleCost`. They keep a distance from the
+      outline, which grows by `caution` standard deviations. What several outcomes come to, weighed
+      by a measure of risk, says more and takes longer: `UncertainObstacles`.
 
-    Args:
-        positions: p_n, (N, 2) where they are now [m]; none of them, N = 0, cost nothing.
-        velocities: v_n, (N, 2) [m/s].
-        radii: r_n, (N,) or one number [m].
-        std: of the position now along either axis, (N,) or one number [m]: `C_n = std_n^2 I`; 0.2
-            when absent.
-        covariance: C_n, (N, 2, 2), or (2, 2) for all [m^2]; instead of `std`.
-        growth: (N,) or one number [m/s].
-
-    Raises:
-        ValueError: shapes that do not fit, a `std` that is not positive, a covariance that is not
-            symmetric and positive definite, both of them, a negative radius or growth.
-    """
-
-    positions: Float[Array, "N 2"]
-    velocities: Float[Array, "N 2"]
-    radii: Float[Array, " N"]
-    covariance: Float[Array, "N 2 2"]
-    growth: Float[Array, " N"]
-
-    def __init__(
-        self,
-        positions: Rows,
-        velocities: Rows,
-        radii: Vector = 0.0,
-        std: Vector | None = None,
-        covariance: Rows | None = None,
-        growth: Vector = 0.2,
-    ) -> None:
-        self.positions = array("positions", positions, ("N", 2), may_be_empty=True)
-        number = self.positions.shape[0]
-        self.velocities = array("velocities", velocities, (number, 2), may_be_empty=number == 0)
-        self.radii = one_each("radii", radii, number, at_least=0.0)
-        std = 0.2 if std is None and covariance is None else std
-        self.covariance = covariances(std, covariance, number)
-        self.growth = one_each("growth", growth, number, at_least=0.0)
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the sum over the obstacles at the time when the state is reached."""
-        extent = state.dynamics.footprint.radius + self.radii
-        forms = _forms(self.covariance, self.growth * t, extent)
-        centres = self.positions + t * self.velocities
-        parts = levers(state)
-
-        def nearness(obstacle: tuple[Array, Array]) -> Scalar:
-            centre, form = obstacle
-            away = offset(state, centre)
-            return _nearness(form, [shifted(away, lever) for lever in parts])
-
-        return add_up(nearness, (centres, forms))
-
-
-class TrackedObstacleCost(Cost):
-    """Nearness to the moving obstacles that the robot tracks, and contact with them.
-
-    With g_n the distance of the robot's centre from the surface of obstacle n where it is expected
-    when the state is reached, negative inside,
-
-        sum over the known n of exp(-1/2 d_n^T S_n(t)^-1 d_n) + collision * ((c - g_n)_+ / 0.05 m)^2
-        d_n = p - (p_n + v_n t),  S_n(t) = (std_n^2 + (growth t)^2 + (r + r_n)^2) I
-        g_n = |d_n| - r_n,  c = r + margin + reaction_time * |v|
-
-    The first term is that of `MovingObstacleCost`: it keeps away from where one may be. The second
-    is that of `ObstacleCost`: it keeps from touching one that does what is expected. What was never
-    seen costs nothing.
+    With `nearest_only` both of the latter count the least d_n alone, not the sum.
 
     Of a robot that several discs cover (`Footprint`), r is their radius, and for each obstacle the
-    nearest of their centres p counts.
+    greatest Gaussian and the least d_n over their centres p count. An obstacle that is not known
+    costs nothing.
 
-    Reads `belief.tracks`, a `Tracks`.
+    A term whose factor is None is left out, and takes no time.
 
     Args:
-        margin: kept beyond both radii [m].
-        reaction_time: [s].
+        obstacles: known beforehand; those of the belief, `belief.obstacles`, when absent.
+        nearness: weight of the Gaussian.
+        clearance: distance from the robot's centre below which the ramp costs [m].
         collision: cost of each step that is 5 cm too close.
+        margin: kept beyond the robot's radius [m].
+        reaction_time: [s].
+        caution: standard deviations that are kept free.
+        nearest_only: whether the ramp and the collision term count the nearest obstacle only;
+            static.
 
     Raises:
-        ValueError: a negative value.
+        ValueError: a clearance that is not positive, another value that is negative. When traced, a
+            belief without obstacles.
     """
 
+    obstacles: Obstacles | None
+    nearness: Scalar | None
+    clearance: Scalar | None
+    collision: Scalar | None
     margin: Scalar
     reaction_time: Scalar
-    collision: Scalar
+    caution: Scalar | None
+    nearest_only: bool = eqx.field(static=True)
 
     def __init__(
         self,
+        obstacles: Obstacles | None = None,
+        *,
+        nearness: ArrayLike | None = 1.0,
+        clearance: ArrayLike | None = None,
+        collision: ArrayLike | None = 100.0,
         margin: ArrayLike = 0.1,
         reaction_time: ArrayLike = 0.05,
-        collision: ArrayLike = 100.0,
+        caution: ArrayLike | None = None,
+        nearest_only: bool = False,
     ) -> None:
+        self.obstacles = obstacles
+        self.nearness = _factor("nearness", nearness)
+        self.clearance = (
+            None if clearance is None else _checks.scalar("clearance", clearance, above=0.0)
+        )
+        self.collision = _factor("collision", collision)
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
-        self.collision = _checks.scalar("collision", collision, at_least=0.0)
+        self.caution = _factor("caution", caution)
+        self.nearest_only = bool(nearest_only)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the sum over the obstacles at the time when the state is reached."""
-        # Of an obstacle that was never seen nothing need be a number.
-        tracks: Tracks = belief.tracks
-        is_known = tracks.is_known
-        centres = jnp.where(is_known[:, None], tracks.predicted(t), 0.0)
-        std = jnp.where(is_known, tracks.deviation(t), 1.0)
-        extent = state.dynamics.footprint.radius + tracks.radii
-        forms = _forms(isotropic(std), jnp.zeros(()), extent)
+        """Return the cost of being this close when the state is reached."""
+        obstacles = part(belief, "obstacles") if self.obstacles is None else self.obstacles
+        has_distance = self.clearance is not None or self.collision is not None
+        sums_distances = has_distance and not self.nearest_only
+        things = self._expected(state, t, obstacles, has_distance)
+        points = _points(state)
         too_close = contact(state, self.margin, self.reaction_time)
-        parts = levers(state)
 
-        def price(obstacle: tuple[Array, Array, Scalar, Flag]) -> Scalar:
-            centre, form, radius, counts = obstacle
-            away = [shifted(offset(state, centre), lever) for lever in parts]
-            distance = functools.reduce(jnp.minimum, itertools.starmap(length, away)) - radius
+        def price(obstacle: _Obstacle) -> Scalar:
+            paid = jnp.zeros(())
+            if self.nearness is not None:
+                paid = paid + self.nearness * _gaussian(obstacle, points)
+            if sums_distances:
+                paid = paid + self._penalty(_gap(obstacle, points), too_close)
+            return paid
+
+        total = jnp.zeros(())
+        if self.nearness is not None or sums_distances:
+            total = add_up(price, things)
+        if has_distance and self.nearest_only:
+            room, _ = least(lambda obstacle: _gap(obstacle, points), things)
+            total = total + self._penalty(room, too_close)
+        return total
+
+    def distance(self, state: State, t: Scalar, obstacles: Obstacles) -> Scalar:
+        """Return the least d_n, the distance of the nearest obstacle from the robot's centres [m].
+
+        Args:
+            state: of the robot at that time.
+            t: time from now [s].
+            obstacles: as they are now.
+        """
+        things, points = self._expected(state, t, obstacles, True), _points(state)
+        return least(lambda obstacle: _gap(obstacle, points), things)[0]
+
+    def room(self, state: State, obstacles: Obstacles) -> Scalar:
+        """Return the distance of the robot's edge from obstacles as they are now [m]."""
+        return self.distance(state, jnp.zeros(()), obstacles) - state.dynamics.footprint.radius
+
+    def _expected(
+        self, state: State, t: Scalar, obstacles: Obstacles, has_distance: bool
+    ) -> _Obstacle:
+        """Return what the terms read of each obstacle, once for all samples."""
+        covariance = obstacles.predicted_covariance(t)
+        centre = form = corners = radius = variances = None
+        if self.nearness is not None:
+            centre = obstacles.predicted_centres(t)
+            form = _forms(covariance, state.dynamics.footprint.radius + obstacles.extents)
+        if has_distance:
+            outlines = obstacles.predicted(t)
+            corners, radius = outlines.corners, outlines.radii
+            if self.caution is not None:
+                entries = covariance[:, 0, 0], 2.0 * covariance[:, 0, 1], covariance[:, 1, 1]
+                variances = self.caution**2 * jnp.stack(entries, axis=-1)
+        return _Obstacle(centre, form, corners, radius, variances)
+
+    def _penalty(self, distance: Scalar, too_close: Scalar) -> Scalar:
+        """Return what the ramp and the collision term make of a distance."""
+        paid = jnp.zeros(())
+        if self.clearance is not None:
+            near = jnp.maximum(self.clearance - distance, 0.0) / self.clearance
+            paid = near * near
+        if self.collision is not None:
             deep = depth(distance, too_close)
-            paid = _nearness(form, away) + self.collision * deep * deep
-            return jnp.where(counts, paid, 0.0)
-
-        return add_up(price, (centres, forms, tracks.radii, is_known))
+            paid = paid + self.collision * deep * deep
+        return paid
 
 
-def _forms(
-    covariance: Float[Array, "N 2 2"], drift: Float[Array, "*N"], extent: Float[Array, " N"]
-) -> Float[Array, "N 3"]:
-    """Return the coefficients of x^2, x y and y^2 in -1/2 d^T S^-1 d.
+def _factor(name: str, value: ArrayLike | None) -> Scalar | None:
+    return None if value is None else _checks.scalar(name, value, at_least=0.0)
+
+
+def _points(state: State) -> list[tuple[Scalar, ...]]:
+    """Return the centres (x, y) of the discs that cover the robot [m]."""
+    return [shifted(tuple(state.position), lever) for lever in levers(state)]
+
+
+def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Float[Array, "N 3"]:
+    """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e.
 
     Args:
-        covariance: (N, 2, 2) of the positions now [m^2].
-        drift: what the deviation has become since, (N,) or one number [m].
+        covariance: (N, 2, 2) of the centres [m^2].
         extent: (N,) both radii together [m].
     """
-    wider = drift * drift + extent * extent
+    wider = jnp.maximum(extent, SMALLEST) ** 2
     a, b = covariance[:, 0, 0] + wider, covariance[:, 0, 1]
     c = covariance[:, 1, 1] + wider
     # -1/2 of the inverse of [[a, b], [b, c]], with the factor 2 of the mixed term.
@@ -171,7 +205,31 @@ def _forms(
     return jnp.stack([scale * c, -2.0 * scale * b, scale * a], axis=-1)
 
 
-def _nearness(form: Float[Array, "3"], offsets: Sequence[tuple[Scalar, ...]]) -> Scalar:
-    """Return the Gaussian at the offset from its middle where it is greatest."""
-    exponents = [form[0] * x * x + form[1] * x * y + form[2] * y * y for x, y in offsets]
+def _gaussian(obstacle: _Obstacle, points: list[tuple[Scalar, ...]]) -> Scalar:
+    """Return an obstacle's Gaussian at the point where it is greatest."""
+    (p, q, r), (middle_x, middle_y) = obstacle.form, obstacle.centre
+    exponents = []
+    for here in points:
+        x, y = here[0] - middle_x, here[1] - middle_y
+        exponents.append(p * x * x + q * x * y + r * y * y)
     return jnp.exp(functools.reduce(jnp.maximum, exponents))
+
+
+def _gap(obstacle: _Obstacle, points: list[tuple[Scalar, ...]]) -> Scalar:
+    """Return d_n, the least over points of the distance from an obstacle, less its caution [m]."""
+    room = jnp.full((), jnp.inf)
+    for x, y in points:
+        found = nearest(obstacle.corners, obstacle.radius, x, y)
+        distance = found.distance
+        if obstacle.variances is not None:
+            xx, xy, yy = obstacle.variances
+            square = found.x * found.x + found.y * found.y
+            is_zero = square <= 0.0
+            variance = xx * found.x * found.x + xy * found.x * found.y + yy * found.y * found.y
+            # Where there is no way to go, in the middle of a disc, both axes count.
+            spread = jnp.where(is_zero, xx + yy, variance / jnp.where(is_zero, 1.0, square))
+            is_exact = spread <= 0.0
+            spread = jnp.where(is_exact, 0.0, jnp.sqrt(jnp.where(is_exact, 1.0, spread)))
+            distance = distance - spread
+        room = jnp.minimum(room, distance)
+    return room

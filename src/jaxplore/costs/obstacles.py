@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
-from jaxplore.belief.belief import Belief
+from jaxplore.belief.belief import Belief, part
 from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
@@ -63,12 +63,14 @@ class ObstacleCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Return the cost of being this close."""
+        field = part(belief, "clearance")
 
         def clearance(lever: Lever) -> Scalar:
             centre = state.position
             if lever:
                 centre = jnp.stack(shifted(tuple(centre), lever))
-            return belief.clearance(centre)
+            cleared: Scalar = field(centre)
+            return cleared
 
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))
         too_close = contact(state, self.margin, self.reaction_time)

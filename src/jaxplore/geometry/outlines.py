@@ -137,6 +137,8 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
         x: x coordinate of the point [m].
         y: y coordinate of the point [m].
     """
+    if corners.shape[0] == 1:
+        return _nearest_of_disc(corners[0], radius, x, y)
     # Repeated corners give edges of zero length, and level edges have no slope: both divisions are
     # guarded, and such edges are never crossed.
     ends = jnp.roll(corners, -1, axis=0)
@@ -172,7 +174,21 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
     (least, off_x, off_y, is_inside), _ = jax.lax.scan(
         take, start, (corners, ends, edges, inverse, run), unroll=UNROLL
     )
-    # On the polygon itself the gradient of the square root is infinite; there it is set to zero.
-    is_zero = least <= 0.0
-    length = jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, least)))
+    length = _root(least)
     return Nearest(jnp.where(is_inside, -length, length) - radius, off_x, off_y)
+
+
+def _nearest_of_disc(centre: Float[Array, "2"], radius: Scalar, x: Scalar, y: Scalar) -> Nearest:
+    """Return how far a point is from a disc, without the edges of a polygon."""
+    ahead, beside = x - centre[0], y - centre[1]
+    square = ahead * ahead + beside * beside
+    # So far away that the square is infinite, there is no direction, as for a polygon.
+    is_far = square >= jnp.inf
+    off_x, off_y = (jnp.where(is_far, 0.0, component) for component in (ahead, beside))
+    return Nearest(_root(square) - radius, off_x, off_y)
+
+
+def _root(square: Scalar) -> Scalar:
+    """Return the square root; its slope at 0 is 0."""
+    is_zero = square <= 0.0
+    return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))

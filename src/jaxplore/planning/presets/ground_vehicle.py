@@ -20,7 +20,7 @@ from jaxplore.costs.collision import CollisionCost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import RegionCost, ToGoalCost
-from jaxplore.costs.moving import TrackedObstacleCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.terrain import TerrainCost, TraversabilityCost
 from jaxplore.dynamics.base import Dynamics
@@ -81,7 +81,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
     | safety | `ObstacleCost` without its hard part | always |
     | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
-    | movers | `TrackedObstacleCost` without its hard part | if something moves |
+    | movers | `MovingObstacleCost` without its collision term | if something moves |
     | effort | `ControlCost` | always |
 
     Without a goal, what there is to exploit is what is known of where information remains.
@@ -98,7 +98,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     if mission.has_terrain:
         chosen["terrain"] = TerrainCost() + TraversabilityCost()
     if mission.has_movers:
-        chosen["movers"] = TrackedObstacleCost(collision=0.0)
+        chosen["movers"] = MovingObstacleCost(collision=None)
     chosen["effort"] = ControlCost()
     return chosen
 

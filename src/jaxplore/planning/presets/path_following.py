@@ -16,7 +16,7 @@ from jaxplore.control.risk import Risk
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost
 from jaxplore.costs.comfort import ComfortCost
-from jaxplore.costs.obstacle_distance import ObstacleDistanceCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
@@ -105,7 +105,7 @@ def avoidance_cost(
 ) -> Cost:
     """Return the cost of obstacles along a path, for `mpcc(..., other=avoidance_cost())`.
 
-        weight * ObstacleDistanceCost(clearance, collision=1, margin, caution)
+        weight * MovingObstacleCost(clearance, collision=1, margin, caution) of the nearest obstacle
 
     Args:
         weight: of a step that is 5 cm too close.
@@ -116,8 +116,13 @@ def avoidance_cost(
     Raises:
         ValueError: a clearance that is not positive, another value that is negative.
     """
-    return _checks.scalar("weight", weight, at_least=0.0) * ObstacleDistanceCost(
-        clearance=clearance, collision=1.0, margin=margin, caution=caution
+    return _checks.scalar("weight", weight, at_least=0.0) * MovingObstacleCost(
+        nearness=None,
+        clearance=clearance,
+        collision=1.0,
+        margin=margin,
+        caution=caution,
+        nearest_only=True,
     )
 
 

@@ -29,8 +29,8 @@ from jaxplore._types import (
     Vector,
 )
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception, as_sensors
-from jaxplore.belief.tracks import Tracks
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.base import Dynamics
@@ -313,7 +313,7 @@ class ExplorationScenario(Scenario):
                 start_key = jax.random.fold_in(key, START_OF_MOVING)
                 phases = jax.random.uniform(start_key, moving.phase.shape)
                 moving = eqx.tree_at(lambda some: some.phase, moving, phases)
-            belief = dataclasses.replace(belief, tracks=Tracks.unseen(moving.radius))
+            belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
         state = ExplorationState(
             robot=self.start,
             belief=belief,
@@ -351,8 +351,8 @@ class ExplorationScenario(Scenario):
             return belief, self._map_progress(belief, moment.time), is_seen, ranges
 
         belief = state.belief
-        if belief.tracks is not None:
-            belief = dataclasses.replace(belief, tracks=_unmeasured(belief.tracks, period))
+        if belief.obstacles is not None:
+            belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
         # The clock decides first, alone: it is the same for all runs of a batch, which so sense and
         # derive no more often than one does.
         belief, progress, is_seen, ranges = jax.lax.cond(
@@ -642,19 +642,19 @@ class ExplorationScenario(Scenario):
         key: Key,
     ) -> Belief:
         """Return the belief with the tracker's measurements of obstacles in sight of a sensor."""
-        assert belief.tracks is not None
+        assert belief.obstacles is not None
         now = moving.at(time)
         position_std, velocity_std = self.tracking_noise
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         in_sight = [sensor.sees(world, pose, now.positions, self.ground) for sensor in self.sensors]
-        tracks = belief.tracks.update(
+        obstacles = belief.obstacles.update(
             now.positions + position_std * jax.random.normal(keys[0], now.positions.shape),
             now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
             functools.reduce(jnp.logical_or, in_sight),
             position_std,
             jnp.zeros(()),
         )
-        return dataclasses.replace(belief, tracks=tracks)
+        return dataclasses.replace(belief, obstacles=obstacles)
 
     def _map_progress(self, belief: Belief, time: Scalar) -> MapProgress:
         """Return how much is known of the reachable cells, and of all, and how recently."""
@@ -729,9 +729,3 @@ def _around(grid: OccupancyGrid, pose: Pose, size: int) -> GridValues:
 
 def _same[*T](*unchanged: *T) -> tuple[*T]:
     return unchanged
-
-
-def _unmeasured(tracks: Tracks, elapsed: Scalar) -> Tracks:
-    """Predict tracks over a time without a measurement."""
-    nothing = jnp.zeros_like(tracks.is_known)
-    return tracks.update(tracks.positions, tracks.velocities, nothing, jnp.zeros(()), elapsed)

@@ -13,10 +13,11 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector, Vector
+from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.base import Controller, Info
 from jaxplore.costs.comfort import acceleration
-from jaxplore.costs.obstacle_distance import ObstacleDistanceCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, State
@@ -174,6 +175,12 @@ class PathScenario(Scenario):
             known.append(Obstacles(self.standing))
         return functools.reduce(operator.add, known) if known else None
 
+    def _dated(self, known: Obstacles | None) -> Obstacles | None:
+        """Give obstacles an age if the tracker may fail: what it last measured grows older."""
+        if self.faults is None or known is None:
+            return known
+        return known.after(jnp.zeros(()))
+
     def _tracked(self, truth: Obstacles, key: Key) -> Obstacles:
         """Return what the robot measures of obstacles that move, and what it reckons with."""
         keys, size = jax.random.split(key), truth.velocities.shape
@@ -194,20 +201,21 @@ class PathScenario(Scenario):
             turn_growth=self.turn_growth if is_turning else 0.0,
         )
 
-    def init(self, key: Key | None) -> tuple[PathState, Obstacles | None]:
+    def init(self, key: Key | None) -> tuple[PathState, Belief | None]:
         """Return the state before the first step, and the true obstacles. Nothing is drawn."""
-        phi, truth = self.robot.component(self.start, "phi"), self.true_obstacles(jnp.zeros(()))
-        return PathState(self.start, phi, truth), truth
+        phi, start = self.robot.component(self.start, "phi"), jnp.zeros(())
+        truth = self._dated(self.true_obstacles(start))
+        return PathState(self.start, phi, truth), _belief(truth)
 
     def perceive(
         self, state: PathState, moment: Moment, key: Key
-    ) -> tuple[PathState, Obstacles | None]:
+    ) -> tuple[PathState, Belief | None]:
         """Measure the obstacles; predict them while no measurement arrives."""
-        known = self.obstacles(moment.time, key=key)
+        known = self._dated(self.obstacles(moment.time, key=key))
         if self.faults is not None and known is not None:
             predicted = state.known.after(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
-        return state._replace(known=known), known
+        return state._replace(known=known), _belief(known)
 
     def advance(
         self, state: PathState, control: ControlVector, moment: Moment, info: Info
@@ -225,7 +233,7 @@ class PathScenario(Scenario):
             room = CorridorCost(path, parameter=lambda _: progress).clearance(here)
         truth = self.true_obstacles(moment.time + period)
         if truth is not None:
-            gap = ObstacleDistanceCost().room(here, truth)
+            gap = MovingObstacleCost(nearness=None).room(here, truth)
         felt = jnp.full(2, jnp.nan)
         if isinstance(model.physical, ContinuousDynamics):
             felt = jnp.stack(acceleration(robot, control, model))
@@ -269,8 +277,8 @@ class PathScenario(Scenario):
         }
         if inspect is None:
             return arrays
-        _, known = self.perceive(state, moment, key)
-        plan, position = inspect(state.robot, known), jax.vmap(self.robot.position)
+        _, belief = self.perceive(state, moment, key)
+        plan, position = inspect(state.robot, belief), jax.vmap(self.robot.position)
         return arrays | {
             "samples": jax.vmap(position)(plan.samples),
             "weights": plan.weights,
@@ -399,3 +407,7 @@ def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:
     normals = np.stack([-tangents[:, 1], tangents[:, 0]], axis=-1)
     left, right = np.asarray(path.half_widths).T[..., None]
     return centre, np.stack([centre + left * normals, centre - right * normals])
+
+
+def _belief(known: Obstacles | None) -> Belief | None:
+    return None if known is None else Belief(obstacles=known)
