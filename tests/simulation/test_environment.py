@@ -129,7 +129,7 @@ def test_rewards_add_up_to_the_entropy_that_was_lost(controls, scenario, wander)
     cells = np.asarray(scenario.reachable)
     entropy = -(p * np.log(p) + (1 - p) * np.log(1 - p))[cells].sum()
     np.testing.assert_allclose(outcome.facts["entropy"], entropy, rtol=1e-4)
-    lost = (float(first.entropy) - entropy) / (math.log(2.0) * cells.sum())
+    lost = (float(first.facts["entropy"]) - entropy) / (math.log(2.0) * cells.sum())
     np.testing.assert_allclose(sum(rewards), 100.0 * lost, rtol=1e-3)
     assert sum(rewards) > 3.0
 
@@ -207,7 +207,7 @@ def test_an_episode_ends_where_it_is_covered_or_its_time_is_up(make, controls) -
             break
     assert bool(outcome.is_terminated)
     again, after = advance(environment, state, AHEAD)
-    np.testing.assert_array_equal(again.loop.robot, state.loop.task.robot)
+    np.testing.assert_array_equal(again.loop.task.robot, state.loop.task.robot)
     assert bool(after.is_terminated)
     assert int(after.num_steps) == int(outcome.num_steps)
 

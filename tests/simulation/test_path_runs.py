@@ -200,7 +200,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
     [
         ({"laps": 0}, "laps"),
         ({"path": jx.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
-        ({"model": jx.Augmented(CAR, jx.Pendulum())}, "robot has the states x, y"),
+        ({"robot": jx.Augmented(CAR, jx.Pendulum())}, "robot has the states x, y"),
         ({"start": [0.0, 1.0]}, "start"),
         ({"control_rate": 0.0}, "control_rate"),
         ({"tracking_noise": (-1.0, 0.0)}, "tracking_noise"),
