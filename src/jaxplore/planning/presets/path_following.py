@@ -212,7 +212,7 @@ def mpcc(
     if parameterisation is None:
         parameterisation = Knots(min(KNOTS, _checks.positive_int("horizon", horizon)))
     if noise_std is None:
-        half_range = 0.5 * (robot.control_max - robot.control_min)
+        half_range = robot.control_half_range
         noise_std = _checks.scalar("noise_share", noise_share, above=0.0) * half_range
     controller = augmented_mppi(
         robot,
