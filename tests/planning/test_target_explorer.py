@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
-from jaxplore.planning.strategy.frontiers import prospects
+from jaxplore.planning.strategy.frontiers import find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (
     RULES,
@@ -55,7 +55,7 @@ init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 
 @eqx.filter_jit
 def look(belief, position):
-    return prospects(
+    return find_frontiers(
         belief,
         position,
         required_clearance=jnp.asarray(REQUIRED),

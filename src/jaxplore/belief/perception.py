@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
-from jaxplore.belief.belief import Belief
+from jaxplore.belief.belief import Belief, remaining_pull
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import (
     ROOMY,
@@ -341,7 +341,7 @@ class Perception(eqx.Module):
     ) -> GuidanceField:
         roads = roadmap(clearance, self.required_clearance, self.field_sensor.stride)
         frame, is_open = roads.frame, roads.is_open
-        worth = information.total * jnp.exp(-dwell / self.patience)
+        worth = information.total * remaining_pull(dwell, self.patience)
         pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
         is_leftover = worth < self.min_information
         detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)

@@ -56,7 +56,7 @@ def build_path(settings: PathSettings) -> Experiment:
             margin=obstacles.margin,
             caution=caution,
         )
-    half_range = np.asarray(0.5 * (robot.control_max - robot.control_min))
+    half_range = np.asarray(robot.control_half_range)
     following = mpcc(
         robot,
         path,

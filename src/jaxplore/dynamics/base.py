@@ -52,6 +52,12 @@ class Dynamics(eqx.Module):
         return jnp.clip(jnp.zeros(self.control_size), self.control_min, self.control_max)
 
     @property
+    def control_half_range(self) -> ControlVector:
+        """Half the range between the bounds of each control, `(control_max - control_min) / 2`
+        (nu,)."""
+        return 0.5 * (self.control_max - self.control_min)
+
+    @property
     def footprint(self) -> Footprint:
         """What the robot covers of the ground: the disc of its radius, unless a model says
         otherwise."""

@@ -48,7 +48,7 @@ def explorer(
         ValueError: a value that a part does not accept.
     """
     if noise_std is None:
-        noise_std = 0.5 * (robot.control_max - robot.control_min)
+        noise_std = robot.control_half_range
     cost = (
         obstacle_weight * ObstacleCost(clearance)
         + information_weight * InformationCost()

@@ -204,7 +204,7 @@ def _template(
     parameterisation: Parameterisation | None,
 ) -> MPPI:
     share = _checks.scalar("noise_share", noise_share, above=0.0)
-    std = share * 0.5 * (robot.control_max - robot.control_min)
+    std = share * robot.control_half_range
     # As much in sum over the horizon as noise on every control: see `Flight.noise_std`.
     if isinstance(parameterisation, Smooth):
         std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))

@@ -177,7 +177,7 @@ class FieldNumbers(NamedTuple):
             num_headings=self.field_headings,
         )
 
-    def lookout(self, resolution: float) -> ShortRangeField:
+    def short_range_field(self, resolution: float) -> ShortRangeField:
         """Return the field of short looks."""
         near = Lidar(self.local_beams, self.local_range, self.field_of_view)
         # As many directions as there are beams in a full turn.
@@ -272,7 +272,7 @@ def informative_mppi(
     return InformativeMPPI(
         flight.mppi(robot, cost, proposal),
         fields.sensor(model, resolution),
-        fields.lookout(resolution),
+        fields.short_range_field(resolution),
         model,
         reference=reference,
         follower=follower,

@@ -281,7 +281,7 @@ def waypoint_mppi(
     if "z" in robot.state_names:
         raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
     if noise_std is None:
-        noise_std = 0.5 * (robot.control_max - robot.control_min)
+        noise_std = robot.control_half_range
     return MPPI(
         robot,
         obstacle_weight * ObstacleCost(clearance)
