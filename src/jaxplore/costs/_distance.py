@@ -1,4 +1,4 @@
-"""How far a robot is from a point."""
+"""Distances between a robot and a point, computed component by component."""
 
 import jax.numpy as jnp
 from jax import Array
@@ -8,13 +8,13 @@ from jaxplore.dynamics.base import State
 
 
 def offset(state: State, point: Array) -> tuple[Scalar, ...]:
-    """Return position - point, component by component [m].
+    """Compute position minus point, component by component [m].
 
     Args:
-        state: of the robot.
+        state: state of the robot.
         point: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
     """
-    # Components, not vectors: of K samples each is one vector of K, in which XLA computes fastest.
+    # Mapped over K samples, each component is one vector of K, which XLA turns into fast loops.
     here = [*state.position]
     if point.shape[0] == 3:
         here.append(state["z"])
@@ -22,11 +22,9 @@ def offset(state: State, point: Array) -> tuple[Scalar, ...]:
 
 
 def squared(components: tuple[Scalar, ...]) -> Scalar:
-    """Return the squared length of a vector given by its components.
-
-    A reduction over the few components of many samples would go to a kernel of its own, whose
-    threads cost XLA's CPU back end more than the sum.
-    """
+    """Compute the squared length of a vector given by its components."""
+    # For a reduction over two or three components XLA's CPU back end would start a kernel of its
+    # own, whose threads cost more than the sum.
     total = jnp.zeros(())
     for component in components:
         total = total + component * component
@@ -34,9 +32,9 @@ def squared(components: tuple[Scalar, ...]) -> Scalar:
 
 
 def length(components: tuple[Scalar, ...]) -> Scalar:
-    """Return the length of a vector given by its components; its gradient at zero is zero.
+    """Compute the length of a vector given by its components; its gradient at 0 is 0.
 
-    That of a vector that is not a number is none: a diverged rollout is not at its goal.
+    The length of a vector with NaN is NaN, so a diverged rollout does not count as at its goal.
     """
     square = squared(components)
     is_zero = square <= 0.0

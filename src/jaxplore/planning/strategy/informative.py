@@ -217,7 +217,7 @@ class InformativeMPPI(Controller):
         )
         return plan if self.reference is None else plan._replace(reference=known.reference)
 
-    def strategic_plan(self, belief: Belief, observation: StateVector) -> Strategy:
+    def strategic_plan(self, belief: Belief, observation: StateVector) -> StrategicPlan:
         """Run the strategic layer: compute the information field and the reference.
 
         Args:

@@ -596,7 +596,7 @@ class ExplorationScenario(Scenario):
             initial_entropy=float(before.progress.entropy),
             initial_unknown=float(before.progress.unknown),
             goal=None if self.goal is None else np.asarray(self.goal),
-            control_half_range=np.asarray(0.5 * (self.robot.control_max - self.robot.control_min)),
+            control_half_range=np.asarray(self.robot.control_half_range),
             finished_step=run.num_steps - int(last.finished) + 1 if is_finished else None,
             state_names=self.robot.state_names,
             robot_radius=float(self.robot.radius),

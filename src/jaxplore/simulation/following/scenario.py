@@ -384,7 +384,7 @@ class PathScenario(Scenario):
             end=float(self.end),
             is_closed=path.is_closed,
             state_names=model.state_names,
-            control_half_range=np.asarray(0.5 * (model.control_max - model.control_min)),
+            control_half_range=np.asarray(model.control_half_range),
             robot_radius=float(model.radius),
             footprint=outline_of(model.footprint),
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
