@@ -105,6 +105,7 @@ class FeedbackMPPI(Controller):
             lambda: state,
         )
         control = self._feedback_control(state, observation)
+        # The next plan must count changes and smooth from the control that the robot applied.
         after = state._replace(
             planner=state.planner._replace(applied=control), commands=state.commands + 1
         )
@@ -132,6 +133,7 @@ class FeedbackMPPI(Controller):
         _, after, info, gains = step_with_gains(
             planner, state.planner, observation, belief, key=key
         )
+        # MPPI itself returns no states of its plan: the mean of rollouts is no rollout.
         planned = rollout(
             planner.dynamics, planner.cost, observation, info.controls, planner.dt, belief
         )

@@ -57,6 +57,8 @@ def step_with_gains(
     (slopes,) = pull_back(jnp.ones_like(costs))
     usable = jnp.isfinite(costs) & jnp.all(jnp.isfinite(slopes), axis=0)
     slopes = jnp.where(usable, slopes, 0.0)
+    # The control has few components, so reverse mode needs one pass for each of them, not for
+    # each of the K costs.
     sensitivity = jax.jacrev(lambda values: mppi.update(sampled, values)[0])(costs)
     sensitivity = jnp.where(jnp.isfinite(sensitivity), sensitivity, 0.0)
     return *mppi.update(sampled, costs), sensitivity @ slopes.T

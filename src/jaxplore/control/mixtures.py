@@ -97,6 +97,8 @@ class BiasedProposal(Proposal):
                 for mean in (context.centre, context.encode(self.reference))
             ]
         )
+        # log q - log p of a mixture: the sum over components of share times density, in logarithms
+        # because the densities of long horizons underflow.
         shares = jnp.stack([1.0 - self.fraction, self.fraction])
         return jax.nn.logsumexp(ratios, axis=0, b=shares[:, None])
 
@@ -190,6 +192,7 @@ class InjectedProposal(Proposal):
         samples = self.proposal.sample(
             memory, context, num_samples, key=key, perturbations=perturbations
         )
+        # Injected last, so that the other samples are the same with and without injection.
         given = [] if self.sequences is None else [context.encode(each) for each in self.sequences]
         if self.null_action:
             given.append(context.encode(jnp.zeros((context.space.horizon, samples.shape[1]))))
@@ -202,6 +205,7 @@ class InjectedProposal(Proposal):
         self, memory: Any, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
         """Compute the log ratio of the inner proposal (K,), also of the injected samples."""
+        # An injected sequence was not drawn. It gets the ratio that it would have if it had been.
         return self.proposal.log_ratio(memory, context, samples)
 
     def adapt(

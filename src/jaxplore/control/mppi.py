@@ -197,6 +197,8 @@ class MPPI(Controller):
             state: last state of the other controller.
             controls: (T0, nu) its last plan, `Info.controls`.
         """
+        # Built from a fresh state: the nominal and the adapted spread of another horizon have
+        # another shape.
         missing = max(self.horizon - controls.shape[0], 0)
         more = jnp.broadcast_to(self._space.default, (missing, controls.shape[1]))
         fresh = self.init(jnp.concatenate([controls[: self.horizon], more]))
@@ -387,6 +389,7 @@ class MPPI(Controller):
             steps = jnp.floor(due + 1e-3)
             phase = due - steps
         space = self._space
+        # Proposals adapt per row of parameters, of which there may be fewer than model steps.
         rows = steps * (self._num_parameters / self.horizon)
         planned = self.parameterisation.controls(state.nominal, space)
         # The first planned control has been applied; where it differs (a portfolio applies the

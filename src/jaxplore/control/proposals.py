@@ -199,6 +199,8 @@ class GaussianProposal(Proposal):
         if self.noise_std is not None:
             drawn = self.noise_std[:, None] * drawn
         else:
+            # With L L^T = Sigma, L eps has the covariance Sigma. L is not stored, so that another
+            # covariance can be set without recomputing anything.
             factor = jnp.linalg.cholesky(self.noise_covariance)
             drawn = jnp.einsum("uv,pvk->puk", factor, drawn)
         return drawn if self.adaptation is None else memory[:, :, None] * drawn
@@ -223,6 +225,7 @@ class GaussianProposal(Proposal):
             pull = self.precision(away)
             constant = jnp.sum(pull * (context.rest + self.mean + 0.5 * away))
             return jnp.einsum("pu,puk->k", pull, samples) - constant
+        # The scales differ between parameters, so both quadratic forms are needed.
         drawn = samples - self.mean[:, None]
         scaled = (drawn - mean[:, :, None]) / memory[:, :, None]
         return 0.5 * self._square(drawn - context.rest[:, None]) - 0.5 * self._square(scaled)
@@ -280,6 +283,7 @@ class GaussianProposal(Proposal):
 
 
 def _standard_deviation(value: Vector) -> ControlVector:
+    """Check a vector of standard deviations; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
         std = np.asarray(value, np.float32)
         if std.ndim != 1 or not (np.isfinite(std) & (std > 0)).all():
@@ -289,6 +293,7 @@ def _standard_deviation(value: Vector) -> ControlVector:
 
 
 def _covariance(value: Rows) -> Float[Array, "nu nu"]:
+    """Check a covariance matrix; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
         matrix = np.asarray(value, np.float64)
         square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0

@@ -135,6 +135,7 @@ def _totals(
     # Where outcomes differ in the belief only, all of them have the same states.
     state_shape = shape if task.outcome_axis is not None else (lanes,)
 
+    # The padded lanes copy the last sample: states of zeros might not be valid for a model.
     if initial.ndim == 2:
         initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
     start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
@@ -377,6 +378,7 @@ def rollout(
         applied: (nu,) control before the first one; the default control when absent.
     """
     before = dynamics.default_control if applied is None else applied
+    # The states are computed once and read by every term.
     reached = rollout_states(dynamics, initial, controls, dt)
     terms: dict[str, Scalar] = {}
     for name, term in cost.terms():

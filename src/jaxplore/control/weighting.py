@@ -147,6 +147,8 @@ class Elite(Weighting):
         """Compute the weights (K,)."""
         costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
         count = jnp.maximum(jnp.round(self.fraction * costs.shape[0]), 1.0).astype(jnp.int32)
+        # A threshold instead of the first `count` indices: the fraction may be traced, and ties all
+        # count.
         threshold = jnp.sort(costs)[count - 1]
         chosen = ((costs <= threshold) & jnp.isfinite(costs)).astype(jnp.float32)
         return chosen / jnp.maximum(jnp.sum(chosen), 1.0)
@@ -167,6 +169,8 @@ def _softmax(costs: Costs, temperature: Scalar, offset: Costs) -> Weights:
     above = jnp.where(is_finite, costs - cheapest, 0.0)
     exponent = above / temperature + jnp.where(is_finite, offset, 0.0)
     exponent = jnp.where(is_finite, exponent, jnp.inf)
+    # The smallest exponent is subtracted, so that the best sample has weight 1 before normalising
+    # and the sum cannot underflow.
     least = jnp.min(exponent)
     relative = jnp.exp(jnp.where(jnp.isfinite(least), least, 0.0) - exponent)
     total = jnp.sum(relative)

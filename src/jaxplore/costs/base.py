@@ -58,6 +58,7 @@ class Cost(eqx.Module):
 
     def terms(self) -> Iterator[tuple[str, "Cost"]]:
         """Yield the name and the cost of each term that adds up to this cost."""
+        # A cost without parts is one term; sums override this.
         yield type(self).__name__, self
 
     def __add__(self, other: "Cost") -> "SumCost":

@@ -68,6 +68,7 @@ class StateBoundsCost(Cost):
                 depth = depth + jnp.maximum(self.lower[name] - value, 0.0)
             if name in self.upper:
                 depth = depth + jnp.maximum(value - self.upper[name], 0.0)
+            # At most one of the two terms is positive, so their sum is squared.
             depth = inverse * depth
             total = total + depth * depth
         return total

@@ -56,6 +56,7 @@ class QuadraticControlCost(Cost):
         _check_size("weights", self.weights, state.dynamics)
         target = state.dynamics.default_control if self.target is None else self.target
         error = [value - wanted for value, wanted in zip(control, target, strict=True)]
+        # Component by component: mapped over samples, each is one vector, as in `costs._distance`.
         total = jnp.zeros(())
         for i, row in enumerate(error):
             if self.weights.ndim == 1:
@@ -160,6 +161,7 @@ class ControlJerkCost(Cost):
 def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
     """Compute 1 / scale^2 (nu,)."""
     if scale is None:
+        # A fixed control has no range. An infinite range gives an inverse of 0.
         span = dynamics.control_max - dynamics.control_min
         inverse = jnp.where(span > 0.0, 1.0 / jnp.where(span > 0.0, span, 1.0), 0.0)
     else:

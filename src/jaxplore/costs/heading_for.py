@@ -73,6 +73,7 @@ class RegionCost(Cost):
         """Compute the distance travelled in other directions."""
         position = state.position
         x, y = position[0] - belief.pose[0], position[1] - belief.pose[1]
+        # Relative to the pose at the start of the rollout, so that the direction is fixed.
         angle = belief.pose[2] + self.direction
         sin, cos = sin_cos(angle)
         return length((x, y)) - (x * cos + y * sin)

@@ -69,6 +69,7 @@ class ObstacleCost(Cost):
                 centre = jnp.stack(shifted(tuple(centre), lever))
             return belief.clearance(centre)
 
+        # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))
         too_close = contact(state, self.margin, self.reaction_time)
         return penalty(distance, self.clearance, too_close, self.collision)

@@ -183,6 +183,7 @@ class CorridorCost(Cost):
     def clearance(self, state: State) -> Scalar:
         """Compute the least distance of the robot's discs from the edge, negative beyond it [m]."""
         phi = extract.extract("parameter", self.parameter, state, ())
+        # The path is read once at phi; all discs are measured against the same point.
         point, (left, right) = self.path.at(phi), self.path.room(phi)
         room = jnp.full((), jnp.inf)
         for lever in levers(state):

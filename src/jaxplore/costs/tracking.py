@@ -133,6 +133,7 @@ class WaypointCost(Cost):
         if self.heading is None:
             return square
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
+        # 1 - cos is smooth and does not jump where angles wrap.
         turned = 1.0 - sin_cos(state.heading - self.heading)[1]
         return square + self.heading_weight * nearness * turned
 
@@ -162,6 +163,7 @@ class ReferenceCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the squared distance at the time when the state is reached."""
+        # Clipped before interpolating, so that the last row holds after its time.
         last = self.reference.shape[0] - 1
         row = jnp.clip(t / self.period, 0.0, last)
         before = jnp.floor(row)
@@ -220,6 +222,7 @@ class PathCost(Cost):
         segments = self.points[1:] - self.points[:-1]
         squares = jnp.sum(segments * segments, axis=1)
         is_line = squares > 0.0
+        # Repeated corners make segments of length 0, whose inverse must not become infinite.
         inverse = jnp.where(is_line, 1.0 / jnp.where(is_line, squares, 1.0), 0.0)
 
         def squared_distance(segment: tuple[Array, Array, Array]) -> Scalar:

@@ -40,6 +40,7 @@ class CommonObjective(eqx.Module):
         self, controls: Float[Array, "N T nu"]
     ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
         """Evaluate N plans and return their costs (N,) and the hard part of these costs (N,)."""
+        # One rollout for all plans, hard cost first; samples are on the last axis there.
         paid = rollout_objectives(
             self.dynamics,
             (self.hard, *self.objectives.values()),

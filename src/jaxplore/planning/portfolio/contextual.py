@@ -104,6 +104,7 @@ class Contextual(Fusion):
         if self.goal is not None:
             distance = jnp.linalg.norm(position - self.goal)
         ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        # The discs of the footprint lie along the heading.
         centres = position + footprint.offsets[:, None] * ahead
         room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
         field = belief.information

@@ -92,6 +92,7 @@ class MemberControllers(eqx.Module):
         self.objective_names = tuple(objectives)
         self.weights, self.names = normalised_weights(weights, names, self.objective_names)
         number = len(self.names)
+        # Objectives that differ are stacked and mapped with the members; the others are not copied.
         self.shared = tuple(
             cost if isinstance(cost, Cost) else None for cost in objectives.values()
         )
@@ -140,6 +141,7 @@ class MemberControllers(eqx.Module):
             std = _noise_std(member) * self.noise_scales[index]
             member = eqx.tree_at(_noise_std, member, std)
         if self.horizons is not None:
+            # The number of steps is a shape and must be equal in all members; their length is not.
             dt = self.horizons[index] / member.horizon
             member = eqx.tree_at(lambda mppi: mppi.dt, member, dt)
         return member
@@ -196,6 +198,8 @@ class MemberControllers(eqx.Module):
             uncertainty = jnp.where(info.is_finite, uncertainty, jnp.inf)
             return MemberPlans(after, info, info.controls, uncertainty), now
 
+        # All members draw the same noise from the same key, so that their plans differ by their
+        # objectives and not by chance. The spread is summed over the mapped axis and equal in all of them.
         plans, spreads = jax.vmap(one, axis_name=MEMBERS)(
             self.indices, self.own, self.weights, states
         )
@@ -203,6 +207,7 @@ class MemberControllers(eqx.Module):
 
     def _uncertainty(self, controls: Float[Array, "T nu K"], info: Info) -> Scalar:
         """Compute the standard deviation of the weighted samples over the plan, in half ranges."""
+        # Around the mean of the samples, not around the plan, which may be smoothed.
         mean = jnp.einsum("k,tuk->tu", info.weights, controls)
         away = controls - mean[:, :, None]
         variance = jnp.einsum("k,tuk->tu", info.weights, away * away)
@@ -243,10 +248,12 @@ def _merged(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tu
 
 
 def _temperature(mppi: MPPI) -> Any:
+    """Return the leaf of the temperature, for `eqx.tree_at`."""
     weighting: Any = mppi.weighting
     return weighting.temperature
 
 
 def _noise_std(mppi: MPPI) -> Any:
+    """Return the leaf of the noise's standard deviation, for `eqx.tree_at`."""
     proposal: Any = mppi.proposal
     return proposal.noise_std

@@ -65,6 +65,7 @@ class Normalisation(eqx.Module):
         away = jnp.sum(jnp.where(is_counted, jnp.abs(values - mean), 0.0), axis=1)
         total, number = jax.lax.psum((away, count), axis)  # type: ignore[no-untyped-call]
         now: Array = total / jnp.maximum(number, 1.0)
+        # Exponential smoothing for any control period: the share of a step grows with its length.
         share = -jnp.expm1(-elapsed / self.smoothing_time)
         after = jnp.where(spread > 0.0, spread + share * (now - spread), now)
         return jnp.where((now > 0.0) & jnp.isfinite(now), after, spread)

@@ -258,6 +258,7 @@ class Portfolio(Controller):
     def _info(self, plans: MemberPlans, candidates: Candidates, fused: Fused) -> Info:
         """Collect the diagnostics of a step."""
         infos, number = plans.infos, len(self.member_names)
+        # The rollouts of all members count as one set, in which each member has the same share.
         share = jnp.full(number, 1.0 / number)[:, None]
         weights, costs = (share * infos.weights).reshape(-1), infos.costs.reshape(-1)
         first = candidates.controls[:, 0]
@@ -286,6 +287,7 @@ class Portfolio(Controller):
         belief: Any,
     ) -> CommonObjective:
         """Return the common objective, which is made of the objectives that all members share."""
+        # An objective that differs between members cannot compare their plans.
         pairs = zip(self.objective_names, self.members.shared, strict=True)
         objectives = {name: cost for name, cost in pairs if cost is not None}
         shared = np.flatnonzero([cost is not None for cost in self.members.shared])
@@ -304,6 +306,7 @@ class Portfolio(Controller):
         """Return the weights of the common objective (O,), which add up to 1."""
         is_shared = np.asarray([cost is not None for cost in self.members.shared], np.float32)
         if common is None:
+            # Without a shared objective the weights stay 0, and plans compare by J_hard alone.
             mean = self.members.weights.mean(axis=0) * is_shared
             return mean / jnp.maximum(jnp.sum(mean), 1e-6)
         given, _ = normalised_weights(

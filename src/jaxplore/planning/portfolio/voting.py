@@ -42,6 +42,7 @@ class WeightedVote(Fusion):
     ) -> tuple[Fused, Any]:
         """Average the plans with weights by cost."""
         is_finite = jnp.isfinite(candidates.costs)
+        # Differences to the best plan, so that the exponential does not underflow for all plans.
         least = jnp.min(jnp.where(is_finite, candidates.costs, jnp.inf))
         above = jnp.where(is_finite, candidates.costs - least, 0.0)
         votes = jnp.where(is_finite, jnp.exp(-above / self.temperature), 0.0)

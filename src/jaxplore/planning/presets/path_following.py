@@ -23,17 +23,17 @@ from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
 KNOTS = 5
-"""Of the controls' splines: noise that lasts turns a car, noise that is new each step shakes it."""
+"""Knots of the control splines: smooth noise turns a car, white noise shakes it."""
 
 
 class PathFollowing(NamedTuple):
-    """What `mpcc` returns.
+    """A contouring controller and the costs that measure its errors.
 
     Args:
-        planner: plans, see `Planner`; `planner.mppi` is the same as a `Controller`.
-        model: the robot and its progress along the path.
-        contouring: measures across the path, with the object that plans.
-        lag: measures along it.
+        planner: planner, see `Planner`; `planner.mppi` is its `Controller`.
+        model: model of the robot and of its progress along the path.
+        contouring: cost that measures the error across the path.
+        lag: cost that measures the error along the path.
     """
 
     planner: Planner
@@ -58,7 +58,7 @@ def augmented_mppi(
     num_outcomes: int = 1,
     risk: Risk | None = None,
 ) -> Planner:
-    """Return a planner for a robot with a virtual state beside its own.
+    """Build a planner for a robot whose state is extended by a virtual part.
 
     Args:
         physical: the robot.

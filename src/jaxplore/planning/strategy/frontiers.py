@@ -61,6 +61,7 @@ def find_frontiers(
         stride: cells between nodes, as in the fields of the belief; static.
         near: largest number of nodes between a frontier node and its frontier cells; static.
     """
+    # The same road map as the guidance uses, so that every candidate can be driven to.
     roads = roadmap(belief.clearance, required_clearance, stride)
     start = near_point(position, roads.frame, roads.is_open)
     distance = geodesic(start, roads.slowness, roads.is_open)
@@ -87,6 +88,7 @@ def _frontier_length(
     unknown = jnp.pad(4.0 * p * (1.0 - p) > 0.5, 1)
     beside = unknown[2:, 1:-1] | unknown[:-2, 1:-1] | unknown[1:-1, 2:] | unknown[1:-1, :-2]
     (rows, columns), (height, width) = shape, p.shape
+    # Frontier cells are counted per block of the lattice, then over a window of blocks.
     padded = jnp.pad(
         grid.is_free & beside, ((0, rows * stride - height), (0, columns * stride - width))
     )

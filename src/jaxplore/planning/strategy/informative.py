@@ -146,6 +146,7 @@ class InformativeMPPI(Controller):
         self.follower = follower
         self.strategy_period = _checks.scalar("strategy_period", strategy_period, above=0.0)
         self.altitude = _checks.scalar("altitude", altitude)
+        # Compared with a tolerance: periods such as 0.2 and 0.02 are not exact in float32.
         if not _checks.is_traced(self.strategy_period, mppi.control_period):
             ratio = float(self.strategy_period) / float(mppi.control_period)
             if abs(ratio - round(ratio)) > 1e-3 * ratio or round(ratio) < 1:
@@ -250,6 +251,7 @@ class InformativeMPPI(Controller):
         )
         age = jnp.where(is_due, 0, state.age)
         period = jnp.ones(()) if self.reference is None else self.reference.gradient_reference.dt
+        # Costs read one belief, so the fields of the strategic layer are added to the robot's own.
         known = StrategicBelief(
             **{part.name: getattr(belief, part.name) for part in dataclasses.fields(Belief)},
             potential=plan.potential,
@@ -260,6 +262,7 @@ class InformativeMPPI(Controller):
             reference_age=age.astype(jnp.float32) * mppi.control_period,
         )
         if self.follower is not None:
+            # The reference has its own time grid and age: it is read at the times of the rollout.
             times = mppi.dt * jnp.arange(1, mppi.horizon + 1, dtype=jnp.float32)
             positions = jax.vmap(known.reference_at)(times)
             controls = self.follower(mppi.dynamics, observation, positions, mppi.dt)
@@ -288,5 +291,6 @@ class InformativeMPPI(Controller):
 
 
 def _bias(mppi: MPPI) -> Any:
+    """Return the leaf of the reference controls, for `eqx.tree_at`."""
     proposal: Any = mppi.proposal
     return proposal.reference

@@ -58,6 +58,7 @@ class RandomWalk(Controller):
         distance: ArrayLike = 3.0,
         period: ArrayLike = 2.0,
     ) -> None:
+        # The goal is a leaf of the cost: a new target does not recompile.
         pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
         self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))
         self.distance = _checks.scalar("distance", distance, above=0.0)
@@ -121,5 +122,6 @@ class RandomWalk(Controller):
 
 
 def _goal(mppi: MPPI) -> Any:
+    """Return the leaf of the goal, for `eqx.tree_at`."""
     cost: Any = mppi.cost
     return cost.costs[0].cost.goal

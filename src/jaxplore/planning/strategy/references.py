@@ -91,5 +91,6 @@ def descend(
         belief: what the robot knows of the world.
         start: (3,) position of the robot (x, y, z) [m]; z is kept.
     """
+    # Ascending the negative field reuses the handling of walls and flat places.
     heights = ScalarField(-field.values, field.frame, -field.outside)
     return gradient_reference(heights, belief.grid, start)

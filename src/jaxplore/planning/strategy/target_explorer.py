@@ -203,6 +203,7 @@ class TargetExplorer(Controller):
     def _choose(self, state: TargetState, frontiers: Frontiers, key: Key) -> TargetState:
         """Keep the target or choose a new one, and compute the cost to go to it."""
         candidates = self.rule.candidates(frontiers)
+        # A target that is reached is dropped. A robot that stays keeps it while it is worth a view.
         away = frontiers.distance > self.near
         if self.stays:
             away |= frontiers.is_view
@@ -210,6 +211,7 @@ class TargetExplorer(Controller):
         keeps = state.has_target & (candidates & away)[row, column]
         shape = candidates.shape
 
+        # Choosing may cost a search per frontier, so it is skipped while the target is kept.
         def pick(_: None) -> tuple[Array, Flag]:
             may_be = candidates & away
             scores = jnp.where(may_be, self.rule.scores(frontiers, key=key), -jnp.inf)

@@ -152,6 +152,7 @@ class Targets(eqx.Module):
         # Paths are as long in both directions, so one search from the robot serves all targets.
         roads = self._roads(belief)
         is_near, away = _nearest(roads, position)
+        # The robot stands between nodes: it starts from all nearest nodes at their distance.
         from_robot = geodesic(jnp.where(is_near, away, jnp.inf), roads.slowness, roads.is_open)
 
         def to_target(target: GridMask) -> Scalar:
@@ -262,6 +263,7 @@ class RemainingInformation(TargetChoice):
         else:
             distance = targets.distances(belief, position)
         remaining = jnp.append(targets.zones.remaining(belief.grid), 0.0)
+        # Masked before the product: a weight of 0 times an infinite distance is NaN.
         is_reached = jnp.isfinite(distance)
         cost = self.weight * jnp.where(is_reached, distance, 0.0)
         return targets.choose(belief, jnp.where(is_reached, remaining - cost, -jnp.inf))
