@@ -155,7 +155,7 @@ def test_gain_and_walk_are_data() -> None:
 
 
 def test_defaults_are_the_notes_numbers() -> None:
-    walk = ClimbingReference().walk
+    walk = ClimbingReference().gradient_reference
     assert walk.num_steps == 40
     np.testing.assert_allclose([walk.speed, walk.dt], [2.0, 0.05])
 

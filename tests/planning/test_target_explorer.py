@@ -188,7 +188,7 @@ def choose(controller, state, belief, position, key=KEY):
 @eqx.filter_jit
 def compiled_choice(controller, state, belief, position, key):
     observation = controller.tracker.dynamics.at_pose(0.0, 0.0, 0.0).at[:2].set(position)
-    return controller._chosen(state, observation, belief, key)
+    return controller._choose_if_due(state, observation, belief, key)
 
 
 def test_a_target_is_kept_until_it_is_seen_reached_or_cut_off(half_known) -> None:

@@ -199,7 +199,7 @@ class MemberControllers(eqx.Module):
             return MemberPlans(after, info, info.controls, uncertainty), now
 
         # All members draw the same noise from the same key, so that their plans differ by their
-        # objectives and not by chance. The spread is summed over the mapped axis and equal in all of them.
+        # objectives and not by chance. The spread is a sum over members, equal in all of them.
         plans, spreads = jax.vmap(one, axis_name=MEMBERS)(
             self.indices, self.own, self.weights, states
         )

@@ -98,7 +98,8 @@ class SafeFusion(Fusion):
         is_safe = hazards <= self.tolerated
         is_choice = is_safe & jnp.isfinite(candidates.costs)
         costs = jnp.where(is_choice, candidates.costs, jnp.inf)
-        index = jnp.where(is_choice.any(), jnp.argmin(costs), least_finite(hazards))
+        is_any_safe = jnp.isfinite(jnp.min(costs))
+        index = jnp.where(is_any_safe, jnp.argmin(costs), least_finite(hazards))
         return index.astype(jnp.int32)
 
     def check(self, names: tuple[str, ...]) -> None:
