@@ -10,7 +10,8 @@ import numpy as np
 from benchmarks.setting import available_sites, experiment
 from benchmarks.timing import timed
 from jaxplore import MPPI
-from jaxplore.simulation.loop import initial_loop_state, robot_pose, run_chunk
+from jaxplore.simulation.exploration.scenario import ExplorationScenario, robot_pose
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
 
@@ -23,6 +24,7 @@ def measure(steps: int) -> dict[str, Any]:
     """
     site = available_sites()[0]
     controller, scenario, _, key = experiment(site, target_coverage=1.0)
+    assert isinstance(scenario, ExplorationScenario)
     controller = controller.at_period(scenario.control_period)
     state = initial_loop_state(controller, scenario, key)
 
@@ -62,7 +64,7 @@ def measure(steps: int) -> dict[str, Any]:
 
 
 def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, Any]:
-    perception, pose = scenario.perception, robot_pose(scenario.robot, state.robot)
+    perception, pose = scenario.perception, robot_pose(scenario.robot, state.task.robot)
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     model, sensor = perception.sensor_model, perception.field_sensor
     period = jnp.asarray(0.2)
@@ -74,20 +76,20 @@ def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, An
             pose,
             key,
         ),
-        "map update and clearance": timed(perception.observe, state.belief, scan, pose),
-        "information field, whole": timed(sensor.field, state.belief.grid, model),
-        "all fields": timed(perception.update_fields, state.belief, pose, period),
+        "map update and clearance": timed(perception.observe, state.task.belief, scan, pose),
+        "information field, whole": timed(sensor.field, state.task.belief.grid, model),
+        "all fields": timed(perception.update_fields, state.task.belief, pose, period),
         "MPPI": timed(
             lambda c, s, x, b, k: c.step(s, x, b, key=k),
             controller,
             state.controller,
-            state.robot,
-            state.belief,
+            state.task.robot,
+            state.task.belief,
             key,
         ),
     }
     result: dict[str, Any] = {name: dataclasses.asdict(part) for name, part in parts.items()}
-    nodes = state.belief.information.total.size
+    nodes = state.task.belief.information.total.size
     beams = nodes * sensor.table.num_directions
     field = result["information field, whole"]
     field["beams"] = beams

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.setting import available_sites, experiment
-from jaxplore.runs import simulate
+from jaxplore.simulation.run import simulate
 
 
 def measure(seeds: int) -> list[dict[str, Any]]:

@@ -22,7 +22,6 @@ from jaxplore import (
     LocalFieldSensor,
     OccupancyGrid,
     PoseInformation,
-    Scenario,
     TrajectoryInformation,
     explorer,
     office,
@@ -30,6 +29,7 @@ from jaxplore import (
 )
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.information.trajectory import METHODS
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 PEERS = Path(__file__).parent / ".peers"
@@ -69,7 +69,7 @@ def _exploration() -> list[OccupancyGrid]:
     for _ in range(NUM_SCANS):
         # Scans come at 10 Hz, controls at 50 Hz.
         state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(5), 50)
-        beliefs.append(state.belief.grid)
+        beliefs.append(state.task.belief.grid)
     return beliefs
 
 

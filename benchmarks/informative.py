@@ -45,8 +45,7 @@ import numpy as np
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore import InformativeMPPI
-from jaxplore.build.exploration import build
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")
@@ -200,7 +199,7 @@ def _parts(loops: dict[str, _Loop]) -> list[dict[str, Any]]:
     rows: dict[str, dict[str, Any]] = {}
     for architecture, loop in loops.items():
         controller, state = loop.controller, loop.after(100)
-        belief, robot = state.belief, state.robot
+        belief, robot = state.task.belief, state.task.robot
         at = controller.mppi.dynamics.position(robot)
         prepare = eqx.filter_jit(lambda c, *given: c._prepare(*given))
         mppi, known, strategy, _ = prepare(controller, state.controller, robot, belief)

@@ -111,6 +111,7 @@ def _following(problem: dict[str, Any], path: jx.Path, integrator: jx.Integrator
         car,
         path,
         num_samples=problem["rollouts"],
+        comfort_weight=None,
         progress_weight=problem["progress_weight"] * problem["path_length"] / float(path.length),
         **{name: problem[name] for name in shared},
     )
@@ -120,7 +121,7 @@ def _drive(
     following: PathFollowing, problem: dict[str, Any], seed: int
 ) -> Iterator[tuple[jax.Array, float]]:
     """Yield the state after each step, and the time it took."""
-    planner, model = following.planner, following.model
+    planner, model = jx.Planner(following.controller), following.model
     move = jax.jit(lambda state, control: model.step(state, control, jnp.asarray(problem["dt"])))
     state, nominal = model.at_pose(0.0, 0.0, 0.0), planner.initial_nominal
     for step in range(problem["steps"]):

@@ -23,9 +23,10 @@ from rich.console import Console
 
 from benchmarks.setting import MAPS
 from benchmarks.tables import table
-from jaxplore.build.exploration import Experiment, build
-from jaxplore.report.exploration.metrics import compute_metrics
-from jaxplore.settings.exploration import make_settings, read_settings, scenario_path
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.settings.exploration import read_settings, scenario_path
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import record_run
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
@@ -118,10 +119,11 @@ def experiment(place: str, changes: dict[str, Any]) -> Experiment:
 def run(case: Case) -> dict[str, Any]:
     """Return what came of one run."""
     controller, scenario, num_steps, _ = experiment(case.place, case.changes)
+    assert isinstance(scenario, ExplorationScenario)
     recording = record_run(
         controller, scenario, num_steps, key=jax.random.key(case.seed), num_trajectories=0
     )
-    metrics = compute_metrics(recording, seed=case.seed)
+    metrics = recording.metrics(seed=case.seed)
     kept = metrics.as_dict()
     for name in ("coverage_curve", "versions"):
         kept.pop(name)

@@ -9,6 +9,7 @@ import numpy as np
 from benchmarks.portfolio import ROLES, experiment
 from benchmarks.timing import timed
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
@@ -54,10 +55,11 @@ def step_times(counts: tuple[int, ...], steps: int) -> list[dict[str, Any]]:
 def parts() -> list[dict[str, Any]]:
     """Return times of the parts of the warehouse's step, one call at a time, after 5 s."""
     controller, scenario, _, key = experiment("warehouse", {})
+    assert isinstance(scenario, ExplorationScenario)
     controller = controller.at_period(scenario.control_period)
     state = initial_loop_state(controller, scenario, key)
     state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(250, jnp.int32), 250)
-    belief, pose = state.belief, state.belief.pose
+    belief, pose = state.task.belief, state.task.belief.pose
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     elapsed = jnp.asarray(0.2)
     calls: dict[str, tuple[Any, ...]] = {
@@ -65,7 +67,7 @@ def parts() -> list[dict[str, Any]]:
             lambda c, s, x, b: c.step(s, x, b, key=key)[:2],
             controller,
             state.controller,
-            state.robot,
+            state.task.robot,
             belief,
         ),
         "scan": (lambda s, w, p: s.scan(w, p, key=key), scenario.sensors[0], scenario.world, pose),

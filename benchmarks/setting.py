@@ -4,8 +4,8 @@ import os
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxplore.build.exploration import Experiment, build
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.simulation.experiment import Experiment
 
 MAPS = Path(
     os.environ.get("JAXPLORE_MAPS", Path(__file__).resolve().parents[2] / "shared" / "maps")

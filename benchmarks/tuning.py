@@ -24,9 +24,7 @@ from jaxtyping import Array
 
 import jaxplore as jx
 from jaxplore._types import Key
-from jaxplore.build.exploration import build
-from jaxplore.build.path import build_path
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.path import make_path_settings
 from jaxplore.study.tuning import (
     Ask,
@@ -163,7 +161,7 @@ def _point_mass() -> Problem:
 
 
 def _track(num_samples: int) -> Problem:
-    built = build_path(make_path_settings({"controller": {"num_samples": num_samples}}))
+    built = build(make_path_settings({"controller": {"num_samples": num_samples}}))
     return Problem(
         f"car along a track, {num_samples} rollouts x 30 steps, about 650 commands",
         lambda batch: ControllerEpisodes(

@@ -465,7 +465,18 @@ def path_following() -> Figure:
     waypoints = np.array([(0, 0), (10, 0), (20, 5), (30, 0), (40, -5), (50, 0)], np.float32)
     path = jx.path_through(waypoints)
     car = jx.KinematicBicycle(2.5, 1e-3, max_speed=15.0, max_acceleration=3.0, max_steering=0.5)
-    following = jx.mpcc(car, path, noise_std=[0.5, 0.05], max_speed=15.0, progress_weight=630.0)
+    following = jx.mpcc(
+        car,
+        path,
+        noise_std=[0.5, 0.05],
+        contouring_weight=100.0,
+        lag_weight=100.0,
+        progress_weight=630.0,
+        comfort_weight=None,
+        num_samples=256,
+        temperature=50.0,
+        dt=0.1,
+    )
     model, end = following.model, float(path.length) - 0.8
 
     @eqx.filter_jit
@@ -486,7 +497,7 @@ def path_following() -> Figure:
     left.plot(waypoints[:, 0], waypoints[:, 1], "o", color=INK, ms=4, label="waypoints")
     results, drawn = [], None
     for seed in range(20):
-        states = drive(following.planner.mppi, jax.random.key(seed))
+        states = drive(following.controller, jax.random.key(seed))
         reached = np.flatnonzero(np.asarray(states[:, -1]) >= end)
         count = int(reached[0]) + 1 if reached.size else len(states)
         errors = [

@@ -101,7 +101,7 @@ def rows() -> Iterator[tuple[str, Curve, float, int]]:
         curve, info = explore(environment, policy)
         yield name, curve, info["path_length"], int(info["collisions"])
     # The same scenario and the same key, in jaxplore's own closed loop.
-    scenario = environment.unwrapped.environment.shared
+    scenario = environment.unwrapped.environment.scenario(0)
     steps = round(TIME_LIMIT / float(scenario.control_period))
     controller = jx.explorer(scenario.robot, num_samples=256)
     run = jx.simulate(

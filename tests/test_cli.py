@@ -12,9 +12,9 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import build, comparable
+from jaxplore.build.exploration import comparable
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
-from jaxplore.settings.exploration import make_settings
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 

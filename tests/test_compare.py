@@ -16,21 +16,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
-from jaxplore.build import controllers as building
 
 import jaxplore as jx
 from jaxplore import Comparison, Metrics, compare
-from jaxplore.build.exploration import build
+from jaxplore import runs as running
+from jaxplore.build import controllers as building
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
-from jaxplore.settings.exploration import make_settings
-from jaxplore.simulation import simulate as simulation
-from jaxplore.simulation.loop import _before_control, _initial_memory, run_chunk
-from jaxplore.simulation.exploration.scenario import Scenario
-from jaxplore.report.exploration.data import Recording
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk
 
-Experiments = dict[str, tuple[Controller, Scenario, int]]
+Experiments = dict[str, tuple[Controller, ExplorationScenario, int]]
 
 SEEDS = (3, 1)
 # Nothing of the map is known, and so little is seen of it that no run ends early.
@@ -111,17 +110,17 @@ def watch(
 
     After each chunk `act` is told the number of the run.
     """
-    original = simulation.record_run
+    original = running.record_run
     calls: list[tuple[int, int]] = []
 
     def spy(
-        controller: Controller, scenario: Scenario, num_steps: int, *, key: jax.Array
-    ) -> Recording:
+        controller: Controller, scenario: ExplorationScenario, num_steps: int, *, key: jax.Array
+    ) -> ExplorationRecording:
         calls.append((num_steps, int(jax.random.key_data(key)[-1])))
         number = len(calls)
         return original(controller, scenario, num_steps, key=key, on_progress=lambda _: act(number))
 
-    monkeypatch.setattr(simulation, "record_run", spy)
+    monkeypatch.setattr(running, "record_run", spy)
     return calls
 
 
@@ -139,7 +138,7 @@ def test_each_run_is_the_one_that_simulate_makes(
             assert found.num_steps == experiment[2]
             seen.append(found.path_length)
             if seed == SEEDS[0]:
-                recording: Recording = compared.recordings[name]
+                recording: ExplorationRecording = compared.recordings[name]
                 for a, b in zip(recording.records, alone.recording.records, strict=True):
                     np.testing.assert_array_equal(a, b)
     # Seeds and controllers do matter: else the above compares nothing.
@@ -147,7 +146,7 @@ def test_each_run_is_the_one_that_simulate_makes(
 
 
 def test_seeds_do_not_compile_again(experiments: Experiments, compared: Comparison) -> None:
-    programs = (run_chunk, _before_control, _initial_memory, simulation.look_at)
+    programs = (run_chunk, _initial_task, _initial_memory, frame_arrays)
     before = [each._cached._cache_size() for each in programs]
     again = compare(experiments, [*SEEDS, 7])
     assert [each._cached._cache_size() for each in programs] == before
@@ -213,15 +212,15 @@ def test_ctrl_c_keeps_the_runs_that_are_done(
 def test_ctrl_c_before_the_first_step_of_a_run_keeps_the_others(
     experiments: Experiments, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    original, keys = simulation.record_run, []
+    original, keys = running.record_run, []
 
-    def compiling(*arguments: Any, key: jax.Array) -> Recording:
+    def compiling(*arguments: Any, key: jax.Array) -> ExplorationRecording:
         keys.append(key)
         if len(keys) == 3:
             raise KeyboardInterrupt
         return original(*arguments, key=key)
 
-    monkeypatch.setattr(simulation, "record_run", compiling)
+    monkeypatch.setattr(running, "record_run", compiling)
     found = None
     # Caught here as well, so that pytest itself does not take it for a user's.
     with contextlib.suppress(KeyboardInterrupt):

@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.build.exploration import build
-from jaxplore.build.path import build_path
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.path import make_path_settings
 
 
@@ -120,6 +118,6 @@ def test_settings_reach_the_controller_by_path() -> None:
     assert found["cost.information.weight"] == 7.0
     np.testing.assert_allclose(found["proposal.noise_std"], [0.3, 0.4])
     settings = make_path_settings({"parameters": {"cost.comfort.weight": 3.0}})
-    assert jx.get_parameters(build_path(settings).controller)["cost.comfort.weight"] == 3.0
+    assert jx.get_parameters(build(settings).controller)["cost.comfort.weight"] == 3.0
     with pytest.raises(ValueError, match=r"parameter cost.nothing is not known"):
         build(make_settings({"map": "office", "parameters": {"cost.nothing": 1.0}}))

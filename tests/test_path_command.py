@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.build.path import build_path
+from jaxplore.build.tasks import build
 from jaxplore.cli import main
 from jaxplore.settings.path import make_path_settings
 
@@ -75,7 +75,7 @@ def test_another_robot_follows() -> None:
             "time_limit": 6.0,
         }
     )
-    run = jx.simulate(*build_path(settings)[:3], key=build_path(settings).key)
+    run = jx.simulate(*build(settings)[:3], key=build(settings).key)
     assert run.metrics.progress > 5.0
     assert run.metrics.corridor_violations == 0
 
@@ -95,7 +95,7 @@ def test_settings_become_what_they_say(file: Path) -> None:
             "laps": 1,
         }
     )
-    controller, scenario, num_steps, _ = build_path(settings)
+    controller, scenario, num_steps, _ = build(settings)
     assert num_steps == 6000
     assert controller.num_outcomes == 4
     assert isinstance(controller.risk, jx.ConditionalValueAtRisk)
@@ -106,10 +106,10 @@ def test_settings_become_what_they_say(file: Path) -> None:
     widths = np.asarray(scenario.path.half_widths)
     np.testing.assert_allclose(widths[0], [1.1, 0.9], rtol=1e-6)
     plain = make_path_settings({"path": str(file), "half_width": 0.5, "is_closed": False})
-    np.testing.assert_array_equal(build_path(plain).scenario.path.half_widths, widths)
+    np.testing.assert_array_equal(build(plain).scenario.path.half_widths, widths)
     np.savetxt("bare.csv", CENTRE, delimiter=",")
     bare = make_path_settings({"path": "bare.csv", "half_width": 0.5})
-    np.testing.assert_allclose(build_path(bare).scenario.path.half_widths, 0.5)
+    np.testing.assert_allclose(build(bare).scenario.path.half_widths, 0.5)
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
-from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, make_settings, read_settings
+from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
 from jaxplore.settings.exploration import scenario_path as path_of
 
 

@@ -200,6 +200,7 @@ from jaxplore.planning.presets.ground_vehicle import Mission as Mission
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio as ground_portfolio
 from jaxplore.planning.presets.path_following import PathFollowing as PathFollowing
 from jaxplore.planning.presets.path_following import augmented_mppi as augmented_mppi
+from jaxplore.planning.presets.path_following import avoidance_cost as avoidance_cost
 from jaxplore.planning.presets.path_following import mpcc as mpcc
 from jaxplore.planning.presets.quadrotor import FieldNumbers as FieldNumbers
 from jaxplore.planning.presets.quadrotor import Flight as Flight

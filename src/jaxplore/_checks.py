@@ -1,5 +1,8 @@
-"""Checks of arguments: each raises a `ValueError` that names the argument, its value and what is
-accepted. They run where objects are built; traced values pass, since nothing raises in a trace."""
+"""Check arguments where objects are built.
+
+Each function returns the checked value, or raises a `ValueError` that names the argument, its value
+and what is accepted. Traced values pass unchecked: their numbers are unknown during tracing.
+"""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -15,11 +18,11 @@ from jaxtyping import Float
 from jaxplore._types import Rows, Scalar, Vector
 
 LARGEST = float(np.finfo(np.float32).max)
-"""The greatest finite number: arrays are float32."""
+"""Greatest finite number in float32, the type of all arrays."""
 
 
 def is_traced(*values: object) -> bool:
-    """Return whether any value is known only when the program runs."""
+    """Return whether any value is a JAX tracer: its numbers are unknown until the program runs."""
     return any(isinstance(value, jax.core.Tracer) for value in values)
 
 
@@ -29,11 +32,11 @@ def positive_int(name: str, value: object) -> int:
 
 
 def whole_number(name: str, value: object, *, at_least: int) -> int:
-    """Return `value` as an int within the bound."""
+    """Return `value` as an int >= `at_least`."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
-        number = at_least - 1
+        number = at_least - 1  # refused below, with the same message as a number that is too small
     if isinstance(value, bool) or number < at_least:
         raise ValueError(f"{name} is {value!r}; accepted: a whole number >= {at_least}")
     return number
@@ -48,7 +51,7 @@ def number(
     at_least: float | None = None,
     at_most: float | None = None,
 ) -> float:
-    """Return `value` as a finite Python float within the bounds given."""
+    """Return `value` as a finite Python float within the given bounds."""
     bounds = [
         text
         for text, bound in (
@@ -64,6 +67,7 @@ def number(
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+    # The negated comparison also refuses NaN.
     if (
         isinstance(value, bool)
         or not abs(result) <= LARGEST
@@ -77,8 +81,11 @@ def number(
 
 
 def _strong(value: Any) -> Array:
-    """Return a traced value that is not weakly typed, so that what is built from it is used by the
-    same program as what is built outside: as float32, but for float64, which stays exact."""
+    """Return a traced value as a strongly typed array: float64 unchanged, all else as float32.
+
+    A weakly typed leaf would compile a second program beside the one for objects built outside of
+    the trace.
+    """
     is_strong = value.dtype in (jnp.float32, jnp.float64) and not value.aval.weak_type
     strong: Array = value if is_strong else jnp.asarray(value, jnp.float32)
     return strong
@@ -93,7 +100,10 @@ def scalar(
     at_least: float | None = None,
     at_most: float | None = None,
 ) -> Array:
-    """Return `value` as a float32 scalar array (a leaf: changing it never recompiles)."""
+    """Return `value` as a float32 scalar array.
+
+    It becomes a leaf of the pytree, so changing it does not recompile.
+    """
     if isinstance(value, jax.core.Tracer):
         return _strong(value)
     if not isinstance(value, (bool, int, float)):
@@ -145,11 +155,11 @@ def array(
     at_least: float | None = None,
     may_be_empty: bool = False,
 ) -> Array:
-    """Return `value` as a finite float32 array (a leaf) of one of the shapes given.
+    """Return `value` as a finite float32 array of one of the accepted shapes.
 
-    A letter in a shape stands for any size from 1, the same letter for the same size. Of a traced
-    value only the shape is checked. What may be empty is of the first shape without rows then: an
-    empty list does not say how many columns it has.
+    A letter in a shape stands for any size >= 1, and equal letters for equal sizes. For a traced
+    value only the shape is checked. With `may_be_empty`, an array without rows is accepted and
+    takes its columns from the first shape, because an empty list has none.
     """
     if not is_traced(value):
         try:
@@ -167,7 +177,7 @@ def array(
             numbers += f" >= {at_least}"
         if is_bad.any():
             raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
-    # A copy, unless it is traced: the caller may write to his own array later.
+    # Copy NumPy arrays: the caller may write to the original later.
     make = jnp.array if isinstance(value, np.ndarray) else jnp.asarray
     result = make(value, jnp.float32)
     if may_be_empty and result.shape[:1] == (0,):
@@ -186,7 +196,7 @@ def one_each(
     above: float | None = None,
     at_least: float | None = None,
 ) -> Float[Array, " N"]:
-    """Return a number for each of N things (N,); a single one is for all."""
+    """Return one number for each of N items, (N,); a single number is repeated."""
     bounds = {"above": above, "at_least": at_least}
     given = array(name, value, (), (number,), **bounds, may_be_empty=number == 0)
     return jnp.broadcast_to(given, (number,))
@@ -195,12 +205,14 @@ def one_each(
 def covariances(
     std: Vector | None, covariance: Rows | None, number: int, *, may_be_zero: bool = False
 ) -> Float[Array, "N 2 2"]:
-    """Return the covariance of each of N positions (N, 2, 2) [m^2].
+    """Return the covariance of each of N positions, (N, 2, 2) [m^2].
+
+    Exactly one of `std` and `covariance` must be given.
 
     Args:
-        std: standard deviation along either axis, (N,) or one number [m]; or give `covariance`.
-        covariance: (N, 2, 2), or (2, 2) for all [m^2].
-        number: N.
+        std: standard deviation along both axes, (N,) or one number [m].
+        covariance: covariance matrices (N, 2, 2), or one (2, 2) for all positions [m^2].
+        number: number of positions, N.
         may_be_zero: whether a position may be known exactly.
     """
     if (std is None) == (covariance is None):
@@ -214,7 +226,7 @@ def covariances(
 
 
 def isotropic(std: Float[Array, " N"]) -> Float[Array, "N 2 2"]:
-    """Return covariances (N, 2, 2) of errors that are alike along both axes."""
+    """Return isotropic covariances (N, 2, 2), `std^2 I`, for standard deviations (N,)."""
     return (std * std)[:, None, None] * jnp.eye(2)
 
 
@@ -225,7 +237,10 @@ def by_name(
     above: float | None = None,
     at_least: float | None = None,
 ) -> dict[str, Scalar]:
-    """Return numbers by name as float32 scalars (leaves; the names are static); absent is none."""
+    """Return a mapping of names to float32 scalars, sorted by name; None gives an empty mapping.
+
+    The numbers are leaves of the pytree, the names are static.
+    """
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
@@ -237,13 +252,14 @@ def by_name(
 
 
 def names_within(name: str, names: Sequence[str], known: Mapping[str, object]) -> None:
-    """Raise where one of `names` is not among the known."""
+    """Raise a `ValueError` if one of `names` is not a key of `known`."""
     for key in names:
         if key not in known:
             raise ValueError(f"{name} has {key!r}; accepted: {', '.join(known)}")
 
 
 def _fits(shape: tuple[int, ...], accepted: tuple[int | str, ...]) -> bool:
+    # Remembers which size each letter stands for, so that a repeated letter must agree.
     sizes: dict[str, int] = {}
     return len(shape) == len(accepted) and all(
         size >= 1 and sizes.setdefault(wanted, size) == size
@@ -262,6 +278,7 @@ def _check_covariance(covariance: Array, may_be_zero: bool) -> None:
     if is_traced(covariance):
         return
     given = np.asarray(covariance, np.float64)
+    # Tolerances are relative to the largest entry: float32 input is symmetric only up to rounding.
     size = np.abs(given).max(axis=(-2, -1), keepdims=True)
     is_symmetric = (np.abs(given - np.swapaxes(given, -1, -2)) <= 1e-5 * size).all()
     lowest = np.linalg.eigvalsh(given)

@@ -1,7 +1,7 @@
-"""Array aliases with shapes, used in every signature.
+"""Name the array types that signatures use, with their shapes.
 
 Shape letters: K samples, T horizon, nx and nu state and control sizes, H and W rows and columns
-of a map, B beams, D directions, N anything else that comes in numbers.
+of a map, B beams, D directions, N any other count.
 """
 
 from collections.abc import Sequence
@@ -21,6 +21,6 @@ StateVector = Float[Array, "nx"]
 ControlVector = Float[Array, "nu"]
 Key = PRNGKeyArray
 Vector = ArrayLike | Sequence[float | int]
-"""What is accepted where a few numbers are given by hand."""
+"""A few numbers written by hand: a list, a tuple or an array."""
 Rows = ArrayLike | Sequence[Vector]
-"""What is accepted where rows of numbers are given by hand."""
+"""Rows of numbers written by hand: nested lists, tuples or an array."""

@@ -1,8 +1,8 @@
-"""Where XLA's CPU back end needs to be told not to fuse.
+"""Stop XLA's CPU back end from computing shared values once per output.
 
-It makes one loop per output and computes again, in each of them, whatever the outputs share. A step
-of a model has as many outputs as the state has components, and all share the same derivatives: the
-step of a quadrotor is computed up to 13 times. Values that are cut are computed once and read.
+The CPU back end emits one loop per output, and each loop recomputes what the outputs share. A step
+of a robot model has one output per state component, and all share the derivatives: the step of a
+quadrotor would be computed up to 13 times. `cut` makes shared values be computed once and read.
 Other back ends fuse several outputs into one kernel, where a cut would only cost memory traffic.
 """
 
@@ -14,7 +14,7 @@ Tree = TypeVar("Tree")
 
 
 def cut[Tree](tree: Tree) -> Tree:
-    """Return `tree`, computed once before whatever reads it; on a CPU only."""
+    """Return `tree` unchanged, behind an optimization barrier if it runs on a CPU."""
     result: Tree = jax.lax.platform_dependent(
         tree,
         cpu=jax.lax.optimization_barrier,

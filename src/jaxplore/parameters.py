@@ -1,4 +1,4 @@
-"""The numbers inside a controller, by name: to list, read and replace them."""
+"""List, read and replace the parameters of a controller by name."""
 
 import dataclasses
 import difflib
@@ -16,54 +16,59 @@ from jax.typing import ArrayLike
 from jaxplore.costs.base import Cost, NamedCost, SumCost, WeightedCost
 
 PREFIX = "controller."
-"""May stand before a path, to say of what it is."""
+"""Optional prefix of a parameter's path."""
 MOST_ELEMENTS = 64
-"""Larger arrays are maps and tables, not settings."""
+"""Largest number of elements of a parameter: larger arrays are maps and tables."""
 
 
 class _Place(NamedTuple):
-    """Where a leaf is: attributes and indices on the way to it."""
+    """Leaf of a pytree and the attributes (with a leading dot) and indices that lead to it."""
 
     steps: tuple[str | int, ...]
     value: Array
 
 
 def get_parameters(controller: Any) -> dict[str, Array]:
-    """Return the small float arrays of a controller, or of any pytree of modules, by their path.
+    """Return the parameters of a controller, or of any pytree of modules, by their path.
 
-    A path has the names of the fields on the way, as in `weighting.temperature`. A sum of costs is
-    entered by the names of its terms, `cost.information.weight`: the class without `Cost`, in lower
-    case, or the name given by `Cost.named`; what is there twice has a number from the second on,
-    `cost.obstacle-2.weight`. Weights need not be passed through: `cost.obstacle.clearance`.
+    Parameters are float arrays of at most 64 elements. A path joins the names of the fields that
+    lead to one, as in `weighting.temperature`. The terms of a sum of costs are entered by name, as
+    in `cost.information.weight`: the name given by `Cost.named`, or the class name without `Cost`
+    in lower case. A repeated name gets a number from the second on, `cost.obstacle-2.weight`. The
+    wrapper of a weight is left out of the path, `cost.obstacle.clearance`.
 
     Args:
-        controller: the pytree; traced or not.
+        controller: pytree that is searched; it may be traced.
     """
     return {path: place.value for path, place in _places(controller).items()}
 
 
 def find_parameter(controller: Any, path: str) -> str:
-    """Return the whole path of the leaf that a path means.
+    """Return the full path of the parameter that an abbreviated path refers to.
 
-    Of a path, names in between may be left out as long as one leaf alone fits, and `controller.`
-    may stand before it: `controller.temperature` means `weighting.temperature`.
+    Names within a path may be left out as long as it fits exactly one parameter, and it may begin
+    with `controller.`: `controller.temperature` refers to `weighting.temperature`.
+
+    Args:
+        controller: pytree that is searched.
+        path: full or abbreviated path.
 
     Raises:
-        ValueError: no leaf, or several; the nearest ones are named.
+        ValueError: a path that fits no parameter, or several; the message names the nearest.
     """
     return _match(path, tuple(_places(controller)))
 
 
 def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[float]]) -> C:
-    """Return a controller with other numbers; nothing is compiled anew for it.
+    """Return a controller with other parameter values, without recompilation.
 
     Args:
-        controller: the pytree.
-        values: by path, see `find_parameter`: one number for all elements, or an array of the
-            leaf's shape.
+        controller: pytree whose parameters are replaced; it stays unchanged.
+        values: new values by path, see `find_parameter`: one number for all elements, or an array
+            of the parameter's shape.
 
     Raises:
-        ValueError: a path that is none, a value of another shape, or that is not finite.
+        ValueError: an unknown path, a value of another shape or one that is not finite.
     """
     places = _places(controller)
     for path, value in values.items():
@@ -78,6 +83,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
             raise ValueError(f"parameter {path} is {value!r}; accepted: finite numbers")
         new = jnp.broadcast_to(new, place.value.shape)
 
+        # `steps` is a default, because a closure would see later values of the loop variable.
         def there(tree: Any, steps: tuple[str | int, ...] = place.steps) -> Any:
             for step in steps:
                 is_field = isinstance(step, str) and step.startswith(".")
@@ -89,7 +95,14 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
 
 
 def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int = 3) -> str:
-    """Return the names most like one, separated by commas, for a message."""
+    """Return the known names most similar to a name, separated by commas, for a message.
+
+    Args:
+        name: name that is not known.
+        known: known names.
+        number: greatest number of names.
+    """
+    # A right last name with a wrong path is the most frequent mistake: list those first.
     last = name.rpartition(".")[2]
     exact = [each for each in known if each.rpartition(".")[2] == last]
     close = difflib.get_close_matches(name, list(known), n=number, cutoff=0.0)
@@ -97,6 +110,7 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
 
 
 def _match(path: str, known: tuple[str, ...]) -> str:
+    # Try the path as given first: a component may itself be called "controller".
     for given in (path, path.removeprefix(PREFIX)):
         if given in known:
             return given
@@ -112,15 +126,16 @@ def _match(path: str, known: tuple[str, ...]) -> str:
 
 
 def _is_within(wanted: list[str], parts: list[str]) -> bool:
-    """Say whether the wanted names are among the parts in this order, the last one last."""
+    """Return whether the wanted names are a subsequence of the parts that ends with the last."""
     if wanted[-1] != parts[-1]:
         return False
-    rest = iter(parts)
+    rest = iter(parts)  # `in` consumes the iterator, which tests for a subsequence
     return all(name in rest for name in wanted)
 
 
 def _places(tree: Any) -> dict[str, _Place]:
     found: dict[str, _Place] = {}
+    # If two leaves have the same path, it refers to the first.
     for names, steps, value in _walk(tree, (), ()):
         found.setdefault(".".join(names), _Place(steps, value))
     return found
@@ -130,6 +145,7 @@ type _Found = tuple[tuple[str, ...], tuple[str | int, ...], Array]
 
 
 def _walk(tree: Any, names: tuple[str, ...], steps: tuple[str | int, ...]) -> Iterator[_Found]:
+    """Yield the parameters of a pytree; `names` and `steps` lead to it from the root."""
     if isinstance(tree, Cost):
         yield from _walk_cost(tree, names, steps)
     elif isinstance(tree, jax.Array):
@@ -149,6 +165,7 @@ def _walk(tree: Any, names: tuple[str, ...], steps: tuple[str | int, ...]) -> It
 def _walk_cost(
     cost: Cost, names: tuple[str, ...], steps: tuple[str | int, ...]
 ) -> Iterator[_Found]:
+    """Yield the parameters of a cost, with the terms of a sum under their names."""
     name, weights, inner, where = _unwrapped(cost, steps)
     yield from _weights(weights, names)
     if not isinstance(inner, SumCost):
@@ -178,7 +195,7 @@ def _walk_fields(
 def _summands(
     cost: Cost, steps: tuple[str | int, ...]
 ) -> Iterator[tuple[Cost, tuple[str | int, ...]]]:
-    """Yield what a sum of sums adds up, and where it is."""
+    """Yield the terms of nested sums, with the steps that lead to them."""
     if isinstance(cost, SumCost):
         for index, inner in enumerate(cost.costs):
             yield from _summands(inner, (*steps, ".costs", index))
@@ -192,7 +209,7 @@ type _Weights = tuple[tuple[tuple[str | int, ...], Array], ...]
 def _unwrapped(
     cost: Cost, steps: tuple[str | int, ...]
 ) -> tuple[str, _Weights, Cost, tuple[str | int, ...]]:
-    """Return the name of a cost, its weights from the outside in, what they weigh, and where."""
+    """Return the name of a cost, its weights from the outside in, the inner cost and its steps."""
     name, weights = "", []
     while isinstance(cost, WeightedCost | NamedCost):
         if isinstance(cost, WeightedCost):
@@ -207,7 +224,7 @@ def _unwrapped(
 
 
 def _weights(weights: _Weights, names: tuple[str, ...]) -> Iterator[_Found]:
-    """Yield weights; of several, one in the other, the innermost is `weight`."""
+    """Yield nested weights: the innermost is `weight`, the next ones `weight-2`, `weight-3`, ..."""
     for index, (at, weight) in enumerate(weights):
         outwards = len(weights) - index
         yield (*names, "weight" if outwards == 1 else f"weight-{outwards}"), at, weight

@@ -18,7 +18,7 @@ from jaxplore.belief.guidance import (
     extend,
     geodesic,
 )
-from jaxplore.belief.guidance import downhill as to_go
+from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception import safe_stride
 from jaxplore.maps.frame import GridFrame
 

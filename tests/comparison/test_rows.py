@@ -7,11 +7,10 @@ import pytest
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.metrics import compute_metrics
-from jaxplore.settings.exploration import make_settings
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.reachability import open_spot
-from jaxplore.report.exploration.data import Recording
 from jaxplore.simulation.run import record_run
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.perform import perform, results_for
@@ -34,7 +33,7 @@ def read(data: bytes) -> list[Row]:
     return pyarrow.parquet.read_table(io.BytesIO(data)).to_pylist()
 
 
-def _check_replay(row: Row, recording: Recording) -> None:
+def _check_replay(row: Row, recording: ExplorationRecording) -> None:
     """Each cell is there at the instant at which it was first known."""
     assert row["seen_time"] == [frame.time for frame in recording.frames]
     assert len(recording.frames) > 2

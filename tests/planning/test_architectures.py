@@ -12,12 +12,12 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from jaxplore import (
+    ExplorationScenario,
     InformativeMPPI,
     InverseSensorModel,
     Lidar,
     Perception,
     Quadrotor,
-    Scenario,
     informative_mppi,
     three_zones,
     unknown_fraction,
@@ -27,8 +27,8 @@ from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, FieldNumbers, Flight
+from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
-from jaxplore.report.exploration.data import Record
 
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)
@@ -55,7 +55,7 @@ def controller_of(architecture: str, flight: Flight = FLIGHT, **changes: Any) ->
 
 
 @pytest.fixture(scope="module")
-def scenario() -> Scenario:
+def scenario() -> ExplorationScenario:
     perception = Perception(
         LIDAR, 0.2, 0.3, sensor_model=MODEL, num_directions=8, goal=WORLD.goal[:2]
     )
@@ -78,7 +78,9 @@ def controllers(scenario) -> dict[str, InformativeMPPI]:
     return {name: controller_of(name).at_period(period) for name in ARCHITECTURES}
 
 
-def run(controller: InformativeMPPI, scenario: Scenario, seed: int, steps: int) -> Record:
+def run(
+    controller: InformativeMPPI, scenario: ExplorationScenario, seed: int, steps: int
+) -> ExplorationRecord:
     """Return the records of a run, which may end earlier."""
     state, key, rows, done = (
         initial_loop_state(controller, scenario),
@@ -302,7 +304,7 @@ def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
     (blind,) = (
         term for name, term in controllers["parallel"].mppi.cost.terms() if name == "PotentialCost"
     )
-    belief = initial_loop_state(controller, scenario).belief
+    belief = initial_loop_state(controller, scenario).task.belief
     # Half a metre below a zone that begins at y = 4.
     place = ROBOT.at_pose(2.5, 3.2, 0.0)
     strategy = strategy_by_parts(controller, belief, place)

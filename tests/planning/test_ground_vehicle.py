@@ -16,6 +16,7 @@ from jaxplore import (
     CollisionCost,
     ControlCost,
     DifferentialDrive,
+    ExplorationScenario,
     GoalCost,
     Knots,
     Lidar,
@@ -24,7 +25,6 @@ from jaxplore import (
     OccupancyGrid,
     Perception,
     SafeFusion,
-    Scenario,
     Situation,
     Smooth,
     State,
@@ -41,7 +41,7 @@ from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WE
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 DRIVE = DifferentialDrive(max_speed=1.0)
-SMALL = {"horizon": 12, "num_samples": 64}
+SMALL = {"horizon": 12, "num_samples": 64, "parameterisation": "direct"}
 START, GOAL = (1.5, 3.0), (6.8, 4.8)
 
 
@@ -159,13 +159,13 @@ def test_parts_of_the_template() -> None:
     assert float(found.members.mppi.cost.weight) == pytest.approx(COLLISION / 12)
     assert isinstance(found.members.mppi.cost.cost, CollisionCost)
     assert float(found.members.mppi.cost.cost.margin) == pytest.approx(0.1)
-    smooth = ground_portfolio(DRIVE, parameterisation=Smooth(), dt=0.1, **SMALL)
+    smooth = ground_portfolio(DRIVE, dt=0.1, **{**SMALL, "parameterisation": Smooth()})
     np.testing.assert_allclose(
         smooth.members.mppi.proposal.noise_std,
         np.array([0.5, 1.0]) / (0.1 * math.sqrt(6.0)),
         rtol=1e-5,
     )
-    knots = ground_portfolio(DRIVE, parameterisation=Knots(3), **SMALL)
+    knots = ground_portfolio(DRIVE, **{**SMALL, "parameterisation": Knots(3)})
     np.testing.assert_allclose(knots.members.mppi.proposal.noise_std, [0.25, 0.5], rtol=1e-5)
     contextual = ground_portfolio(
         DRIVE,
@@ -200,6 +200,7 @@ def test_parts_of_the_template() -> None:
         ({"temperature": -1.0}, r"temperature is"),
         ({"clearance": 0.0}, r"clearance is"),
         ({"margin": -0.1}, r"margin is"),
+        ({"parameterisation": "splines"}, r"parameterisation is 'splines'; accepted: direct, smo"),
     ],
 )
 def test_bad_arguments(arguments, message: str) -> None:
@@ -329,7 +330,7 @@ def test_if_all_collide_the_least_deep_one_counts(empty_belief) -> None:
 
 
 @pytest.fixture(scope="module")
-def scenario() -> Scenario:
+def scenario() -> ExplorationScenario:
     cells = np.zeros((30, 40), np.float32)
     cells[0], cells[-1], cells[:, 0], cells[:, -1] = 1.0, 1.0, 1.0, 1.0
     cells[14:17, 18:21] = cells[:10, 30:32] = 1.0

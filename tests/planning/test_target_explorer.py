@@ -12,7 +12,7 @@ from scipy.ndimage import binary_dilation, convolve, distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
 from jaxplore.planning.strategy.frontiers import find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (
@@ -176,7 +176,7 @@ def test_distance_advantage_is_by_dijkstra(half_known) -> None:
 def make(rule, **changes) -> TargetExplorer:
     tracker = explorer(ROBOT, horizon=15, num_samples=64, information_weight=0.0)
     frame = OccupancyGrid(world(), RESOLUTION).frame
-    given = {"required_clearance": REQUIRED, **NUMBERS, **changes}
+    given = {"required_clearance": REQUIRED, "every": 4, **NUMBERS, **changes}
     return TargetExplorer(tracker, rule, frame, SHAPE, STRIDE, **given)
 
 

@@ -5,10 +5,11 @@ import numpy as np
 import pytest
 
 from jaxplore.control.base import Members
-from jaxplore.report.exploration.data import Record
-from jaxplore.report.following.data import PathFrame, PathRecording
-from jaxplore.report.following.data import PathRecord
-from jaxplore.report.exploration.data import Frame, Recording, Timing
+from jaxplore.report.compute import Timing
+from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.following.data import PathFrame, PathRecord
+from jaxplore.report.following.recording import PathRecording
 
 PERIOD = 0.5
 NAMES = ("x", "y", "yaw", "v", "omega")
@@ -22,7 +23,7 @@ def turned(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture
-def make_recording() -> Callable[..., Recording]:
+def make_recording() -> Callable[..., ExplorationRecording]:
     """A run along given positions in a walled room, its map growing from left to right."""
 
     def make(
@@ -33,7 +34,7 @@ def make_recording() -> Callable[..., Recording]:
         origin: tuple[float, float, float] = (0.0, 0.0, 0.0),
         num_frames: int = 4,
         **changes: object,
-    ) -> Recording:
+    ) -> ExplorationRecording:
         steps, resolution = len(positions) - 1, 0.1
         pose = np.array(origin, np.float32)
         route = turned(np.array(positions, float).reshape(-1, 2), pose)
@@ -125,14 +126,14 @@ def make_recording() -> Callable[..., Recording]:
 
 
 @pytest.fixture
-def recording(make_recording: Callable[..., Recording]) -> Recording:
+def recording(make_recording: Callable[..., ExplorationRecording]) -> ExplorationRecording:
     """Ten steps of 0.2 m to the right, all of the room covered in the end."""
     positions = [(0.5 + 0.2 * k, 1.0) for k in range(11)]
     return make_recording(positions, [0.1, 0.2, 0.3, 0.5, 0.6, 0.7, 0.9, 0.95, 0.97, 0.99])
 
 
 @pytest.fixture
-def no_step(make_recording: Callable[..., Recording]) -> Recording:
+def no_step(make_recording: Callable[..., ExplorationRecording]) -> ExplorationRecording:
     """A run that ended before its first step."""
     return make_recording([(0.5, 1.0)], [])
 
@@ -142,7 +143,7 @@ CORNERS = np.array([[0.4, 0.15], [-0.2, 0.15], [-0.2, -0.15], [0.4, -0.15]])
 MEMBERS = ("bold", "careful", "slow")
 
 
-def ground_vehicle(recording: Recording) -> Recording:
+def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
     """The same run with everything that a ground vehicle's may hold besides."""
     steps, (rows, columns) = recording.num_steps, recording.world.shape
     row, column = np.mgrid[:rows, :columns]
@@ -195,13 +196,13 @@ def ground_vehicle(recording: Recording) -> Recording:
 
 
 @pytest.fixture
-def make_vehicle() -> Callable[[Recording], Recording]:
+def make_vehicle() -> Callable[[ExplorationRecording], ExplorationRecording]:
     """Add ground, targets, movers, a watch, members and a rectangle to a run."""
     return ground_vehicle
 
 
 @pytest.fixture
-def vehicle(recording: Recording) -> Recording:
+def vehicle(recording: ExplorationRecording) -> ExplorationRecording:
     """A run of ten steps with ground, targets, movers, a watch, members and a rectangle."""
     return ground_vehicle(recording)
 

@@ -5,9 +5,9 @@ import pytest
 from matplotlib.contour import QuadContourSet
 from matplotlib.patches import Circle, Polygon
 
-from jaxplore.report.drawing.window import Window
 from jaxplore.report.exploration.overlays import closed_cells
 from jaxplore.report.exploration.plots import map_figure
+from jaxplore.report.exploration.window import Window
 
 POSE = (3.0, -2.0, 0.7)
 ADDED = {"height [m]", "not traversable", "target", "moving obstacle"}

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 
-from jaxplore.report.following.metrics import compute_path_metrics
-from jaxplore.report.following.data import PathRecording
+from jaxplore.report.compute import Timing
 from jaxplore.report.following.data import PathRecord
-from jaxplore.report.exploration.data import Timing
+from jaxplore.report.following.metrics import compute_path_metrics
+from jaxplore.report.following.recording import PathRecording
 
 
 def recording(steps: int = 6, **changes) -> PathRecording:

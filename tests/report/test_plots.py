@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from jaxplore.report.drawing.colours import MISSED, UNKNOWN, belief_colours
-from jaxplore.report.drawing.window import Window
 from jaxplore.report.exploration.plots import coverage_figure, map_figure, true_outline
+from jaxplore.report.exploration.window import Window
 
 POSE = (3.0, -2.0, 0.7)
 

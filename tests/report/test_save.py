@@ -8,7 +8,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.report.exploration.metrics import compute_metrics
-from jaxplore.report.exploration.save import save_recording
+from jaxplore.report.save import save_run
 
 FILES = ["arrays.npz", "coverage.png", "exploration.gif", "map.png", "metrics.json"]
 
@@ -20,9 +20,7 @@ def names(path) -> list[str]:
 def test_a_run_folder_holds_everything(recording, tmp_path):
     metrics, shares = compute_metrics(recording, seed=3), []
     settings = {"world": "depot", "lidar": {"num_beams": 360, "max_range": 8.0}, "seed": 3}
-    save_recording(
-        recording, metrics, tmp_path / "run", settings=settings, on_progress=shares.append
-    )
+    save_run(recording, metrics, tmp_path / "run", settings=settings, on_progress=shares.append)
     assert names(tmp_path / "run") == [*FILES, "settings.yaml"]
     assert shares == sorted(shares)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
@@ -45,7 +43,7 @@ def test_a_run_folder_holds_everything(recording, tmp_path):
 
 
 def test_arrays_hold_the_run(recording, tmp_path):
-    save_recording(recording, compute_metrics(recording), tmp_path / "run", animation=False)
+    save_run(recording, compute_metrics(recording), tmp_path / "run", animation=False)
     assert "exploration.gif" not in names(tmp_path / "run")
     with np.load(tmp_path / "run" / "arrays.npz", allow_pickle=False) as arrays:
         for name, rows in recording.records._asdict().items():
@@ -64,7 +62,7 @@ OPTIONAL = ["targets", "idleness", "elevation", "traversable", "mover_radii", "f
 
 def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_path):
     for each, name in ((vehicle, "full"), (recording, "plain")):
-        save_recording(each, compute_metrics(each), tmp_path / name, animation=False)
+        save_run(each, compute_metrics(each), tmp_path / name, animation=False)
     files = [name for name in FILES if "gif" not in name]
     assert names(tmp_path / "plain") == files
     assert names(tmp_path / "full") == sorted([*files, "members.png", "idleness.png"])
@@ -86,13 +84,13 @@ def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_p
 
 def test_a_ground_vehicle_without_a_step_can_be_saved(no_step, make_vehicle, tmp_path):
     vehicle = make_vehicle(no_step)
-    save_recording(vehicle, compute_metrics(vehicle), tmp_path / "run")
+    save_run(vehicle, compute_metrics(vehicle), tmp_path / "run")
     assert names(tmp_path / "run") == sorted([*FILES, "members.png", "idleness.png"])
 
 
 @pytest.mark.parametrize("animation", [False, True])
 def test_a_run_without_a_step_can_be_saved(no_step, tmp_path, animation):
-    save_recording(no_step, compute_metrics(no_step), tmp_path / "run", animation=animation)
+    save_run(no_step, compute_metrics(no_step), tmp_path / "run", animation=animation)
     assert names(tmp_path / "run") == [name for name in FILES if animation or "gif" not in name]
 
 
@@ -100,7 +98,7 @@ def test_a_run_without_a_step_can_be_saved(no_step, tmp_path, animation):
 def test_a_disk_that_fills_leaves_what_was_there(recording, tmp_path, monkeypatch, overwrite):
     metrics = compute_metrics(recording)
     if overwrite:
-        save_recording(recording, metrics, tmp_path / "run", animation=False)
+        save_run(recording, metrics, tmp_path / "run", animation=False)
     before = sorted(tmp_path.rglob("*"))
 
     def fail(*_, **__):
@@ -108,7 +106,7 @@ def test_a_disk_that_fills_leaves_what_was_there(recording, tmp_path, monkeypatc
 
     monkeypatch.setattr(np, "savez_compressed", fail)
     with pytest.raises(ValueError, match=r"run' cannot be written: No space left"):
-        save_recording(recording, metrics, tmp_path / "run", overwrite=overwrite)
+        save_run(recording, metrics, tmp_path / "run", overwrite=overwrite)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -117,23 +115,23 @@ def test_ctrl_c_while_drawing_leaves_out_the_animation_only(recording, tmp_path)
         if 0.5 < share < 1.0:
             raise KeyboardInterrupt
 
-    save_recording(recording, compute_metrics(recording), tmp_path / "run", on_progress=interrupt)
+    save_run(recording, compute_metrics(recording), tmp_path / "run", on_progress=interrupt)
     names = {path.name for path in (tmp_path / "run").iterdir()}
     assert names == {"metrics.json", "arrays.npz", "map.png", "coverage.png"}
 
 
 def test_overwrite(recording, tmp_path):
     metrics = compute_metrics(recording)
-    save_recording(recording, metrics, tmp_path / "run", settings={"a": 1}, animation=False)
+    save_run(recording, metrics, tmp_path / "run", settings={"a": 1}, animation=False)
     with pytest.raises(ValueError, match="former run"):
-        save_recording(recording, metrics, tmp_path / "run", animation=False)
-    save_recording(recording, metrics, tmp_path / "run", animation=False, overwrite=True)
+        save_run(recording, metrics, tmp_path / "run", animation=False)
+    save_run(recording, metrics, tmp_path / "run", animation=False, overwrite=True)
     assert "settings.yaml" not in names(tmp_path / "run")
 
 
 def test_settings_that_are_not_plain_are_refused_before_anything_is_written(recording, tmp_path):
     with pytest.raises(ValueError, match="settings cannot be written as YAML") as caught:
-        save_recording(
+        save_run(
             recording, compute_metrics(recording), tmp_path / "run", settings={"a": np.ones(2)}
         )
     assert "\n" not in str(caught.value)

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from jaxplore.report.drawing.window import Window, outline_at
+from jaxplore.report.drawing.picture import outline_at
+from jaxplore.report.exploration.window import Window
 
 
 def test_window_is_the_box_of_the_reachable_cells_and_a_metre(make_recording):

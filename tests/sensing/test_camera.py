@@ -9,7 +9,7 @@ import pytest
 
 from jaxplore import Camera, InverseSensorModel, Lidar, OccupancyGrid
 from jaxplore.maps.ground import Ground
-from jaxplore.sensing.base import Scan, Sighting, updated
+from jaxplore.sensing.base import Scan, Sighting, update_grid
 
 REACH, VIEW, VERTICAL, HEIGHT, TILT = 4.0, 1.2, 0.9, 0.5, -0.15
 CAMERA = Camera(24, REACH, VIEW, VERTICAL, HEIGHT, TILT)
@@ -294,8 +294,8 @@ def test_two_sensors_see_the_union_in_any_order(turn: float, place, frame) -> No
         two = CAMERA.sight(
             belief, CAMERA.scan(grid, second, key=key, ground=ground), second, ground
         )
-        after = updated(updated(belief, one, MODEL), two, MODEL)
-        other = updated(updated(belief, two, MODEL), one, MODEL)
+        after = update_grid(update_grid(belief, one, MODEL), two, MODEL)
+        other = update_grid(update_grid(belief, two, MODEL), one, MODEL)
         return one.is_seen, two.is_seen, after.probability, other.probability
 
     one, two, after, other = jax.device_get(both(OccupancyGrid.unknown(grid.shape, grid.frame)))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, Scenario, explorer
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
 
 SIZE = (40, 60)
 

@@ -10,23 +10,18 @@ import pytest
 
 from jaxplore import (
     DifferentialDrive,
+    ExplorationScenario,
     InverseSensorModel,
     Lidar,
     OccupancyGrid,
     Perception,
-    Scenario,
 )
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.report.exploration.animation import frame_image
-from jaxplore.simulation.loop import (
-    _before_control,
-    _is_finished,
-    initial_loop_state,
-    run_chunk,
-)
-from jaxplore.report.exploration.data import Progress
+from jaxplore.report.exploration.data import MapProgress
+from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
@@ -132,7 +127,7 @@ def test_senses_and_plans_at_the_rates_given(make) -> None:
     maps, guidances = [], []
     for _ in range(21):
         state, _, _ = run_chunk(controller, scenario, state, key, ONE, CHUNK)
-        belief: Belief = state.belief
+        belief: Belief = state.task.belief
         maps.append(np.asarray(belief.grid.probability))
         guidances.append(np.asarray(belief.guidance.values))
     changed = [not np.array_equal(a, b) for a, b in itertools.pairwise(maps)]
@@ -224,7 +219,7 @@ AHEAD, GOAL, SHORT_CHUNK = Forward(jnp.asarray([1.0, 0.0])), (2.5, 1.5), 10
 
 def hall_scenario(
     prior: np.ndarray | None = HALL, world: np.ndarray = HALL, *, goal=GOAL, x=0.6, **arguments
-) -> Scenario:
+) -> ExplorationScenario:
     """A robot at 20 Hz in a hall of 4 m x 3 m; one compiled loop for all that have a goal."""
     perception = Perception(
         SHORT_LIDAR,
@@ -249,7 +244,7 @@ def hall_scenario(
     )
 
 
-def drive(scenario: Scenario, steps: int = 60):
+def drive(scenario: ExplorationScenario, steps: int = 60):
     return record_run(AHEAD, scenario, steps, key=jax.random.key(0))
 
 
@@ -285,7 +280,7 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
     # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
     # coverage itself is enough.
     robot = ROBOT.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
-    progress = Progress(
+    progress = MapProgress(
         jnp.asarray(0.75 if is_covered else 0.74),
         jnp.zeros(()),
         jnp.asarray(0.249 if is_known else 0.25),
@@ -293,31 +288,33 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
         jnp.zeros(()),
     )
     nothing = jnp.zeros(0, bool)
-    found = bool(_is_finished(scenario, robot, progress, nothing))
+    found = bool(scenario._is_finished(robot, progress, nothing))
     assert found == (is_there and (is_known or is_covered))
     aimless = hall_scenario(goal=None, target_coverage=0.75)
-    assert bool(_is_finished(aimless, robot, progress, nothing)) == is_covered
+    assert bool(aimless._is_finished(robot, progress, nothing)) == is_covered
 
 
 def test_the_prior_is_what_is_known_at_first() -> None:
     prior = np.random.default_rng(0).uniform(0.0, 1.0, HALL.shape).astype(np.float32)
     scenario = hall_scenario(prior, HALL)
     state = initial_loop_state(AHEAD, scenario)
-    belief = np.asarray(state.belief.grid.probability)
+    belief = np.asarray(state.task.belief.grid.probability)
     rows, columns = np.mgrid[:30, :40]
     away = np.hypot(columns * 0.1 + 0.05 - 0.6, rows * 0.1 + 0.05 - 1.5)
     np.testing.assert_array_equal(belief[away > 0.45], prior[away > 0.45])
     np.testing.assert_allclose(belief[away < 0.25], 0.01, rtol=1e-5)
-    assert float(state.progress.unknown) == pytest.approx(np.mean(4 * belief * (1 - belief) > 0.5))
+    assert float(state.task.progress.unknown) == pytest.approx(
+        np.mean(4 * belief * (1 - belief) > 0.5)
+    )
     np.testing.assert_array_equal(scenario.world.probability, HALL)
 
 
 def test_what_is_known_at_first_is_compiled_once_for_all_controllers(make) -> None:
     controller, scenario = make()
     first = initial_loop_state(controller, scenario)
-    compiled = _before_control._cached._cache_size()
+    compiled = _initial_task._cached._cache_size()
     other = initial_loop_state(AHEAD, scenario, jax.random.key(3))
-    assert _before_control._cached._cache_size() == compiled
+    assert _initial_task._cached._cache_size() == compiled
     mine, theirs = jax.tree.structure(first.controller), jax.tree.structure(other.controller)
     assert mine != theirs
     pair = (state._replace(controller=()) for state in (first, other))
@@ -330,20 +327,20 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
     scenario = hall_scenario(HALL, world, goal=None, target_coverage=None)
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
-    known = np.asarray(state.belief.grid.probability)
+    known = np.asarray(state.task.belief.grid.probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)
     collisions = 0
     for _ in range(80):
-        reach = float(state.robot[0]) + 1.0
+        reach = float(state.task.robot[0]) + 1.0
         state, records, _ = run_chunk(AHEAD, scenario, state, key, ONE, SHORT_CHUNK)
-        known = np.asarray(state.belief.grid.probability)
+        known = np.asarray(state.task.belief.grid.probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
-        assert float(state.robot[0]) <= 2.8 - 0.2 + 1e-4
+        assert float(state.task.robot[0]) <= 2.8 - 0.2 + 1e-4
         collisions += int(records.is_collision[0])
     assert collisions > 10
     np.testing.assert_allclose(known[13:17, 28], 0.99, rtol=1e-5)
     np.testing.assert_array_equal(known[:, 30:], HALL[:, 30:])
-    assert int(state.finished) == 0
+    assert int(state.task.finished) == 0
 
 
 def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import Faults, Lidar, Perception, Quadrotor, Scenario
+from jaxplore import Faults, Lidar, Perception, Quadrotor
 from jaxplore.control.base import Controller
 from jaxplore.simulation.environment.action_modes import (
     ControlMode,
@@ -77,19 +77,23 @@ def test_the_explorer_sees_and_does_in_it_what_it_does_in_a_run(make, controls) 
     @eqx.filter_jit
     def decide(controller: Controller, memory, state):
         _, key = jax.random.split(jax.random.fold_in(state.key, state.loop.step))
-        control, memory, _ = controller.step(memory, state.told, state.belief, key=key)
+        control, memory, _ = controller.step(memory, state.moment.observed, state.belief, key=key)
         return control, memory
 
     memory = controller.init()
     for k in range(60):
-        np.testing.assert_allclose(outcome.coverage, recording.records.coverage[k], rtol=1e-6)
-        np.testing.assert_allclose(outcome.entropy, recording.records.entropy[k], rtol=1e-6)
+        np.testing.assert_allclose(
+            outcome.facts["coverage"], recording.records.coverage[k], rtol=1e-6
+        )
+        np.testing.assert_allclose(
+            outcome.facts["entropy"], recording.records.entropy[k], rtol=1e-6
+        )
         control, memory = decide(controller, memory, state)
         # Two programs round in two ways, of which the softmax makes more.
         np.testing.assert_allclose(control, recording.records.control[k], atol=5e-3)
         # The very same command, so that nothing adds up.
         state, outcome = advance(environment, state, jnp.asarray(recording.records.control[k]))
-        np.testing.assert_array_equal(state.loop.robot, recording.records.state[k])
+        np.testing.assert_array_equal(state.loop.task.robot, recording.records.state[k])
     moves = np.linalg.norm(np.diff(recording.positions, axis=0), axis=1)
     np.testing.assert_allclose(outcome.tally.path_length, moves.sum(), rtol=1e-5)
 
@@ -106,8 +110,8 @@ def test_an_action_is_as_many_shorter_ones(controls, wander) -> None:
             reward += float(part.reward)
         for a, b in zip(jax.tree.leaves(state.loop), jax.tree.leaves(pieces.loop), strict=True):
             np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(whole.observation.scan, part.observation.scan)
-        np.testing.assert_array_equal(whole.observation.belief, part.observation.belief)
+        np.testing.assert_array_equal(whole.observation["scan"], part.observation["scan"])
+        np.testing.assert_array_equal(whole.observation["belief"], part.observation["belief"])
         np.testing.assert_allclose(whole.reward, reward, atol=1e-4)
 
 
@@ -123,7 +127,7 @@ def test_rewards_add_up_to_the_entropy_that_was_lost(controls, scenario, wander)
     p = np.clip(np.asarray(state.belief.grid.probability, np.float64), 1e-12, 1 - 1e-12)
     cells = np.asarray(scenario.reachable)
     entropy = -(p * np.log(p) + (1 - p) * np.log(1 - p))[cells].sum()
-    np.testing.assert_allclose(outcome.entropy, entropy, rtol=1e-4)
+    np.testing.assert_allclose(outcome.facts["entropy"], entropy, rtol=1e-4)
     lost = (float(first.entropy) - entropy) / (math.log(2.0) * cells.sum())
     np.testing.assert_allclose(sum(rewards), 100.0 * lost, rtol=1e-3)
     assert sum(rewards) > 3.0
@@ -157,24 +161,27 @@ def test_the_observation_is_of_where_the_robot_is(controls, scenario, wander) ->
     for action in wander[:20]:
         state, outcome = advance(environment, state, action)
     seen = outcome.observation
-    pose = np.asarray(state.loop.robot[:3])
-    np.testing.assert_allclose(seen.pose[:2], pose[:2])
-    turns = (float(seen.pose[2]) - float(pose[2])) / (2.0 * math.pi)
+    pose = np.asarray(state.loop.task.robot[:3])
+    np.testing.assert_allclose(seen["pose"][:2], pose[:2])
+    turns = (float(seen["pose"][2]) - float(pose[2])) / (2.0 * math.pi)
     np.testing.assert_allclose(turns, round(turns), atol=1e-6)
-    assert abs(float(seen.pose[2])) <= math.pi
-    np.testing.assert_array_equal(seen.state[:3], seen.pose)
-    np.testing.assert_array_equal(seen.state[3:], state.loop.robot[3:])
+    assert abs(float(seen["pose"][2])) <= math.pi
+    np.testing.assert_array_equal(seen["state"][:3], seen["pose"])
+    np.testing.assert_array_equal(seen["state"][3:], state.loop.task.robot[3:])
     # By hand: beams of the lidar in the true world, but for its noise of 1 cm.
     exact = Lidar(72, 1.5, range_noise=0.0)
     true = exact.scan(scenario.world, jnp.asarray(pose), key=KEY).ranges
-    np.testing.assert_allclose(seen.scan, true, atol=0.06)
-    np.testing.assert_array_equal(seen.belief, state.belief.grid.probability)
+    np.testing.assert_allclose(seen["scan"], true, atol=0.06)
+    np.testing.assert_array_equal(seen["belief"], state.belief.grid.probability)
 
 
 def test_a_view_is_the_belief_around_the_robot(make, controls) -> None:
     environment = controls(make(start=(3.13, 2.04, 0.7))[1], view=1.6)
     state, outcome = eqx.filter_jit(lambda given: given.reset(KEY, FIRST))(environment)
-    view, (x, y, yaw) = np.asarray(outcome.observation.belief), np.asarray(outcome.observation.pose)
+    view, (x, y, yaw) = (
+        np.asarray(outcome.observation["belief"]),
+        np.asarray(outcome.observation["pose"]),
+    )
     assert view.shape == (16, 16)
     belief = np.asarray(state.belief.grid.probability)
     differing = 0
@@ -190,16 +197,16 @@ def test_a_view_is_the_belief_around_the_robot(make, controls) -> None:
 def test_an_episode_ends_where_it_is_covered_or_its_time_is_up(make, controls) -> None:
     environment = controls(make(start=(3.0, 2.0, math.pi), target=0.35)[1])
     state, outcome = reset(environment)
-    assert float(outcome.coverage) < 0.35
+    assert float(outcome.facts["coverage"]) < 0.35
     for _ in range(40):
         state, outcome = advance(environment, state, AHEAD)
-        assert bool(outcome.is_terminated) == (float(outcome.coverage) >= 0.35)
+        assert bool(outcome.is_terminated) == (float(outcome.facts["coverage"]) >= 0.35)
         assert not bool(outcome.is_truncated)
         if outcome.is_terminated:
             break
     assert bool(outcome.is_terminated)
     again, after = advance(environment, state, AHEAD)
-    np.testing.assert_array_equal(again.loop.robot, state.loop.robot)
+    np.testing.assert_array_equal(again.loop.robot, state.loop.task.robot)
     assert bool(after.is_terminated)
     assert int(after.num_steps) == int(outcome.num_steps)
 
@@ -256,11 +263,11 @@ def test_a_blind_robot_keeps_its_last_scan_and_ends_at_its_goal(scenario) -> Non
     )
     environment = Environment(faulty, ControlMode(scenario.robot))
     state, outcome = reset(environment)
-    scans = [np.asarray(outcome.observation.scan)]
+    scans = [np.asarray(outcome.observation["scan"])]
     while not outcome.is_terminated:
         state, outcome = advance(environment, state, AHEAD)
-        scans.append(np.asarray(outcome.observation.scan))
-        x = float(outcome.observation.pose[0])
+        scans.append(np.asarray(outcome.observation["scan"]))
+        x = float(outcome.observation["pose"][0])
         assert bool(outcome.is_terminated) == (x > 3.2)
         assert x < 3.2 + 0.02
     is_same = [np.array_equal(a, b) for a, b in itertools.pairwise(scans)]
@@ -277,7 +284,7 @@ def test_waypoints_are_reached_around_walls_without_touching(scenario) -> None:
     goal = np.array([5.0, 2.0])  # behind the wall of the U, which is not known yet
     distances = []
     for _ in range(30):
-        x, y, yaw = np.asarray(outcome.observation.pose)
+        x, y, yaw = np.asarray(outcome.observation["pose"])
         offset = goal - [x, y]
         distances.append(float(np.hypot(*offset)))
         if distances[-1] < 0.3:

@@ -11,18 +11,18 @@ import pytest
 
 from jaxplore import (
     DifferentialDrive,
+    ExplorationScenario,
     Faults,
     InverseSensorModel,
     Lidar,
     OccupancyGrid,
     Perception,
-    Scenario,
     explorer,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
+from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
-from jaxplore.report.exploration.data import Record
 from jaxplore.simulation.run import record_run
 
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
@@ -64,19 +64,21 @@ class Run(NamedTuple):
     """A run step by step: N + 1 states of the loop, N records, what the controller was told."""
 
     states: list[LoopState]
-    records: Record
+    records: ExplorationRecord
     told: np.ndarray
 
     @property
     def robots(self) -> np.ndarray:
-        return np.stack([state.robot for state in self.states])
+        return np.stack([state.task.robot for state in self.states])
 
     @property
     def maps(self) -> np.ndarray:
-        return np.stack([state.belief.grid.probability for state in self.states])
+        return np.stack([state.task.belief.grid.probability for state in self.states])
 
 
-def make(faults: Faults | None, x: float = 0.6, yaw: float = 0.0, lidar: Lidar = LIDAR) -> Scenario:
+def make(
+    faults: Faults | None, x: float = 0.6, yaw: float = 0.0, lidar: Lidar = LIDAR
+) -> ExplorationScenario:
     perception = Perception(lidar, 0.1, 0.2, sensor_model=SENSOR, num_directions=4)
     return ExplorationScenario(
         OccupancyGrid(WORLD, 0.1),
@@ -91,7 +93,10 @@ def make(faults: Faults | None, x: float = 0.6, yaw: float = 0.0, lidar: Lidar =
 
 
 def run(
-    scenario: Scenario, commands: np.ndarray = FORWARD, controller: Controller | None = None, seed=0
+    scenario: ExplorationScenario,
+    commands: np.ndarray = FORWARD,
+    controller: Controller | None = None,
+    seed=0,
 ) -> Run:
     controller = Script(jnp.asarray(commands)) if controller is None else controller
     state, key = initial_loop_state(controller, scenario), jax.random.key(seed)
@@ -157,7 +162,7 @@ def test_without_odometry_the_controller_is_told_so_and_the_run_goes_on(flawless
     # Without a place for it, no scan and no field touches what is known.
     for state in lost.states[11:21]:
         for a, b in zip(
-            jax.tree.leaves(state.belief), jax.tree.leaves(lost.states[10].belief), strict=True
+            jax.tree.leaves(state.task.belief), jax.tree.leaves(lost.states[10].belief), strict=True
         ):
             np.testing.assert_array_equal(a, b)
     assert differs(lost.maps[20:22], lost.maps[19:21])[1]

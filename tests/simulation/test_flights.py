@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from jaxplore import Faults
-from jaxplore.build.exploration import Experiment, build
-from jaxplore.settings.exploration import make_settings
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
-from jaxplore.report.exploration.data import Record
-from jaxplore.simulation.exploration.scenario import Scenario
 
 SHORT: dict[str, Any] = {
     "map": "zones",
@@ -41,14 +41,14 @@ ARCHITECTURES = pytest.mark.parametrize("architecture", DELAYS)
 
 
 class Flight(NamedTuple):
-    records: Record
+    records: ExplorationRecord
     positions: np.ndarray
     belief: np.ndarray
     initial_unknown: float
 
 
 def fly(flight: Experiment, faults: Faults | None = None, steps: int = STEPS) -> Flight:
-    scenario: Scenario = flight.scenario
+    scenario: ExplorationScenario = flight.scenario
     if faults is not None:
         scenario = eqx.tree_at(
             lambda each: each.faults, scenario, faults, is_leaf=lambda leaf: leaf is None

@@ -13,6 +13,7 @@ import pytest
 from jaxplore import (
     Ackermann,
     DifferentialDrive,
+    ExplorationScenario,
     Ground,
     IdlenessMap,
     InverseSensorModel,
@@ -20,7 +21,6 @@ from jaxplore import (
     MovingObstacles,
     OccupancyGrid,
     Perception,
-    Scenario,
     TerrainMap,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
@@ -29,9 +29,7 @@ from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.simulation.loop import (
     LoopState,
-    _is_finished,
     initial_loop_state,
-    is_unfinished,
     run_chunk,
 )
 
@@ -86,7 +84,7 @@ def scenario(
     targets=CORNERS,
     robot=ROBOT,
     **more,
-) -> Scenario:
+) -> ExplorationScenario:
     """Return one of many that differ in arrays only: they share one compiled loop."""
     world = hall() if world is None else world
     elevation = np.zeros(SHAPE) if elevation is None else elevation
@@ -125,18 +123,20 @@ class Outcome(NamedTuple):
     states: np.ndarray
 
 
-def begin(given: Scenario, command=(0.0, 0.0), seed: int = 0) -> tuple[Steady, LoopState]:
+def begin(
+    given: ExplorationScenario, command=(0.0, 0.0), seed: int = 0
+) -> tuple[Steady, LoopState]:
     controller = Steady(jnp.asarray(command, jnp.float32))
     return controller, initial_loop_state(controller, given, jax.random.key(seed))
 
 
-def advance(controller, given: Scenario, state: LoopState, steps: int, seed: int = 0):
+def advance(controller, given: ExplorationScenario, state: LoopState, steps: int, seed: int = 0):
     key, count = jax.random.key(seed), jnp.asarray(steps, jnp.int32)
     state, rows, done = run_chunk(controller, given, state, key, count, CAPACITY)
     return state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
 
 
-def drive(given: Scenario, steps: int, command=(0.0, 0.0), seed: int = 0) -> Outcome:
+def drive(given: ExplorationScenario, steps: int, command=(0.0, 0.0), seed: int = 0) -> Outcome:
     controller, state = begin(given, command, seed)
     pieces = []
     for begun in range(0, steps, CAPACITY):
@@ -166,7 +166,7 @@ SPOTS = ((2.3, 3.5), (4.9, 5.3), (6.1, 3.1), (7.3, 4.1))
 
 
 @pytest.fixture(scope="module")
-def search() -> tuple[Scenario, Outcome]:
+def search() -> tuple[ExplorationScenario, Outcome]:
     """A robot that passes a box, behind which there is something to be seen."""
     given = scenario(hall(has_box=True), targets=SPOTS, target_coverage=0.5)
     return given, drive(given, 160, (1.0, 0.02))
@@ -190,8 +190,8 @@ def test_the_run_is_over_when_all_targets_are_seen(search) -> None:
     assert len(seen) < 160
     assert seen[-1] == len(SPOTS)
     assert (seen[:-1] < len(SPOTS)).all()
-    assert int(outcome.state.finished) == 1
-    assert not bool(is_unfinished(given, outcome.state))
+    assert int(outcome.state.task.finished) == 1
+    assert not bool(given.is_unfinished(outcome.state.task))
     # The target coverage, which is not what it is out for, was reached before.
     assert (outcome.records.coverage[:-1] >= 0.5).any()
 
@@ -214,7 +214,7 @@ def test_idleness_is_the_time_since_the_first_sensor_saw_each_cell(search) -> No
         assert outcome.records.mean_idleness[step] == pytest.approx(idle.mean(), abs=1e-3)
         assert outcome.records.worst_idleness[step] == pytest.approx(idle.max(), abs=1e-3)
     assert 0.0 < idle.mean() < idle.max()
-    np.testing.assert_allclose(outcome.state.belief.idleness, time - last, atol=1e-3)
+    np.testing.assert_allclose(outcome.state.task.belief.idleness, time - last, atol=1e-3)
 
 
 # What moves
@@ -247,9 +247,9 @@ def watched() -> Watched:
     tracks, times = [], []
     for scan in range(100):
         state, _ = advance(controller, given, state, 1 if scan == 0 else 2)
-        tracks.append(jax.tree.map(np.asarray, state.belief.tracks))
+        tracks.append(jax.tree.map(np.asarray, state.task.belief.tracks))
         times.append(2 * scan * PERIOD)
-    return Watched(state, float(state.movers.phase[0]), tracks, times)
+    return Watched(state, float(state.task.moving_obstacles.phase[0]), tracks, times)
 
 
 POSE = np.array([4.0, 3.7, math.pi / 2])
@@ -287,14 +287,14 @@ def test_out_of_sight_tracks_go_on_and_grow_older(watched) -> None:
 
 
 def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
-    grid = watched.state.belief.grid
+    grid = watched.state.task.belief.grid
     is_free = hall() < 0.25
     assert not (np.asarray(grid.is_occupied) & is_free).any()
     # What it passed in sight of the robot is known to be free by now.
     assert np.asarray(grid.is_free)[23, 13:27].all()
     # And the wall, seen across its way, is known.
     outline = scenario(start=(4.0, 3.7, math.pi / 2), mover=PARKED)
-    still = drive(outline, 199).state.belief.grid
+    still = drive(outline, 199).state.task.belief.grid
     assert (np.asarray(still.is_occupied) & ~is_free).sum() > 0
     np.testing.assert_array_equal(grid.is_occupied & ~is_free, still.is_occupied & ~is_free)
 
@@ -302,7 +302,7 @@ def test_what_moves_leaves_no_ghosts_in_the_map(watched) -> None:
 def test_what_runs_into_a_standing_robot_is_a_collision() -> None:
     mover = MovingObstacle(((1.5, 3.2), (6.5, 3.2)), 1.0, 0.3)
     outcome = drive(scenario(start=(4.0, 3.0, 0.3), mover=mover), 200)
-    phase = float(outcome.state.movers.phase[0])
+    phase = float(outcome.state.task.moving_obstacles.phase[0])
     away = [np.hypot(*(place(mover, phase, PERIOD * (k + 1)) - (4.0, 3.0))) for k in range(200)]
     gap = np.array(away) - 0.3 - 0.25
     assert np.abs(gap).min() > 1e-4
@@ -319,7 +319,7 @@ def test_where_it_begins_depends_on_the_key_alone() -> None:
     first, again, other = (drive(given, 6, (1.0, 0.5), seed) for seed in (3, 3, 4))
     for one, two in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
         np.testing.assert_array_equal(one, two)
-    phases = [float(each.state.movers.phase[0]) for each in (first, other)]
+    phases = [float(each.state.task.moving_obstacles.phase[0]) for each in (first, other)]
     assert phases[0] != phases[1]
     assert all(0.0 <= phase < 1.0 for phase in phases)
     controller, moved = begin(scenario(start=(2.0, 2.0, 1.0), mover=CROSSING), (0.3, 0.0), 3)
@@ -380,7 +380,9 @@ def test_a_rectangle_collides_with_its_corners() -> None:
     }
     start = (5.0, 2.5, yaw)
     car = drive(
-        ExplorationScenario(place, CAR, AROUND, start, perception=perception, **rates), 120, (1.0, 0.0)
+        ExplorationScenario(place, CAR, AROUND, start, perception=perception, **rates),
+        120,
+        (1.0, 0.0),
     )
     disc = drive(scenario(start=(5.0, 2.5, yaw)), 120, (1.0, 0.0))
     for outcome, reach in ((car, front), (disc, 0.25)):
@@ -396,11 +398,11 @@ def test_a_rectangle_collides_with_its_corners() -> None:
 def test_without_a_target_coverage_there_is_no_end() -> None:
     never, once = (scenario(targets=None, target_coverage=c) for c in (None, 1.0))
     _, state = begin(never)
-    covered = state._replace(progress=state.progress._replace(coverage=jnp.ones(())))
-    assert bool(is_unfinished(never, covered))
-    assert not bool(is_unfinished(once, covered))
+    covered = state.task._replace(progress=state.task.progress._replace(coverage=jnp.ones(())))
+    assert bool(never.is_unfinished(covered))
+    assert not bool(once.is_unfinished(covered))
     ends = [
-        bool(_is_finished(each, covered.robot, covered.progress, covered.is_seen))
+        bool(each._is_finished(covered.robot, covered.progress, covered.is_seen))
         for each in (never, once)
     ]
     assert ends == [False, True]

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.report.following.data import record_run
-from jaxplore.report.following.data import initial_path_state, run_path_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 RING = jx.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
@@ -28,12 +27,9 @@ AROUND = 100.0 * jx.ObstacleDistanceCost(collision=1.0)
 def mpcc(path=RING, *, other=OTHER, **changes):
     given = {
         "noise_std": [2.4, 1.2],
-        "max_speed": 4.0,
-        "contouring_weight": 10.0,
-        "lag_weight": 50.0,
         "progress_weight": 300.0,
+        "comfort_weight": None,
         "temperature": 10.0,
-        "dt": 0.05,
         "num_samples": 128,
     }
     return jx.mpcc(CAR, path, other=other, **{**given, **changes})
@@ -49,7 +45,7 @@ def lap():
     """Two laps with traffic."""
     scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED)
     key = jax.random.key(0)
-    run = jx.simulate(PASSING.planner.mppi, scenario, 2000, key=key, num_trajectories=0)
+    run = jx.simulate(PASSING.controller, scenario, 2000, key=key, num_trajectories=0)
     return run, scenario
 
 
@@ -102,21 +98,21 @@ def test_what_is_recorded_is_what_geometry_says(lap) -> None:
 
 def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> None:
     scenario = lap[1]
-    again = record_run(PASSING.planner.mppi, scenario, 100, key=jax.random.key(0))
+    again = record_path_run(PASSING.controller, scenario, 100, key=jax.random.key(0))
     np.testing.assert_array_equal(again.records.state, lap[0].recording.records.state[:100])
     assert not np.array_equal(
         again.records.state,
-        record_run(
-            PASSING.planner.mppi, scenario, 100, key=jax.random.key(1), num_trajectories=0
+        record_path_run(
+            PASSING.controller, scenario, 100, key=jax.random.key(1), num_trajectories=0
         ).records.state,
     )
 
 
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
-    controller = PASSING.planner.mppi.at_period(0.02)
+    controller = PASSING.controller.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)
-    run_path_chunk(controller, lap[1], initial_path_state(controller, lap[1]), key, one, 25)
-    before = run_path_chunk._cached._cache_size()
+    run_chunk(controller, lap[1], initial_loop_state(controller, lap[1]), key, one, 25)
+    before = run_chunk._cached._cache_size()
     moved = jx.PathScenario(
         PASSING.model,
         RING,
@@ -126,9 +122,9 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
         traffic=jx.Traffic(RING, [5.0, 9.0], [0.1, 0.2], [0.3, -0.8], radii=[0.2, 0.3]),
     )
     costs = 7.0 * jx.ComfortCost(), 50.0 * jx.ObstacleDistanceCost(clearance=0.6)
-    heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).planner.mppi
-    run_path_chunk(heavier, moved, initial_path_state(heavier, moved), key, one, 25)
-    assert run_path_chunk._cached._cache_size() == before
+    heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).controller
+    run_chunk(heavier, moved, initial_loop_state(heavier, moved), key, one, 25)
+    assert run_chunk._cached._cache_size() == before
 
 
 def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
@@ -173,7 +169,7 @@ def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> 
     post = jx.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
     scenario = jx.PathScenario(following.model, line, standing=post, finish=0.3)
     run = jx.simulate(
-        following.planner.mppi, scenario, 1000, key=jax.random.key(2), num_trajectories=0
+        following.controller, scenario, 1000, key=jax.random.key(2), num_trajectories=0
     )
     metrics = run.metrics
     assert metrics.is_finished
@@ -190,8 +186,8 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
 
     following = mpcc(other=OTHER + Lost())
     scenario = jx.PathScenario(following.model, RING)
-    recording = record_run(
-        following.planner.mppi, scenario, 20, key=jax.random.key(0), num_trajectories=0
+    recording = record_path_run(
+        following.controller, scenario, 20, key=jax.random.key(0), num_trajectories=0
     )
     assert not recording.records.is_finite.any()
     assert np.isfinite(recording.records.state).all()

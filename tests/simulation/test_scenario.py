@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from jaxplore import (
     Camera,
     DifferentialDrive,
+    ExplorationScenario,
     Faults,
     Ground,
     Lidar,
@@ -18,7 +19,6 @@ from jaxplore import (
     OccupancyGrid,
     Perception,
     Quadrotor,
-    Scenario,
     TerrainMap,
     generate_map,
     start_pose,
@@ -133,7 +133,9 @@ def test_bad_starts_are_named(start, reason: str) -> None:
 )
 def test_bad_settings_are_named(argument: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{argument} is .*accepted"):
-        ExplorationScenario(OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, (1.5, 0.5, 0.0), **{argument: value})
+        ExplorationScenario(
+            OccupancyGrid(WORLD, 0.1), ROBOT, LIDAR, (1.5, 0.5, 0.0), **{argument: value}
+        )
 
 
 def test_off_the_map_hint_follows_a_turned_map() -> None:
@@ -153,7 +155,7 @@ def test_a_perception_must_fit_the_scenario() -> None:
 GRID, START = OccupancyGrid(WORLD, 0.1), (1.5, 0.5, 0.0)
 
 
-def scenario(**arguments) -> Scenario:
+def scenario(**arguments) -> ExplorationScenario:
     return ExplorationScenario(GRID, ROBOT, LIDAR, START, **arguments)
 
 
@@ -320,7 +322,9 @@ def test_several_sensors_are_kept_in_their_order() -> None:
         ExplorationScenario(GRID, ROBOT, [camera, LIDAR], START, perception=other)
     message = r"perception is for ranges of \[1\.0\] m .*; accepted: .* \[2\.0, 1\.0\] m"
     with pytest.raises(ValueError, match=message):
-        ExplorationScenario(GRID, ROBOT, [camera, LIDAR], START, perception=Perception(LIDAR, 0.1, 0.2))
+        ExplorationScenario(
+            GRID, ROBOT, [camera, LIDAR], START, perception=Perception(LIDAR, 0.1, 0.2)
+        )
 
 
 def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
@@ -334,7 +338,9 @@ def test_ground_that_may_not_be_entered_is_out_of_reach() -> None:
     assert made.ground is TERRAIN.ground
     assert made.perception.ground is TERRAIN.ground
     with pytest.raises(ValueError, match=r"goal is .* cannot reach from its start"):
-        ExplorationScenario(TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3)
+        ExplorationScenario(
+            TERRAIN, ROBOT, LIDAR, (0.7, 0.5, 0.0), goal=(2.5, 0.5), goal_radius=0.3
+        )
 
 
 def test_the_perception_shares_the_ground() -> None:

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image, ImageChops
 
 import jaxplore as jx
-from jaxplore.build.path import build_path
+from jaxplore.build.tasks import build
 from jaxplore.report.following.animation import path_frame_image
 from jaxplore.settings.path import make_path_settings
 from jaxplore.study.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
@@ -60,13 +60,13 @@ def test_values_become_settings_and_paths_become_parameters(path_episodes) -> No
     assert settings.controller.temperature == 3.0
     assert settings.controller.horizon == 9
     assert settings.controller.num_samples == 16
-    controller = build_path(settings).controller
+    controller = build(settings).controller
     found = jx.get_parameters(controller)
     assert controller.horizon == 9
     assert found["weighting.temperature"] == 3.0
     assert found["cost.comfort.weight"] == 7.0
     assert found["proposal.physical.noise_std"][1] == 0.25
-    before = jx.get_parameters(build_path(make_path_settings(QUICK)).controller)
+    before = jx.get_parameters(build(make_path_settings(QUICK)).controller)
     assert found["proposal.physical.noise_std"][0] == before["proposal.physical.noise_std"][0]
 
 
@@ -95,7 +95,7 @@ def test_one_element_leaves_the_others_as_each_robot_has_them() -> None:
     path = "proposal.physical.noise_std"
     for entries in ({}, noisy):
         name = "noisy" if entries else "path"
-        before = jx.get_parameters(build_path(make_path_settings(entries)).controller)[path]
+        before = jx.get_parameters(build(make_path_settings(entries)).controller)[path]
         after = episodes.settings(name, {f"{path}[1]": 0.25}).parameters[path]
         assert after == [before[0], 0.25]
 
@@ -125,7 +125,7 @@ def alone(path_episodes) -> dict:
 
 def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
     settings = path_episodes.kind.settings(path_episodes.entries("path", CANDIDATES[1], 1))
-    built = build_path(settings)
+    built = build(settings)
     run = jx.simulate(*built[:3], key=built.key, num_trajectories=0)
     found = alone[1, 1].metrics
     assert found["progress"] == run.metrics.progress
@@ -197,7 +197,7 @@ def test_an_episode_is_cut_short_at_its_limit(path_episodes) -> None:
 
 def test_a_controller_of_ones_own_is_tuned_by_its_paths() -> None:
     """And a batch comes to the same as one after the other."""
-    built = build_path(make_path_settings(QUICK))
+    built = build(make_path_settings(QUICK))
     searched = ["cost.progress.weight=1:2000:log", "cost.contouring.weight=0.1:100:log"]
     found = [
         tune(

@@ -1,1 +1,1 @@
-"""What the robot knows: its map, the fields derived from it, and the obstacles that it tracks."""
+"""The robot's belief: its map, the fields derived from it, and the obstacles that it tracks."""

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.tracks import Tracks
 from jaxplore.information.field import InformationField
@@ -50,14 +51,14 @@ class Belief(eqx.Module):
 
     @property
     def pull(self) -> ScalarField:
-        """What is left of a place's pull, see `remaining_pull`; 1 off the map."""
-        share = remaining_pull(self.dwell, self.patience)
+        """What is left of a place's pull, see `dwell_discount`; 1 off the map."""
+        share = dwell_discount(self.dwell, self.patience)
         return ScalarField(share, self.information.frame, jnp.ones(()))
 
     @property
     def worth(self) -> Float[Array, "rows columns"]:
         """What a scan from each node is still worth: its information times the pull [nat]."""
-        return self.information.total * remaining_pull(self.dwell, self.patience)
+        return self.information.total * dwell_discount(self.dwell, self.patience)
 
 
 class StrategicBelief(Belief):
@@ -89,15 +90,3 @@ class StrategicBelief(Belief):
         index = before.astype(jnp.int32)
         start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
         return start + (row - before) * (end - start)
-
-
-def remaining_pull(dwell: Array, patience: Scalar) -> Array:
-    """Compute which share of its information still attracts to a place, `exp(-dwell / patience)`.
-
-    What cannot be seen after all, such as the far side of a hill, stops attracting in this way.
-
-    Args:
-        dwell: time spent near the place [s], of any shape.
-        patience: time after which the share is 1/e [s].
-    """
-    return jnp.exp(-dwell / patience)

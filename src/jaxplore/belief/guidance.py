@@ -1,4 +1,4 @@
-"""Where to go when nothing is left to see here: remaining information spread over known space."""
+"""Compute cost-to-go fields over known free space, which lead to remaining information."""
 
 import functools
 from typing import NamedTuple
@@ -15,22 +15,22 @@ from jaxplore.maps.frame import GridFrame
 
 DIAGONAL = 2.0**0.5
 ROOMY = 3.0
-"""Clearance, in units of the required one, beyond which more room makes no path shorter."""
+"""Ratio of clearance to required clearance above which a path has no extra cost."""
 TILE = 24
-"""Nodes on a side of the pieces that are relaxed at a time: they stay in the cache."""
+"""Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
 SWEEPS = 4
-"""Between checks for the end, one of which costs as much as a sweep."""
+"""Sweeps between two checks for convergence, each of which costs as much as a sweep."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
 class GuidanceField(eqx.Module):
-    """A cost to go, and the direction in which it falls, read by bilinear interpolation in O(1).
+    """Cost-to-go and its direction of descent, read by bilinear interpolation in O(1).
 
     Args:
-        values: (H, W) cost to go [m]; only differences matter.
-        descent: (2, H, W) unit vectors (x, y) in the world along which it falls, 0 at a minimum.
-        frame: where the nodes are.
-        outside: cost to go off the lattice [m].
+        values: cost-to-go (H, W) [m]; only differences matter.
+        descent: unit vectors (2, H, W) as (x, y) in the world along which it falls; 0 at a minimum.
+        frame: pose and node spacing of the lattice.
+        outside: cost-to-go off the lattice [m].
     """
 
     values: Float[Array, "H W"]
@@ -39,12 +39,15 @@ class GuidanceField(eqx.Module):
     outside: Scalar
 
     def __call__(self, position: Position) -> Scalar:
-        """Return the cost to go at a world position (x, y) [m]."""
+        """Return the cost-to-go at a world position (x, y) [m]."""
         return gather(self.values, self._around(position), self.outside)
 
     def direction(self, position: Position) -> Position:
-        """Return the way to go (x, y) at a world position: at most of length 1, shorter where
-        ways part, 0 where there is nowhere to go."""
+        """Return the direction of descent (x, y) at a world position.
+
+        Its length is at most 1: shorter where directions of neighbouring nodes differ, and 0 at a
+        minimum.
+        """
         around = self._around(position)
         return jnp.stack([gather(self.descent, around, 0.0, axis) for axis in (0, 1)])
 
@@ -54,8 +57,11 @@ class GuidanceField(eqx.Module):
 
 
 class Roadmap(NamedTuple):
-    """Where a disc fits, on a lattice: the `frame`, the `tightness` (H, W) from 0 where there is
-    room to 1 where it just fits, and which nodes are open (H, W)."""
+    """Lattice of the places in which a disc robot fits.
+
+    `frame` is the pose and node spacing of the lattice. `tightness` (H, W) is 0 in open space and 1
+    where the robot just fits. `is_open` (H, W) is the mask of the nodes at which it fits.
+    """
 
     frame: GridFrame
     tightness: Float[Array, "H W"]
@@ -63,24 +69,25 @@ class Roadmap(NamedTuple):
 
     @property
     def slowness(self) -> Float[Array, "H W"]:
-        """What ways cost that count double where the disc just fits [m per node spacing]."""
+        """Cost of a step of one node spacing (H, W) [m], doubled where the robot just fits."""
         return self.frame.resolution * (1.0 + self.tightness)
 
 
 def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
-    """Return where a robot fits, on a lattice with one node for each block of cells.
+    """Build the lattice of places in which the robot fits, with one node per block of cells.
 
-    A node is open if the robot fits at any cell of its block. Ways that cost more the tighter they
-    are keep to the middle.
+    A node is open if the robot fits at any cell of its block. The tightness lets costs keep paths
+    in the middle of passages.
 
     Args:
-        clearance: distance to what may not be entered [m].
+        clearance: distance to the nearest blocked cell [m].
         required: clearance that the robot needs [m].
-        stride: cells on a side of a block; static.
+        stride: number of cells on a side of a block; static.
     """
     frame = clearance.frame.coarsen(stride, stride / 2.0)
     height, width = clearance.values.shape
     rows, columns = -(-height // stride), -(-width // stride)
+    # Pad with 0, which is closed, so that the map's last blocks are complete.
     padded = jnp.pad(clearance.values, ((0, rows * stride - height), (0, columns * stride - width)))
     room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
     spare = (room - required) / required
@@ -88,14 +95,17 @@ def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     return Roadmap(frame, tightness, room >= required - 1e-4)
 
 
-def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -> GuidanceField:
-    """Return a cost to go on a lattice as a field, continued into what is closed.
+def descent_field(
+    distance: Float[Array, "H W"], frame: GridFrame, num_layers: int
+) -> GuidanceField:
+    """Return a cost-to-go on a lattice as a field, extended into closed nodes.
 
     Args:
-        distance: (H, W) from `geodesic` [m].
-        frame: of the lattice.
-        num_layers: nodes deep into what is closed that the field is continued; static.
+        distance: cost-to-go (H, W) from `geodesic` [m], infinite at closed nodes.
+        frame: pose and node spacing of the lattice.
+        num_layers: number of layers of closed nodes into which the field is extended; static.
     """
+    # Rotate the descent from the axes of the lattice to those of the world.
     along_row, along_column = descent(distance, num_layers)
     cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
     direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
@@ -107,17 +117,18 @@ def downhill(distance: Float[Array, "H W"], frame: GridFrame, num_layers: int) -
     )
 
 
-def near_point(
+def point_sources(
     point: Position, frame: GridFrame, is_open: Bool[Array, "H W"]
 ) -> Float[Array, "H W"]:
-    """Return the distance from a point of the open nodes nearest to it [m]; infinite elsewhere.
+    """Return the sources of `geodesic` for paths that end at a point.
 
-    As `geodesic` takes its sources: paths end at the point, or as near to it as there is a node.
+    These are the open nodes nearest to the point, within a node spacing, with their distance to the
+    point [m]. All other nodes are infinite.
 
     Args:
-        point: (x, y) [m].
-        frame: of the lattice.
-        is_open: (H, W) nodes that paths may use.
+        point: position (x, y) at which paths end [m].
+        frame: pose and node spacing of the lattice.
+        is_open: mask (H, W) of the nodes that paths may use.
     """
     rows, columns = is_open.shape
     centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
@@ -130,44 +141,47 @@ def near_point(
 def geodesic(
     initial: Float[Array, "H W"], slowness: Float[Array, "H W"], is_open: Bool[Array, "H W"]
 ) -> Float[Array, "H W"]:
-    """Return `min over s of initial(s) + length of the shortest path from s`, over open nodes.
+    """Return the cost-to-go `min over s of initial(s) + cost of the shortest path from s`.
 
-    Paths go between the 8 neighbours of a node; a step of length l into or out of a node costs
+    Paths connect each open node with its 8 neighbours. A step of length l, in node spacings, costs
     `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
     by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
-    of shifted arrays. On accelerators these are all nodes; the number of sweeps is that of the
-    steps on the longest shortest path. A processor relaxes tile by tile, the one with the least new
-    value at its edge first, and most tiles no more than a few times. Both find the same to the bit:
-    a sum along a path does not depend on when it is made.
+    of shifted arrays.
+
+    On accelerators all nodes are relaxed at once; the number of sweeps is the number of steps of
+    the longest shortest path. On a CPU tiles are relaxed one after another, the tile with the
+    smallest new value at its edge first, so most tiles are visited only a few times. Both give the
+    same bits, because the sum along a path does not depend on when it is computed.
 
     Args:
-        initial: (H, W) value at the sources [cost]; infinite elsewhere.
-        slowness: (H, W) cost per node spacing, > 0.
-        is_open: (H, W) nodes that paths may use.
+        initial: cost (H, W) at the sources; infinite elsewhere.
+        slowness: cost (H, W) per node spacing, > 0.
+        is_open: mask (H, W) of the nodes that paths may use.
     """
-    # Half of each end's slowness: leave with the neighbour's half, arrive with the own half.
+    # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
     start = jnp.where(is_open, initial, jnp.inf)
-    # Of a batch, tiles go one map after the other: each has its own order.
+    # Under `vmap` the maps are processed one after another: each has its own order of tiles.
     by_tiles = jax.custom_batching.sequential_vmap(_by_tiles)  # type: ignore[no-untyped-call]
     value: Array = jax.lax.platform_dependent(start, half, cpu=by_tiles, default=_everywhere)
     return value
 
 
 def _everywhere(start: Array, half: Array) -> Array:
-    """Relax all nodes until none changes."""
+    """Relax all nodes at once until none changes."""
     padded = [jnp.pad(part, 1, constant_values=jnp.inf) for part in (start, half)]
     return _settled(*padded)[1:-1, 1:-1]
 
 
 def _by_tiles(start: Array, half: Array) -> Array:
-    """Relax tiles until none has a neighbour that changed since."""
+    """Relax tile by tile until no tile has a neighbour that changed since its last visit."""
     height, width = start.shape
     rows, columns = -(-height // TILE), -(-width // TILE)
     margins = ((1, 1 + rows * TILE - height), (1, 1 + columns * TILE - width))
     start, half = (jnp.pad(part, margins, constant_values=jnp.inf) for part in (start, half))
     tiles = start[1:-1, 1:-1].reshape(rows, TILE, columns, TILE)
-    # The least value that has changed beside each tile, or in it at first; infinite if none has.
+    # Priority of each tile: the smallest changed value next to it, initially the smallest value in
+    # it; infinite if nothing changed.
     due = jnp.pad(tiles.min(axis=(1, 3)), 1, constant_values=jnp.inf)
     is_tile = jnp.pad(jnp.ones((rows, columns), bool), 1)
 
@@ -180,6 +194,7 @@ def _by_tiles(start: Array, half: Array) -> Array:
             jax.lax.dynamic_slice(part, corner, (TILE + 2, TILE + 2)) for part in (value, half)
         )
         after = _settled(before, own)[1:-1, 1:-1]
+        # Values that fell at the edge of the tile become due in the neighbours on that side.
         fallen = jnp.where(after < before[1:-1, 1:-1], after, jnp.inf)
         above, below = fallen[0], fallen[-1]
         left, right = fallen[:, 0].min(), fallen[:, -1].min()
@@ -199,7 +214,7 @@ def _by_tiles(start: Array, half: Array) -> Array:
 
 
 def _settled(start: Array, half: Array) -> Array:
-    """Relax all nodes but the outermost until none changes."""
+    """Relax all nodes except the outermost until none changes."""
     height, width = start.shape[0] - 2, start.shape[1] - 2
 
     def shifted(values: Array, down: int, right: int) -> Array:
@@ -208,6 +223,8 @@ def _settled(start: Array, half: Array) -> Array:
     own = shifted(half, 0, 0)
 
     def relax(value: Array) -> Array:
+        # Take the minimum over straight and over diagonal neighbours before adding the node's own
+        # half, which saves an addition per neighbour.
         leaving, leaving_diagonally = value + half, value + DIAGONAL * half
         along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
         across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
@@ -231,16 +248,21 @@ def _settled(start: Array, half: Array) -> Array:
 
 
 def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:
-    """Fill nodes with an infinite value from their neighbours, so that interpolation stays finite.
+    """Fill infinite nodes from their neighbours, so that interpolation stays finite.
 
-    Each of `num_layers` layers gets the greatest finite value around it plus `step`: an obstacle is
-    a ridge, higher than what is on either side, however thin it is and however low the other side
-    lies. What is still infinite gets the greatest finite value plus `step` per layer; a field
-    without any finite value becomes 0.
+    Each of `num_layers` layers gets the greatest finite value around it plus `step`. So an obstacle
+    becomes a ridge that is higher than both of its sides, however thin it is. Nodes that are still
+    infinite get the greatest finite value plus `step` per layer. A field without finite values
+    becomes 0.
 
-    Where a way leads diagonally between two closed nodes, these get at most the mean of its ends:
-    a saddle. Between ridges, interpolation would rise on the way through a gap, and a robot that
-    only goes down would stand before it.
+    If a path leads diagonally between two closed nodes, these get at most the mean of the path's
+    ends: a saddle. Between two ridges the interpolated cost would rise on the way through the gap,
+    and a robot that descends would stop in front of it.
+
+    Args:
+        value: cost-to-go (H, W), infinite at closed nodes.
+        num_layers: number of layers of closed nodes that are filled from their neighbours.
+        step: rise of the cost per layer.
     """
     height, width = value.shape
     greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
@@ -261,8 +283,10 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
 
 
 def _saddles(value: Float[Array, "H W"]) -> Float[Array, "H W"]:
-    """Return the least mean of the ends of a diagonal step that passes each node, if the node and
-    the one across the step are closed; infinite elsewhere."""
+    """Return the cost at the closed nodes beside diagonal steps between two closed nodes.
+
+    It is the smallest mean of the two ends of such a step, and infinite at all other nodes.
+    """
     height, width = value.shape
     padded = jnp.pad(value, 1, constant_values=jnp.inf)
 
@@ -279,11 +303,15 @@ def _saddles(value: Float[Array, "H W"]) -> Float[Array, "H W"]:
 
 
 def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"]:
-    """Return the unit vectors (row, column) along which a cost to go falls, 0 at its minima.
+    """Return the unit vectors (row, column) along which a cost-to-go falls; 0 at its minima.
 
-    At a node the sum over its lower neighbours of the fall per distance in their direction.
-    Closed nodes, whose value is infinite, get the mean direction of the nodes around them,
-    `num_layers` deep: what blocks the way has no say in which way to turn.
+    At an open node the vector is the sum of the slopes towards its lower neighbours. Closed nodes,
+    whose value is infinite, get the mean direction of the nodes around them, for `num_layers`
+    layers. So an obstacle does not change the direction of the path along it.
+
+    Args:
+        value: cost-to-go (H, W), infinite at closed nodes.
+        num_layers: number of layers of closed nodes that are filled from their neighbours.
     """
     height, width = value.shape
 
@@ -294,6 +322,7 @@ def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"
     vector = jnp.zeros((2, height, width))
     for down, right in NEIGHBOURS:
         length = (down * down + right * right) ** 0.5
+        # Differences with closed neighbours are infinite or NaN, and count as no slope.
         fall = value - shifted(around, down, right)
         fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
         unit = jnp.asarray([down / length, right / length])

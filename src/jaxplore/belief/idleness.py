@@ -1,4 +1,4 @@
-"""What has been seen of a place, and when: for search, and for patrol."""
+"""Track how long ago each cell was observed, for search and patrol."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,27 +9,27 @@ from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Scalar
 
 NEVER = float("inf")
-"""Idleness of a cell that was never seen [s]."""
+"""Idleness of a cell that was never observed [s]."""
 
 
 class IdlenessMap(eqx.Module):
-    """Keeps how long ago each cell was seen, and what it is worth to look again.
+    """Idleness of each cell, the time since it was observed, and the information of observing it.
 
-    Seen right now, a cell is known to be empty of what is looked for. After a time t unseen it has
-    come back with probability q, and a look removes the entropy h of that,
+    Right after an observation, a cell is known to hold no target. After a time t without an
+    observation it holds one with probability q. Observing the cell removes the entropy h of q:
 
         q(t) = (1 - exp(-t / memory)) / 2,    interest = weight * h(q)
 
-    where `memory` is the time constant of forgetting. With an infinite memory, a search, a cell is
-    worth `weight * ln 2` until it is seen, and nothing afterwards; with a finite one, a patrol, it
-    becomes worth a look again. t is the *idleness* of the patrolling literature.
+    `memory` is the time constant of forgetting. With an infinite memory (search), the interest of a
+    cell is `weight * ln 2` until it is observed, and 0 afterwards. With a finite memory (patrol),
+    it grows again. t is the *idleness* of the patrolling literature.
 
-    Source: idleness: Machado, Ramalho, Zucker, Drogoul, "Multi-agent patrolling: an empirical
-    analysis of alternative architectures", MABS 2002.
+    Source: Machado, Ramalho, Zucker, Drogoul, "Multi-agent patrolling: an empirical analysis of
+    alternative architectures", MABS 2002.
 
     Args:
-        memory: [s]; never forgotten when absent.
-        weight: worth of one such bit, relative to a bit of the occupancy map.
+        memory: time constant of forgetting [s]; by default observations are never forgotten.
+        weight: weight of this information, relative to information on the occupancy.
 
     Raises:
         ValueError: a memory that is not positive, a negative weight.
@@ -43,21 +43,23 @@ class IdlenessMap(eqx.Module):
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
 
     def init(self, shape: tuple[int, int]) -> GridValues:
-        """Return the idleness (H, W) of cells that were never seen [s]."""
+        """Return the idleness (H, W) of cells that were never observed [s]."""
         return jnp.full(shape, NEVER)
 
     def seen(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
-        """Return the idleness (H, W) after a look [s].
+        """Return the idleness (H, W) after a scan [s].
 
         Args:
-            idleness: (H, W) before [s].
-            is_seen: (H, W) which cells were seen.
-            elapsed: time since the last look [s].
+            idleness: idleness (H, W) before the scan [s].
+            is_seen: mask (H, W) of the cells that the scan observed.
+            elapsed: time since the last scan [s].
         """
         return jnp.where(is_seen, 0.0, idleness + elapsed)
 
     def interest(self, idleness: GridValues) -> GridValues:
-        """Return what a look at each cell (H, W) is worth [nat]."""
+        """Return the information (H, W) of observing each cell [nat]."""
+        # Without forgetting only cells that were never observed are uncertain. expm1 keeps the
+        # digits of short times.
         if self.memory is None:
             chance = jnp.where(jnp.isinf(idleness), 0.5, 0.0)
         else:

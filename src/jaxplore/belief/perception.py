@@ -1,4 +1,4 @@
-"""From scans to a belief: the map at the sensor's rate, the fields derived from it at theirs."""
+"""Update the belief: the map from scans, and the fields that are derived from the map."""
 
 import copy
 import dataclasses
@@ -12,14 +12,15 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
-from jaxplore.belief.belief import Belief, remaining_pull
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import (
     ROOMY,
     GuidanceField,
-    downhill,
+    descent_field,
     geodesic,
-    near_point,
+    point_sources,
     roadmap,
 )
 from jaxplore.belief.idleness import IdlenessMap
@@ -31,83 +32,85 @@ from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.base import Scan, Sensor, updated
+from jaxplore.sensing.base import Scan, Sensor, update_grid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 LEFTOVER_DETOUR = 1e3
-"""How much farther away a place with little information counts [m]."""
+"""Additional cost-to-go of places with less than `min_information` [m]: they come last."""
 GOAL_DETOUR = 5e2
-"""How much farther away the goal counts while there is more to see [m]; leftovers come later."""
+"""Additional cost-to-go of the goal during exploration [m]: after information, before leftovers."""
 LAYERS = 4
-"""How many nodes deep into what is closed the guidance is continued."""
+"""Number of layers of closed nodes into which the guidance field is extended."""
 LEFTOVER_SHARE = 0.03
-"""Share of the least worthwhile information below which a place is ignored."""
+"""Share of `min_information` below which a place is ignored."""
 MAX_UNKNOWN = 0.05
-"""Share of unknown cells below which a map counts as explored, unless another is given."""
+"""Default share of unknown cells below which a map counts as explored."""
 
 
 class Perception(eqx.Module):
-    """Builds and maintains a `Belief`.
+    """Builds and updates a `Belief` from scans.
 
-    The guidance field is a cost to go, in metres,
+    The guidance field is a cost-to-go in metres,
 
         U(x) = min over s of [ d(x, s) - decay_length * ln W(s) ],
         W(s) = I(s) exp(-dwell(s) / patience)
 
-    over poses s of known-free space, with I(s) the information of a full turn of beams: the
-    geodesic spread of `W exp(-d / decay_length)`, in logarithms. d is the length of the shortest
-    path that keeps the robot clear of whatever is not known to be free, up to double where it just
-    fits. U has no local minimum but at places worth going to.
+    over positions s in free space. I(s) is the information of a full circle of beams. d is the
+    length of the shortest path that keeps the robot's clearance from all cells that are not free;
+    length counts up to double where the robot just fits. U is the negative logarithm of the
+    geodesic spread of `W exp(-d / decay_length)`. It has local minima only at places with
+    information.
 
-    `dwell` is the time recently spent near a place, so a place where the robot stays loses its pull
-    and regains it later: what cannot be seen after all is given up, not waited for. Places with
-    W below `min_information`, mostly cells near walls between which noise goes to and fro, count
-    as a kilometre farther away: they come last, whatever is near.
+    `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
+    and regains it later, so the robot gives up what it cannot observe. Places with W below
+    `min_information`, mostly cells near walls that noise changes back and forth, get an additional
+    cost of a kilometre: they come last.
 
-    A goal is one more place worth going to: after all worthwhile information, before what is left
-    over, and alone as soon as less than `max_unknown` of the map is unknown.
+    A goal is one more source of the field. It comes after all places with enough information and
+    before the places with little, and it is the only source once less than `max_unknown` of the map
+    is unknown.
 
-    Where the ground is known, cells that may not be entered are closed, whatever stands on them.
+    If the ground is known, cells that it blocks are closed.
 
-    A cell that was never measured has the probability 1/2 in the map, which stands for not knowing.
-    Were beams to take it for a chance, every other unknown cell would stop them: all that is
-    unknown would be a rim of two cells, and a slit behind a shelf worth as much as a dark hall. So
-    for information such cells are occupied with the probability `occupancy_prior`, about the share
-    of occupied cells in buildings.
+    An unmeasured cell has probability 1/2, which represents ignorance. If expected beams used this
+    value, every second unknown cell would stop them: unknown space would be a rim of two cells, and
+    a gap behind a shelf would be worth as much as an unexplored hall. Therefore information is
+    computed with the probability `occupancy_prior` for these cells, about the share of occupied
+    cells in buildings.
 
-    With a `watch` it also keeps how long ago each cell was seen, and what that makes a look worth
+    With a `watch`, the belief also tracks the idleness of each cell. The interest of observing it
     is added to the information field, so that guidance leads there as well.
 
     Args:
-        sensors: what the robot carries, one or several. All of them make the map; the first leads:
-            information is what it would see, and it keeps the watch.
+        sensors: sensor of the robot, or several. All of them update the map. Information and
+            idleness are those of the first.
         resolution: side of a map cell [m].
-        robot_radius: radius of the disc that must fit [m].
-        sensor_model: the update that a measurement makes.
-        num_directions: directions in which information is evaluated; at least 4.
+        robot_radius: radius of the robot's disc [m].
+        sensor_model: inverse sensor model; `InverseSensorModel()` by default.
+        num_directions: number of directions in which information is evaluated; at least 4.
         node_spacing: distance between the nodes of the fields [m]; rounded to whole cells, and
-            kept so small that no path can jump a wall.
-        max_clearance: bound of the clearance field [m]; raised for robots that need more.
-        margin: room beyond the radius that a path needs [m].
-        decay_length: how far the robot goes for e times the information [m].
-        min_information: places with less are left for last [nat]; with less than 3 % of it, for
-            good.
-        occupancy_prior: probability with which beams are expected to meet something in a cell that
-            was never measured, in (0, 1).
-        patience: time near a place after which its pull has faded to 1/e [s].
+            reduced so that no path can jump a wall.
+        max_clearance: upper bound of the clearance field [m]; raised if the robot needs more.
+        margin: clearance that a path needs beyond the radius [m].
+        decay_length: additional distance that e times the information is worth [m].
+        min_information: information below which a place comes last [nat]; below 3 % of it, a place
+            is ignored.
+        occupancy_prior: probability of occupancy of an unmeasured cell in expected information, in
+            (0, 1).
+        patience: time near a place after which its weight has decayed to 1/e [s].
         memory: time constant with which `dwell` is forgotten [s].
-        goal: (x, y) to go to in the end [m]; none when absent.
-        max_unknown: share of the map's cells with `4 p (1 - p) > 1/2` below which it counts as
-            explored, if there is a goal.
-        ground: of the map's cells; level and passable when absent.
-        watch: what is looked for beside the map; nothing when absent.
-        is_goal_apart: whether the goal gets a cost to go of its own, `Belief.to_goal`, instead of
-            being the last place worth going to; static.
-        unknown_factor: how much farther unknown space counts on the way to a goal apart.
+        goal: position (x, y) to which the robot goes in the end [m]; no goal by default.
+        max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map counts as explored;
+            used only with a goal.
+        ground: ground of the map's cells; level and traversable by default.
+        watch: idleness map for search or patrol; none by default.
+        is_goal_apart: whether the goal gets a cost-to-go of its own, `Belief.to_goal`, instead of
+            being a source of the guidance field; static.
+        unknown_factor: additional cost per metre of unknown space in that cost-to-go.
 
     Raises:
-        ValueError: a size, rate or length out of its range; no sensors; a goal apart that is not
-            given.
+        ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
+            goal.
     """
 
     sensors: tuple[Sensor, ...]
@@ -166,6 +169,7 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius)),
         )
         self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
+        # The clearance field must resolve the clearance at which paths have no extra cost.
         self.max_clearance = max(
             _checks.number("max_clearance", max_clearance, above=0.0),
             float(math.ceil(ROOMY * float(self.required_clearance))),
@@ -187,22 +191,24 @@ class Perception(eqx.Module):
         self.is_batched = False
 
     def for_batches(self) -> "Perception":
-        """Return this perception to be mapped over by `jax.vmap`: it evaluates fields anew.
+        """Return a copy for use under `jax.vmap`, which recomputes fields instead of updating them.
 
-        The maps of a batch change in different places; a loop over those of any of them would copy
-        the fields of all in each pass. Beliefs are the same.
+        The maps of a batch change in different places, and each iteration of a loop over these
+        places would copy the fields of all maps. The beliefs are equal.
         """
         same = copy.copy(self)
         object.__setattr__(same, "is_batched", True)
         return same
 
     def init(self, grid: OccupancyGrid, pose: Pose) -> Belief:
-        """Return the belief of a robot that has seen nothing: free where it stands.
+        """Return the belief before the first scan, with the cells under the robot free.
 
         Args:
-            grid: what is known beforehand, all 0.5 if nothing.
-            pose: the robot's pose (x, y, yaw) [m, m, rad].
+            grid: prior map; 0.5 everywhere if nothing is known.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
         """
+        # The robot stands on free ground, whatever the prior map says: otherwise no path starts
+        # there.
         height, width = grid.shape
         rows, columns = jnp.mgrid[:height, :width]
         centres = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
@@ -242,19 +248,20 @@ class Perception(eqx.Module):
         pose: Pose,
         elapsed: ArrayLike = 0.1,
     ) -> Belief:
-        """Return the belief after a scan of each sensor: the map, the clearance, the idleness.
+        """Update the map, the clearance and the idleness of the belief by a scan of each sensor.
 
         Args:
-            belief: before.
-            scans: one for each sensor.
-            pose: where the robot takes itself to be.
-            elapsed: time since the last scans [s]; for the idleness.
+            belief: belief before the scans.
+            scans: one scan for each sensor.
+            pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
+            elapsed: time since the last scans [s], for the idleness.
         """
         scans = (scans,) if isinstance(scans, Scan) else tuple(scans)
         grid, idleness = belief.grid, belief.idleness
+        # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
-            grid = updated(grid, sighting, self.sensor_model)
+            grid = update_grid(grid, sighting, self.sensor_model)
             if index == 0 and self.watch is not None and idleness is not None:
                 step = jnp.asarray(elapsed, jnp.float32)
                 idleness = self.watch.seen(idleness, sighting.is_seen, step)
@@ -262,21 +269,15 @@ class Perception(eqx.Module):
         return dataclasses.replace(belief, grid=grid, clearance=clearance, idleness=idleness)
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
-        """Return the belief with its information and guidance brought up to date.
+        """Update the information and guidance fields of the belief.
 
         Args:
-            belief: after the last scan.
-            pose: where the robot is now.
+            belief: belief after the last scan.
+            pose: present pose (x, y, yaw) of the robot [m, m, rad].
             elapsed: time since the last update [s].
         """
         information = self._information(belief.grid, belief.idleness, belief.information)
-        height, width = belief.dwell.shape
-        rows, columns = jnp.mgrid[:height, :width]
-        nodes = information.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
-        distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
-        stay = elapsed * jnp.exp(-0.5 * (distance / 0.5) ** 2)
-        dwell = belief.dwell * jnp.exp(-elapsed / self.memory)
-        dwell = dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)  # of a pose that is not known
+        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)
         guidance = self._guidance(belief.clearance, information, dwell, is_known)
         is_explored = is_known | self._is_goal_next(guidance, pose)
@@ -293,10 +294,10 @@ class Perception(eqx.Module):
     def _information(
         self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
     ) -> InformationField:
-        """Return the information field, brought up to date where that is enough."""
+        """Return the information field, updated from the last one if that suffices."""
         grid = grid.with_prior(self.occupancy_prior)
         if self.watch is not None and idleness is not None:
-            # Time changes every cell's worth.
+            # The interest of every cell changes with time, so the whole field is recomputed.
             interest = self.watch.interest(idleness)
             return self.field_sensor.field(grid, self.sensor_model, interest)
         if before is None or self.is_batched:
@@ -318,15 +319,19 @@ class Perception(eqx.Module):
         )
 
     def _is_known(self, grid: OccupancyGrid) -> Flag:
-        """Say whether the map counts as explored."""
+        """Return whether the map counts as explored; never without a goal."""
         if self.goal is None:
             return jnp.array(False)
         return unknown_fraction(grid) < self.max_unknown
 
     def _is_goal_next(self, guidance: GuidanceField, pose: Pose) -> Flag:
-        """Say whether nothing worthwhile can be reached any more, from a place on the map."""
+        """Return whether the goal is the next source that guidance leads to.
+
+        It is if the cost-to-go at the robot shows that only the goal or leftovers are reachable.
+        """
         if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
+        # Off the map the cost is `outside`, which says nothing about the sources.
         cost = guidance(pose[:2])
         return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)
 
@@ -341,29 +346,30 @@ class Perception(eqx.Module):
     ) -> GuidanceField:
         roads = roadmap(clearance, self.required_clearance, self.field_sensor.stride)
         frame, is_open = roads.frame, roads.is_open
-        worth = information.total * remaining_pull(dwell, self.patience)
-        pull = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
+        worth = information.total * dwell_discount(dwell, self.patience)
+        # The bound keeps the logarithm finite where there is no information.
+        reward = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
         is_leftover = worth < self.min_information
         detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
         is_source = worth >= LEFTOVER_SHARE * self.min_information
-        source = jnp.where(is_source, detour - pull, jnp.inf)
+        source = jnp.where(is_source, detour - reward, jnp.inf)
         if self.goal is not None and not self.is_goal_apart:
             source = self._with_goal(source, frame, is_open, is_known)
         distance = geodesic(source, roads.slowness, is_open)
-        return downhill(distance, frame, LAYERS)
+        return descent_field(distance, frame, LAYERS)
 
     def _with_goal(self, source: Array, frame: GridFrame, is_open: Array, is_known: Flag) -> Array:
-        """Return the sources with the goal among them: the open nodes nearest to it."""
+        """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
         assert self.goal is not None
-        at_goal = near_point(self.goal, frame, is_open) + GOAL_DETOUR
+        at_goal = point_sources(self.goal, frame, is_open) + GOAL_DETOUR
         return jnp.minimum(jnp.where(is_known, jnp.inf, source), at_goal)
 
 
 def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Return one or several sensors as several.
+    """Return one sensor or several as a tuple.
 
     Raises:
-        ValueError: none, or something else.
+        ValueError: no sensor, or something that is not a sensor.
     """
     given = (sensors,) if isinstance(sensors, Sensor) else tuple(sensors)
     if not given or not all(isinstance(sensor, Sensor) for sensor in given):
@@ -372,11 +378,16 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
-    """Return the largest stride <= node_spacing / resolution at which no path jumps a wall.
+    """Return the largest stride <= node_spacing / resolution at which no path can jump a wall.
 
-    A node of the guidance is open if the robot fits at any cell of its block. Two such cells in
-    touching blocks are at most `sqrt(2) (2 s - 1)` cells apart; on two sides of a wall one cell
-    thick they are at least `2 radius` and a cell apart.
+    A node of the guidance field is open if the robot fits at any cell of its block. Two such cells
+    in adjacent blocks are at most `sqrt(2) (2 s - 1)` cells apart. On two sides of a wall one cell
+    thick they are at least `2 radius` plus a cell apart.
+
+    Args:
+        node_spacing: wanted distance between nodes [m].
+        resolution: side of a map cell [m].
+        radius: radius of the robot's disc [m].
     """
     stride = max(1, round(node_spacing / resolution))
     while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) * resolution >= 2 * radius + resolution:

@@ -1,4 +1,4 @@
-"""Zones in which something is to be learned: what remains there, what a pose sees of them."""
+"""Measure how much of given zones is still unknown, and which cells a pose sees."""
 
 from collections.abc import Sequence
 
@@ -19,13 +19,14 @@ from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.lidar import Lidar
 
 Rectangles = ArrayLike | Sequence[Sequence[float]]
-"""What is accepted where rectangles are given by hand."""
+"""Rectangles written by hand: nested lists, tuples or an array."""
 
 
 def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
-    """Return `4 p (1 - p)`: 1 where nothing is known, 0 where all is (quadrotor design notes).
+    """Return `4 p (1 - p)`: 1 for an unknown cell, 0 for a certain one (quadrotor design notes).
 
-    It bounds the entropy in bits from below, touches it at 0, 1/2 and 1, and needs no logarithm.
+    It is a lower bound of the entropy in bits, equal to it at p = 0, 1/2 and 1, without a
+    logarithm.
     """
     return 4.0 * probability * (1.0 - probability)
 
@@ -44,18 +45,18 @@ def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
 
 
 def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lidar) -> GridMask:
-    """Return the cells (H, W) in line of sight of a pose.
+    """Return the mask (H, W) of the cells that are visible from a pose.
 
-    A cell is visible if some beam enters it within the lidar's range and crosses no cell known to
-    be occupied before it: the face of a wall is seen, nothing behind it. Exact cell traversal, as
-    in the field-of-view update of the quadrotor design notes. From off the map, from inside a cell
-    known to be occupied and from a pose that is not finite nothing is visible.
+    A cell is visible if some beam enters it within the lidar's range and crosses no occupied cell
+    before it: the face of a wall is visible, the cells behind it are not. Cells are traversed
+    exactly, as in the field-of-view update of the quadrotor design notes. Nothing is visible from
+    a pose that is off the map, in an occupied cell or not finite.
 
     Args:
-        grid: what is known.
-        position: world (x, y) [m].
+        grid: occupancy grid of the robot.
+        position: world position (x, y) [m].
         heading: world yaw [rad].
-        lidar: the beams: their number, range and field of view. Its noise is not read.
+        lidar: sensor whose number of beams, range and field of view are used; its noise is not.
     """
     height, width = grid.shape
     length = lidar.max_range / grid.resolution
@@ -67,37 +68,39 @@ def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lid
     angles = yaw + jnp.asarray(lidar.beam_angles)
     cells: RayCells = jax.vmap(lambda angle: traverse(start, angle, length))(angles)
     is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
+    # The face of the first wall is visible, so a beam sees up to the entry of that cell.
     sight = jnp.where(is_wall, cells.entry, jnp.inf).min(axis=-1, keepdims=True)
     is_seen = cells.is_crossed & (cells.entry <= sight) & (cells.entry < length) & is_open
     index = cells.cell[..., 0] * width + cells.cell[..., 1]
+    # Cells that are not seen are scattered to an index out of bounds, which is dropped.
     index = jnp.where(is_seen & grid.contains(cells.cell), index, height * width)
     mask = jnp.zeros(height * width, bool).at[index.reshape(-1)].set(True, mode="drop")
     return mask.reshape(height, width)
 
 
 class Zones(eqx.Module):
-    """Parts of a map in which something is to be learned, Z of them.
+    """Z zones of a map that the robot has to explore.
 
     Args:
-        member: (Z, H, W) which cells of the map belong to each zone; zones may overlap.
+        member: mask (Z, H, W) of the cells that belong to each zone; zones may overlap.
     """
 
     member: Bool[Array, "Z H W"]
 
     @classmethod
     def from_rectangles(cls, rectangles: Rectangles, grid: OccupancyGrid) -> "Zones":
-        """Return rectangular zones, which lie along the axes of the world.
+        """Build rectangular zones, aligned with the axes of the world.
 
-        A cell belongs to a zone if its centre lies in `[x_min, x_max) x [y_min, y_max)`: two
-        rectangles that share an edge share no cell, however the grid is turned.
+        A cell belongs to a zone if its centre is in `[x_min, x_max) x [y_min, y_max)`. Two
+        rectangles that share an edge share no cell, whatever the yaw of the grid.
 
         Args:
-            rectangles: (Z, 4) as (x_min, y_min, x_max, y_max) in the world [m].
-            grid: whose cells they are; its probabilities are not read.
+            rectangles: rectangles (Z, 4) as (x_min, y_min, x_max, y_max) in the world [m].
+            grid: grid whose shape and frame are used; its probabilities are not read.
 
         Raises:
-            ValueError: no rectangles or not four numbers each, a number that is not finite, a
-                minimum that is not below its maximum, a rectangle without a cell of the grid.
+            ValueError: no rectangles, a rectangle that is not four finite numbers, a minimum that
+                is not below its maximum, a rectangle without a cell of the grid.
         """
         bounds = rectangles if isinstance(rectangles, Tracer) else _checked_rectangles(rectangles)
         height, width = grid.shape
@@ -117,13 +120,13 @@ class Zones(eqx.Module):
 
     @property
     def num_cells(self) -> Int[Array, " Z"]:
-        """Number of cells of each zone."""
+        """Number of cells in each zone, (Z,)."""
         return self.member.sum(axis=(1, 2))
 
     def remaining(self, grid: OccupancyGrid) -> Float[Array, " Z"]:
-        """Return what remains to be learned in each zone: the mean of `4 p (1 - p)` over its cells.
+        """Return the remaining uncertainty of each zone (Z,): the mean of `4 p (1 - p)`.
 
-        1 is unknown, 0 is known (quadrotor design notes).
+        It is 1 for an unknown and 0 for a known zone (quadrotor design notes).
 
         Raises:
             ValueError: a grid of another shape.
@@ -131,14 +134,14 @@ class Zones(eqx.Module):
         return self._mean("grid", entropy_proxy(grid.probability))
 
     def centres(self, frame: GridFrame) -> Float[Array, "Z 2"]:
-        """Return the mean position of each zone's cells, world (x, y) [m].
+        """Return the mean position of each zone's cells, (Z, 2) as world (x, y) [m].
 
         Args:
-            frame: where the cells are: the grid's.
+            frame: frame of the grid.
         """
         _, height, width = self.member.shape
         count = jnp.maximum(self.num_cells, 1).astype(jnp.float32)[:, None]
-        # Weights first: sums stay as small as the coordinates.
+        # Divide by the count first, so that sums stay as small as the coordinates.
         by_row = self.member.sum(axis=2).astype(jnp.float32) / count
         by_column = self.member.sum(axis=1).astype(jnp.float32) / count
         row = (by_row * (jnp.arange(height, dtype=jnp.float32) + 0.5)).sum(axis=1)
@@ -148,18 +151,18 @@ class Zones(eqx.Module):
     def deplete(
         self, levels: Float[Array, " Z"], visible_cells: GridMask, rate: ArrayLike
     ) -> Float[Array, " Z"]:
-        """Return the zones' information levels after a look: depletion by coverage.
+        """Return the information levels of the zones after an observation: depletion by coverage.
 
             level <- level (1 - rate covered)
 
-        with `covered` the share of the zone's cells that are visible. At rate 1 a look at the
-        whole zone takes all of it. Levels that are states of a model, one per zone, follow the
-        quadrotor design notes; against a map that is updated `remaining` says the same.
+        with `covered` the share of the zone's cells that are visible. With rate 1, observing the
+        whole zone depletes it. The levels are model states, one per zone, as in the quadrotor
+        design notes; with a map that is updated, use `remaining` instead.
 
         Args:
-            levels: (Z,) before.
-            visible_cells: (H, W), from `visible`.
-            rate: share taken from what is seen, in [0, 1].
+            levels: information levels (Z,) before the observation.
+            visible_cells: mask (H, W) of the visible cells, from `visible`.
+            rate: share of the information that is taken from visible cells, in [0, 1].
 
         Raises:
             ValueError: a rate outside [0, 1], visible cells of another shape.

@@ -1,75 +1,80 @@
-"""Builds what is run: controller, scenario, steps and key."""
+"""Runs that explore, from settings."""
 
-import math
+from typing import Any
 
 import jax
 
-from jaxplore.parameters import set_parameters
-from jaxplore.build.controllers import controller_of
-from jaxplore.build.parts import robot_of, sensor_model_of, sensors_of
-from jaxplore.build.place import place_of
-from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.perception import Perception
+from jaxplore.build.controllers import build_controller
+from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
+from jaxplore.build.place import Place, build_place
+from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
+from jaxplore.parameters import set_parameters
+from jaxplore.sensing.base import Sensor
+from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
+from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.experiment import Experiment as Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
-def build(settings: Settings) -> Experiment:
-    """Return the controller, scenario, number of steps and key that settings describe.
+def build_exploration(settings: Settings) -> Experiment:
+    """Return the run that settings describe.
 
     Raises:
         ValueError: a map that cannot be read, a start that is not possible, a part that does not
             accept its settings.
     """
-    robot = robot_of(settings.robot)
-    place = place_of(settings, float(robot.radius))
-    world, ground = place.world, place.ground
-    sensors = sensors_of(settings)
-    model = sensor_model_of(settings.sensor_model)
-    goal = None if place.goal is None else place.goal[:2]
-    is_portfolio = settings.architecture == "portfolio"
-    watch = settings.watch
-    perception = Perception(
-        sensors,
-        world.resolution,
-        robot.radius,
-        sensor_model=model,
-        goal=goal,
-        max_unknown=MAX_UNKNOWN if settings.max_unknown is None else settings.max_unknown,
-        ground=ground,
-        watch=None if watch is None else IdlenessMap(watch.memory, watch.weight),
-        is_goal_apart=is_portfolio and goal is not None,
-        **settings.fields.model_dump(),
-    )
+    robot = build_robot(settings.robot)
+    place = build_place(settings, float(robot.radius))
+    sensors = build_sensors(settings)
+    perception = _perception(settings, robot, place, sensors)
+    ground = place.ground
     scenario = ExplorationScenario(
-        world if ground is None else TerrainMap(world, ground),
+        place.world if ground is None else TerrainMap(place.world, ground),
         robot,
         sensors,
         place.start,
         perception=perception,
-        control_rate=settings.rates.control,
-        sensing_rate=settings.rates.sensing,
-        field_rate=settings.rates.fields,
-        target_coverage=settings.target_coverage,
         prior=place.prior,
-        goal=goal,
-        goal_radius=settings.goal_radius,
-        max_unknown=settings.max_unknown,
+        goal=None if place.goal is None else place.goal[:2],
         altitude=settings.altitude,
-        hover_time=settings.hover_time,
         targets=place.targets or None,
         moving_obstacles=MovingObstacles(place.movers) if place.movers else None,
+        **arguments(settings, ExplorationScenario),
+        **arguments(settings.rates, ExplorationScenario),
     )
-    view = math.radians(settings.lidar.field_of_view_degrees)
-    controller = controller_of(settings, robot, place, model, view)
+    controller = build_controller(settings, robot, place, perception)
     return Experiment(
         set_parameters(controller, settings.parameters),
         scenario,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
+    )
+
+
+def _perception(
+    settings: Settings, robot: Dynamics, place: Place, sensors: tuple[Sensor, ...]
+) -> Perception:
+    goal = None if place.goal is None else place.goal[:2]
+    watch = settings.watch
+    # Absent, it is the default of `Perception`, not of the scenario's end.
+    unknown: dict[str, Any] = (
+        {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
+    )
+    return Perception(
+        sensors,
+        place.world.resolution,
+        robot.radius,
+        sensor_model=build_sensor_model(settings.sensor_model),
+        goal=goal,
+        ground=place.ground,
+        watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
+        is_goal_apart=settings.architecture == "portfolio" and goal is not None,
+        **arguments(settings.fields, Perception),
+        **unknown,
     )
 
 
@@ -79,7 +84,7 @@ def comparable(settings: Settings) -> tuple[str, ...]:
     Raises:
         ValueError: a map that cannot be read.
     """
-    place = place_of(settings, settings.robot.radius)
+    place = build_place(settings, settings.robot.radius)
     has_goal, has_zones = place.goal is not None, bool(place.zones)
     allowed = {
         "two-layer": True,

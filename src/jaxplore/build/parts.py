@@ -13,15 +13,19 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import RobotSettings, SensorModelSettings, Settings
 
 
-def robot_of(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
+def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
     """Return the model of the robot.
 
     Args:
         given: its settings.
-        integrator: of a continuous model on the ground; the model's own when absent.
+        integrator: of a car or a differential drive; the model's own when absent.
+
+    Raises:
+        ValueError: a car that is shorter than its wheelbase, and what the model refuses.
     """
     if given.model == "quadrotor":
         return Quadrotor(given.mass, radius=given.radius)
@@ -58,32 +62,22 @@ def robot_of(given: RobotSettings, integrator: Integrator | None = None) -> Dyna
     )
 
 
-def sensors_of(settings: Settings) -> tuple[Sensor, ...]:
+def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
     """Return the sensors, the one that leads first: a camera if there is one, else the lidar."""
     given, seen = settings.lidar, settings.camera
-    lidar = Lidar(
-        given.num_beams,
-        given.max_range,
-        math.radians(given.field_of_view_degrees),
-        given.range_noise,
-        height=given.height,
-    )
+    view = math.radians(given.field_of_view_degrees)
+    lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view})
     if seen is None:
         return (lidar,)
-    camera = Camera(
-        seen.num_beams,
-        seen.max_range,
-        math.radians(seen.field_of_view_degrees),
-        math.radians(seen.vertical_view_degrees),
-        height=seen.height,
-        tilt=seen.tilt,
-        range_noise=seen.range_noise,
-    )
-    return (camera, lidar)
+    views = {
+        "field_of_view": math.radians(seen.field_of_view_degrees),
+        "vertical_view": math.radians(seen.vertical_view_degrees),
+    }
+    return (Camera(**{**arguments(seen, Camera), **views}), lidar)
 
 
-def sensor_model_of(settings: SensorModelSettings) -> InverseSensorModel:
+def build_sensor_model(given: SensorModelSettings) -> InverseSensorModel:
     """Return what a measurement does to a cell."""
-    if settings.kind == "line_of_sight":
+    if given.kind == "line_of_sight":
         return InverseSensorModel.line_of_sight()
-    return InverseSensorModel(**settings.model_dump(exclude={"kind"}))
+    return InverseSensorModel(**arguments(given, InverseSensorModel))

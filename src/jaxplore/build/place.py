@@ -2,11 +2,12 @@
 
 from typing import NamedTuple
 
+from jaxplore.maps.generators.office import office, start_pose
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.generators.office import office, start_pose
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
+from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
 from jaxplore.simulation.exploration.reachability import open_spot
 
@@ -35,7 +36,7 @@ class Place(NamedTuple):
     movers: tuple[MovingObstacle, ...] = ()
 
 
-def place_of(settings: Settings, radius: float) -> Place:
+def build_place(settings: Settings, radius: float) -> Place:
     """Return the place of a run.
 
     Args:
@@ -48,12 +49,7 @@ def place_of(settings: Settings, radius: float) -> Place:
     if settings.world is not None:
         return _in_world(World.from_dict(settings.world), settings)
     if settings.map == OFFICE:
-        grid = office(
-            settings.office.seed,
-            width=settings.office.width,
-            height=settings.office.height,
-            resolution=settings.resolution,
-        )
+        grid = office(**arguments(settings.office, office), **arguments(settings, office))
         start = start_pose(grid) if settings.start is None else settings.start
         return Place(grid, start, goal=settings.goal)
     if settings.map == ZONES:
@@ -70,7 +66,7 @@ def _in_world(world: World, settings: Settings) -> Place:
             f"terrain.height_map is {given.height_map!r} beside a world, whose ground are its "
             "hills; accepted: a height map with a ROS map"
         )
-    options = given.model_dump(include={"max_slope", "max_roughness", "threshold"})
+    options = arguments(given, Ground)
     return Place(
         world.truth(),
         world.start if settings.start is None else settings.start,
@@ -88,7 +84,7 @@ def _on_map(settings: Settings, radius: float) -> Place:
     given = settings.terrain
     grid, ground = OccupancyGrid.from_ros(settings.map), None
     if given.height_map is not None:
-        options = given.model_dump(include={"max_slope", "max_roughness", "threshold"})
+        options = arguments(given, Ground)
         terrain = TerrainMap.from_ros(
             settings.map, given.height_map, elevation_scale=given.elevation_scale, **options
         )

@@ -9,7 +9,8 @@ import click
 import yaml
 
 from jaxplore._version import __version__
-from jaxplore.build.exploration import build, comparable
+from jaxplore.build.exploration import comparable
+from jaxplore.build.tasks import build
 from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchmark
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
@@ -23,7 +24,7 @@ from jaxplore.settings.exploration import (
     GROUND,
     OFFICE,
     Settings,
-    make_settings,
+    make_exploration_settings,
 )
 from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
@@ -70,7 +71,7 @@ def run(
         run_path(options, out, overwrite=overwrite, animation=animation)
         return
     entries = entries_of(options)
-    settings = make_settings(entries)
+    settings = make_exploration_settings(entries)
     folder = free_name(Path("runs") / Path(settings.map).stem) if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiment = build(settings)
@@ -133,13 +134,15 @@ def compare(
     entries = entries_of(options)
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
-    if architectures is None and make_settings(entries).architecture == "portfolio":
+    if architectures is None and make_exploration_settings(entries).architecture == "portfolio":
         names: tuple[str, ...] = ("explorer", "portfolio")
     elif architectures is None:
-        names = comparable(make_settings({**entries, "architecture": "two-layer"}))
+        names = comparable(make_exploration_settings({**entries, "architecture": "two-layer"}))
     else:
         names = tuple(name.strip() for name in architectures.split(","))
-    settings = {name: make_settings({**entries, "architecture": name}) for name in names}
+    settings = {
+        name: make_exploration_settings({**entries, "architecture": name}) for name in names
+    }
     ground = [name for name in names if name in GROUND]
     if ground and len(ground) < len(names):
         raise ValueError(

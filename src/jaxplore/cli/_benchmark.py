@@ -15,7 +15,7 @@ from rich.text import Text
 from jaxplore.cli._options import assign, entries_of
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.console import progress_bar
-from jaxplore.settings.exploration import GROUND, OFFICE, make_settings
+from jaxplore.settings.exploration import GROUND, OFFICE, make_exploration_settings
 from jaxplore.study.comparison.execute import Done, Outcome, run_tasks
 from jaxplore.study.comparison.maps import grids_of, maps_in, with_starts
 from jaxplore.study.comparison.store import Asked, Store, open_store
@@ -157,7 +157,7 @@ def run_benchmark(
         show = _progress(advance)
         advance(0.0, f"{len(tasks)} runs")
         outcome = run_tasks(tasks, store, workers, address, show, on_ray=on_ray)
-    resolution = make_settings({**tasks[0].entries, "map": OFFICE}).resolution
+    resolution = make_exploration_settings({**tasks[0].entries, "map": OFFICE}).resolution
     _show(store, outcome, len(tasks), grids_of(asked.maps, resolution))
 
 

@@ -13,7 +13,7 @@ from jaxplore.settings.exploration import (
     SCENARIOS,
     ZONES,
     is_scenario_file,
-    make_settings,
+    make_exploration_settings,
     read_settings,
 )
 
@@ -45,7 +45,7 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
 
 
 DEFAULTS = tuple(
-    make_settings({"map": OFFICE, "architecture": name}).model_dump()
+    make_exploration_settings({"map": OFFICE, "architecture": name}).model_dump()
     for name in ("explorer", "two-layer")
 )
 """Of ground robots and of quadrotors."""

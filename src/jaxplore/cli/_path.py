@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from jaxplore.build.path import build_path
+from jaxplore.build.tasks import build
 from jaxplore.cli._options import assign, assign_all
 from jaxplore.cli._show import free_name, save
 from jaxplore.report.folder import check_folder
@@ -98,7 +98,7 @@ def run_path(
     name = TRACK if settings.path == TRACK else Path(settings.path).stem
     folder = free_name(Path("runs") / name) if out is None else out
     check_folder(folder, overwrite=overwrite)
-    experiment = build_path(settings)
+    experiment = build(settings)
     result = simulate(
         *experiment[:3],
         key=experiment.key,

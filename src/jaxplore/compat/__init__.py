@@ -1,1 +1,1 @@
-"""Planners with the interface of other MPPI libraries."""
+"""A stateless planner with the interface of other MPPI libraries."""

@@ -1,7 +1,7 @@
-"""What goes into a compiled function: each array once.
+"""Pass a pytree to a compiled function with each of its arrays once.
 
-A path that two costs follow is one array in two places. As two inputs the compiler could not know
-that they are equal, and would look everything up twice.
+An array that two costs share, such as a path, occurs twice in the pytree. As two inputs the
+compiler could not know that they are equal, and would look up everything twice.
 """
 
 from typing import Any, NamedTuple
@@ -12,11 +12,11 @@ from jax import Array
 
 
 class Inputs(NamedTuple):
-    """A pytree, taken apart.
+    """Pytree, split into its arrays and its static structure.
 
     Args:
-        arrays: its arrays, each once.
-        structure: the rest, which is static.
+        arrays: distinct arrays of the pytree.
+        structure: everything else, which is static.
     """
 
     arrays: tuple[Array, ...]
@@ -24,13 +24,14 @@ class Inputs(NamedTuple):
 
 
 class Structure:
-    """All of a pytree but its arrays; equal ones are the same program.
+    """Everything of a pytree except its arrays; equal structures share one compiled program.
 
-    Its hash is computed once: that of a controller takes longer than half of a command's overhead.
+    The hash is computed once, because hashing a controller takes more than half of the overhead of
+    a call.
 
     Args:
-        treedef: of the pytree.
-        leaves: for each of its leaves the number of its array, or what is no array.
+        treedef: tree structure from `jax.tree.flatten`.
+        leaves: for each leaf the index of its array, or the leaf itself if it is not an array.
     """
 
     __slots__ = ("_hash", "leaves", "treedef")
@@ -44,6 +45,7 @@ class Structure:
         return self._hash
 
     def __eq__(self, other: object) -> bool:
+        # jax.jit compares cache keys on each call: identity and hash are the fast ways out.
         if self is other:
             return True
         return (
@@ -54,9 +56,10 @@ class Structure:
         )
 
 
-def take_apart(tree: Any) -> Inputs:
-    """Return the arrays of a pytree, each once, and the rest."""
+def split_arrays(tree: Any) -> Inputs:
+    """Split a pytree into its distinct arrays and its static structure."""
     values, treedef = jax.tree.flatten(tree)
+    # Arrays are compared by identity: comparing values would force a transfer from the device.
     numbers: dict[int, int] = {}
     arrays: list[Array] = []
     leaves: list[tuple[int | None, Any]] = []
@@ -71,8 +74,8 @@ def take_apart(tree: Any) -> Inputs:
     return Inputs(tuple(arrays), Structure(treedef, tuple(leaves)))
 
 
-def put_together(inputs: Inputs) -> Any:
-    """Return the pytree again."""
+def join_arrays(inputs: Inputs) -> Any:
+    """Rebuild the pytree from its arrays and its structure."""
     leaves = [
         value if number is None else inputs.arrays[number]
         for number, value in inputs.structure.leaves

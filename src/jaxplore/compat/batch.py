@@ -1,4 +1,4 @@
-"""Rollouts with everything they passed through, for those who look at them."""
+"""Compute rollouts with all states and costs, for inspection."""
 
 from typing import Any, NamedTuple
 
@@ -12,13 +12,13 @@ from jaxplore.dynamics.base import Dynamics
 
 
 class Batch(NamedTuple):
-    """M rollouts, time first and samples last.
+    """M rollouts, with time as the first axis and samples as the last.
 
     Args:
-        states: (T, nx, M) reached after each control.
-        controls: (T, nu, M).
-        costs: (T, M) of each step; what is paid at the end and for the sequence is in the last row,
-            so that the sum over time is the cost of the rollout.
+        states: states (T, nx, M) after each control.
+        controls: controls (T, nu, M).
+        costs: costs (T, M) of each step. The last row includes the terminal cost and the cost of
+            the control sequence, so that the sum over time is the cost of the rollout.
     """
 
     states: Float[Array, "T nx M"]
@@ -36,19 +36,18 @@ def rollout_batch(
     *,
     applied: ControlVector | None = None,
 ) -> Batch:
-    """Return all states and costs of control sequences.
+    """Roll out control sequences and return all states and costs.
 
-    A controller does not need them and is faster without, see `rollout_costs`: they take T times
-    the memory.
+    This takes T times the memory of `rollout_costs`, which controllers use.
 
     Args:
-        dynamics: the model.
-        cost: what is paid.
-        initial: (nx,) state from which all start.
-        controls: (T, nu, M).
-        dt: model step [s].
-        belief: what the robot knows.
-        applied: (nu,) control before the first one; the default control when absent.
+        dynamics: model of the robot.
+        cost: cost that is evaluated.
+        initial: initial state (nx,) of all rollouts.
+        controls: control sequences (T, nu, M).
+        dt: time step of the model [s].
+        belief: belief of the robot, which is passed to the cost.
+        applied: control (nu,) that was applied before the first one; the default control if None.
     """
     before = dynamics.default_control if applied is None else applied
 

@@ -1,4 +1,4 @@
-"""A planner without memory: a function of the state, the last solution and the temperature."""
+"""Plan with MPPI as a pure function of the state, the nominal sequence and the temperature."""
 
 import dataclasses
 import functools
@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
-from jaxplore.compat._inputs import Inputs, Structure, put_together, take_apart
+from jaxplore.compat._inputs import Inputs, Structure, join_arrays, split_arrays
 from jaxplore.compat.batch import Batch, rollout_batch
 from jaxplore.control.base import Info
 from jaxplore.control.mppi import MPPI
@@ -22,14 +22,15 @@ from jaxplore.control.weighting import Softmax
 
 
 class PlannedControl(NamedTuple):
-    """What a planner returns.
+    """Result of a planning step.
 
     Args:
-        optimal: (T, nu) the weighted mean of the samples; its first row is to be applied.
-        nominal: (T, nu) `optimal` one step later, the default control in its last row: around it
-            the next step samples.
-        info: about the step.
-        batch: the rollouts, on request; without the disturbance, if there is one.
+        optimal: optimised control sequence (T, nu), the weighted mean of the samples; apply its
+            first row.
+        nominal: nominal control sequence (T, nu) of the next step: `optimal` shifted by one step,
+            with the default control in the last row.
+        info: diagnostics of the step.
+        batch: rollouts if they were requested, without the disturbance of the controller.
     """
 
     optimal: Float[Array, "T nu"]
@@ -38,31 +39,32 @@ class PlannedControl(NamedTuple):
     batch: Batch | None
 
 
-# No equinox.Module, whose methods take a tenth of a millisecond to call, but a pytree like one.
+# A registered dataclass is a pytree like an equinox.Module, whose method calls, however, take a
+# tenth of a millisecond each.
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Planner:
-    """MPPI as a pure function of what it is given, compiled once:
+    """MPPI as a pure function of its arguments, compiled once:
 
         planned = planner.step(
             temperature=50.0, nominal_input=nominal, initial_state=state, key=key
         )
 
-    For loops of one's own that keep the nominal themselves. What remembers more than a nominal,
-    such as a covariance that adapts, begins anew with each step: use the `MPPI` for that.
+    It is meant for control loops that keep the nominal sequence themselves. Parts with more memory
+    than a nominal, such as an adaptive covariance, start anew in each step: use `MPPI` for them.
 
     Args:
-        mppi: whose parts plan. Its weighting is a `Softmax`, whose temperature is an argument of
-            each step.
+        mppi: controller whose parts are used. Its weighting must be a `Softmax`, because the
+            temperature is an argument of each step.
 
     Raises:
-        ValueError: a weighting without a temperature that could be given.
+        ValueError: a weighting other than `Softmax`.
     """
 
     mppi: MPPI
 
     def __post_init__(self) -> None:
-        # What is made of a planner within a transformation need not hold a controller.
+        # JAX transformations rebuild the planner with placeholders instead of a controller.
         if isinstance(self.mppi, MPPI) and not isinstance(self.mppi.weighting, Softmax):
             raise ValueError(
                 f"weighting is {type(self.mppi.weighting).__name__}; accepted: Softmax, whose "
@@ -71,7 +73,7 @@ class Planner:
 
     @property
     def initial_nominal(self) -> Float[Array, "T nu"]:
-        """The default control at all times (T, nu)."""
+        """Nominal control sequence (T, nu) for the first step: the default control."""
         model = self.mppi.dynamics
         return jnp.broadcast_to(model.default_control, (self.mppi.horizon, model.control_size))
 
@@ -86,17 +88,17 @@ class Planner:
         applied: Vector | None = None,
         return_batch: bool = False,
     ) -> PlannedControl:
-        """Plan once.
+        """Optimise the nominal control sequence by one MPPI step.
 
         Args:
-            temperature: of the softmax [units of cost]; another one does not recompile.
-            nominal_input: (T, nu) to sample around.
-            initial_state: (nx,).
-            key: randomness.
-            belief: whatever the cost reads.
-            applied: (nu,) the control given out last, for costs of changes; the default control
-                when absent.
-            return_batch: whether to return all rollouts, (T, nx, M); static.
+            temperature: temperature of the softmax [units of cost]; changing it does not recompile.
+            nominal_input: nominal control sequence (T, nu) around which the step samples.
+            initial_state: present state (nx,).
+            key: random key.
+            belief: belief of the robot, which is passed to the cost.
+            applied: control (nu,) that was applied last, for costs of control changes; the default
+                control if None.
+            return_batch: whether to return all rollouts (T, nx, M); static.
 
         Raises:
             ValueError: a temperature that is not positive, a nominal or state of another shape.
@@ -110,9 +112,9 @@ class Planner:
             plain = (
                 temperature if isinstance(temperature, (int, float)) else np.asarray(temperature)
             )
-            # A NumPy number goes into a compiled call as it is; to make an array takes longer.
+            # Pass a NumPy number: converting it to a JAX array first would take longer.
             heat = np.float32(_checks.number("temperature", plain, above=0.0))
-        known, structure = take_apart(belief)
+        known, structure = split_arrays(belief)
         planned: PlannedControl = _plan(
             self._inputs.arrays,
             heat,
@@ -128,18 +130,19 @@ class Planner:
 
     @functools.cached_property
     def _sizes(self) -> tuple[int, int, int]:
-        """Of the horizon, the controls and the state."""
+        """Sizes of the horizon, the control and the state."""
         model = self.mppi.dynamics
         return self.mppi.horizon, model.control_size, model.state_size
 
     @functools.cached_property
     def _inputs(self) -> Inputs:
-        """The controller taken apart, once: that takes a tenth of a millisecond."""
-        return take_apart(self.mppi)
+        """Arrays and structure of the controller, cached: to split it takes a tenth of a ms."""
+        return split_arrays(self.mppi)
 
 
 def _array(name: str, value: Vector | Rows, shape: tuple[int, ...]) -> Any:
-    """Return float32 of that shape; what is on a device stays there, what is not stays in NumPy."""
+    """Return `value` as a float32 array of a shape; JAX arrays stay on their device, others become
+    NumPy arrays."""
     array: Any = value
     if not isinstance(value, jax.Array):
         try:
@@ -166,14 +169,15 @@ def _plan(
     structures: tuple[Structure, Structure],
     return_batch: bool,
 ) -> PlannedControl:
-    mppi: MPPI = put_together(Inputs(arrays, structures[0]))
-    belief = put_together(Inputs(known, structures[1]))
+    mppi: MPPI = join_arrays(Inputs(arrays, structures[0]))
+    belief = join_arrays(Inputs(known, structures[1]))
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
     before = mppi.dynamics.default_control if applied is None else applied
     memory = mppi.init(nominal)._replace(applied=before)
     sampled = mppi.sample(memory, key=key, shift=False)
     costs = mppi.evaluate(sampled, initial, belief)
     _, _, info = mppi.update(sampled, costs)
+    # Rollouts are recomputed with all states, because a controller step keeps only their costs.
     batch = None
     if return_batch:
         everything = (mppi.dynamics, mppi.cost, initial, sampled.controls, mppi.dt, belief)

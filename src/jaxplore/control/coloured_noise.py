@@ -1,4 +1,4 @@
-"""Noise whose power falls with frequency."""
+"""Draw coloured noise, whose power falls with frequency."""
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -11,20 +11,20 @@ from jaxplore.control.parameterisations import Samples
 
 
 class ColouredNoise(Noise):
-    """Noise of power `1 / f^gamma` over the rows: 0 white, 1 pink, 2 red.
+    """Noise with power `1 / f^gamma` over time: gamma 0 is white, 1 pink, 2 red.
 
-    Its autocovariance is that of a periodic sequence of 2 P rows with power `f^-gamma` at the
-    frequencies `f = 1, 2, ..., P` and the power of the lowest one at 0, scaled to variance 1. Only
-    P rows are drawn, through the Cholesky factor of their covariance, so that the last row does not
-    know of the first one, as it does where P rows come out of a Fourier transform of P values.
+    The autocovariance is that of a periodic sequence of 2 P values with power `f^-gamma` at the
+    frequencies `f = 1, 2, ..., P` and the power of f = 1 at 0, scaled to variance 1. P values are
+    drawn from it with the Cholesky factor of their covariance. So the last value is not correlated
+    with the first, as it is if P values come from a Fourier transform of length P.
 
     Source: Vlahov, Gibson, Fan, Spieler, Agha-mohammadi, Theodorou, "Low Frequency Sampling in
     Model Predictive Path Integral Control", RA-L 2024; Timmer and König, "On generating power law
     noise", A&A 1995.
 
     Args:
-        exponent: gamma.
-        noise: what is coloured.
+        exponent: exponent gamma, in [0, 4].
+        noise: noise that is coloured; `WhiteNoise()` by default.
 
     Raises:
         ValueError: an exponent that is not within 0 to 4.
@@ -43,7 +43,7 @@ class ColouredNoise(Noise):
         return jnp.einsum("pq,quk->puk", factor, self.noise.draw(shape, key=key))
 
     def covariance(self, rows: int) -> Float[Array, "P P"]:
-        """Return the covariance (P, P) of the rows."""
+        """Return the covariance (P, P) over the parameters."""
         colour, inner = self.colour(rows), self.noise.covariance(rows)
         if inner is None:
             return colour
@@ -52,18 +52,18 @@ class ColouredNoise(Noise):
         return covariance
 
     def colour(self, rows: int) -> Float[Array, "P P"]:
-        """Return the covariance (P, P) that white noise gets, 1 on the diagonal."""
+        """Return the covariance (P, P) of coloured white noise, with 1 on the diagonal."""
+        # The autocovariance is the inverse Fourier transform of the power spectrum.
         frequency = jnp.maximum(jnp.arange(rows + 1, dtype=jnp.float32), 1.0)
-        # Both ends of the spectrum stand for themselves, all between for themselves and their
-        # mirror images.
+        # A real sequence has a symmetric spectrum: all frequencies but the two ends count twice.
         counts = jnp.full(rows + 1, 2.0).at[jnp.asarray([0, rows])].set(1.0)
         power = counts * frequency**-self.exponent
         turns = jnp.outer(jnp.arange(rows), jnp.arange(rows + 1)) % (2 * rows)
         phase = (jnp.pi / rows) * turns.astype(jnp.float32)
         autocovariance = jnp.cos(phase) @ (power / jnp.sum(power))
         lag = jnp.abs(jnp.arange(rows)[:, None] - jnp.arange(rows))
-        # Steep spectra leave nothing at high frequencies; the factor needs more than the rounding,
-        # which grows with the rows.
+        # A steep spectrum has almost no power at high frequencies. The Cholesky factor needs more
+        # than the rounding error, which grows with the number of rows.
         return autocovariance[lag] + max(1e-5, 3e-7 * rows) * jnp.eye(rows)
 
     def check(self, shape: Shape) -> None:

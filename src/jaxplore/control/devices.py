@@ -1,4 +1,4 @@
-"""Samples spread over several devices."""
+"""Distribute samples over several devices."""
 
 from collections.abc import Callable
 from typing import Any
@@ -12,16 +12,16 @@ from jaxtyping import Float
 from jaxplore.control.parameterisations import Samples
 
 
-def whole(mesh: Mesh) -> Mesh:
-    """Return a mesh of the same devices along which the compiler spreads what follows.
+def auto_mesh(mesh: Mesh) -> Mesh:
+    """Return a mesh of the same devices whose axes the compiler may shard automatically.
 
-    Users' meshes may have axes of the explicit kind.
+    The axes of a user's mesh may be of the explicit kind.
     """
     return Mesh(mesh.devices, mesh.axis_names)
 
 
-def spread(samples: Samples, mesh: Mesh) -> Samples:
-    """Return samples with each device holding its share of the last axis."""
+def shard_samples(samples: Samples, mesh: Mesh) -> Samples:
+    """Return the samples, sharded over the devices along their last axis."""
     sharding = NamedSharding(mesh, _spec(None, None, mesh.axis_names))
     shared: Samples = jax.lax.with_sharding_constraint(  # type: ignore[no-untyped-call]
         samples, sharding
@@ -29,23 +29,23 @@ def spread(samples: Samples, mesh: Mesh) -> Samples:
     return shared
 
 
-def on_each(
+def map_over_devices(
     costs: Callable[[Array, Array, Any], Array],
     mesh: Mesh,
     initial: Float[Array, "*nx_K"],
     controls: Float[Array, "T nu K"],
     arrays: Any,
 ) -> Float[Array, " K"]:
-    """Return the costs of samples, of which each device prices its own.
+    """Evaluate the costs of samples, each on the device that holds it.
 
-    Nothing is exchanged before the weights.
+    The devices exchange nothing until the weights are computed.
 
     Args:
-        costs: of initial state, controls, and what all devices know.
-        mesh: the devices.
-        initial: (nx,) of all samples, or (nx, K) of each.
-        controls: (T, nu, K).
-        arrays: what all devices know.
+        costs: function of initial state, controls and `arrays` that returns costs.
+        mesh: mesh of devices.
+        initial: initial state (nx,) of all samples, or (nx, K) of each.
+        controls: control sequences (T, nu, K).
+        arrays: pytree that is replicated on all devices.
     """
     samples = mesh.axis_names
     over_devices = jax.shard_map(
@@ -57,15 +57,16 @@ def on_each(
             _spec(),
         ),
         out_specs=_spec(samples),
-        # The loop over time begins with the same state on all devices, which would not pass.
+        # The loop over time starts with a state that is equal on all devices and then varies, which
+        # the check would refuse.
         check_vma=False,
     )
     total: Array = over_devices(initial, controls, arrays)
     return total
 
 
-def check_share(num_samples: int, mesh: Mesh) -> None:
-    """Raise a `ValueError` if samples do not divide among the devices."""
+def check_divisible(num_samples: int, mesh: Mesh) -> None:
+    """Raise a `ValueError` if the samples cannot be divided evenly among the devices."""
     if num_samples % mesh.size:
         raise ValueError(
             f"num_samples is {num_samples}; accepted: a multiple of the {mesh.size} "

@@ -1,4 +1,4 @@
-"""What may go differently from the model: for rollouts of more than one outcome."""
+"""Model disturbances of the robot or its obstacles, for rollouts with several outcomes."""
 
 import abc
 from typing import Any
@@ -9,26 +9,34 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplore._trees import stack_trees
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
 
 
 class Disturbance(eqx.Module):
-    """A distribution of outcomes of a model, or of what the robot believes.
+    """Distribution of outcomes of a model or of the belief; abstract.
 
-    M outcomes are drawn at each step and every control sequence meets the same ones: what differs
-    between the sequences' costs is the sequences' doing.
+    M outcomes are drawn in each planning step. All control sequences are evaluated with the same
+    outcomes (common random numbers), so that their costs differ only by the sequences.
     """
 
     @property
     def moves_robot(self) -> bool:
-        """Whether the robot's states differ between outcomes; otherwise one rollout serves all."""
+        """Whether the robot's states differ between outcomes; if not, one rollout serves all."""
         return True
 
     @abc.abstractmethod
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
-        """Return a pytree of draws whose leaves begin with the axes (T, M)."""
+        """Draw a pytree whose leaves begin with the axes (T, M).
+
+        Args:
+            dynamics: model of the robot.
+            horizon: number of steps, T.
+            num_outcomes: number of outcomes, M.
+            key: random key.
+        """
 
     @abc.abstractmethod
     def step_at(
@@ -40,19 +48,28 @@ class Disturbance(eqx.Module):
         dt: Scalar,
         drawn: Any,
     ) -> StateVector:
-        """Return the state (nx,) after a disturbed step; `drawn` is one step of one outcome."""
-
-    def belief(self, belief: Any, drawn: Any) -> Any:
-        """Return what is true in the outcome drawn: what is believed, by default.
+        """Return the state (nx,) after a disturbed step.
 
         Args:
-            belief: of the robot.
-            drawn: one step of one outcome.
+            dynamics: model of the robot.
+            state: state (nx,) before the step.
+            control: control (nu,) during the step.
+            t: time at which the step begins [s].
+            dt: length of the step [s].
+            drawn: draw of one step of one outcome.
+        """
+
+    def belief(self, belief: Any, drawn: Any) -> Any:
+        """Return the belief in a drawn outcome; by default the belief of the robot.
+
+        Args:
+            belief: belief of the robot.
+            drawn: draw of one step of one outcome.
         """
         return belief
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
-        """Raise a `ValueError` if the disturbance does not fit; all do, by default."""
+        """Raise a `ValueError` if the disturbance does not fit the model; by default any does."""
         return
 
 
@@ -60,8 +77,8 @@ class StateNoise(Disturbance):
     """White noise on the state: `x' = step(x, u) + std sqrt(dt) w`, w ~ N(0, 1).
 
     Args:
-        std: (nx,) per square root of a second, so that the spread after a while does not depend on
-            the model step.
+        std: standard deviations (nx,) per square root of a second, so that the spread after a time
+            does not depend on the time step.
 
     Raises:
         ValueError: a negative or infinite value; from `check`, another size than the state's.
@@ -75,7 +92,7 @@ class StateNoise(Disturbance):
     def draw(
         self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key
     ) -> Float[Array, "T M nx"]:
-        """Return standard normal draws."""
+        """Draw standard normal noise for each state component."""
         return jax.random.normal(key, (horizon, num_outcomes, dynamics.state_size))
 
     def step_at(
@@ -87,7 +104,7 @@ class StateNoise(Disturbance):
         dt: Scalar,
         drawn: StateVector,
     ) -> StateVector:
-        """Return the disturbed state."""
+        """Return the state (nx,) after the step, with noise added."""
         reached = dynamics.step_at(state, control, t, dt)
         spread = jnp.sqrt(dt) * self.std
         return jnp.stack([x + s * w for x, s, w in zip(reached, spread, drawn, strict=True)])
@@ -98,10 +115,10 @@ class StateNoise(Disturbance):
 
 
 class ControlNoise(Disturbance):
-    """Controls that are not followed exactly: `x' = step(x, clip(u + std w))`, w ~ N(0, 1).
+    """White noise on the controls: `x' = step(x, clip(u + std w))`, w ~ N(0, 1).
 
     Args:
-        std: (nu,) deviation of each control.
+        std: standard deviations (nu,) of the controls.
 
     Raises:
         ValueError: a negative or infinite value; from `check`, another size than the control's.
@@ -115,7 +132,7 @@ class ControlNoise(Disturbance):
     def draw(
         self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key
     ) -> Float[Array, "T M nu"]:
-        """Return standard normal draws."""
+        """Draw standard normal noise for each control."""
         return jax.random.normal(key, (horizon, num_outcomes, dynamics.control_size))
 
     def step_at(
@@ -127,7 +144,7 @@ class ControlNoise(Disturbance):
         dt: Scalar,
         drawn: ControlVector,
     ) -> StateVector:
-        """Return the state after the disturbed control."""
+        """Return the state (nx,) after a step with the disturbed control."""
         followed = jnp.clip(control + self.std * drawn, dynamics.control_min, dynamics.control_max)
         return dynamics.step_at(state, followed, t, dt)
 
@@ -137,14 +154,14 @@ class ControlNoise(Disturbance):
 
 
 class ModelEnsemble(Disturbance):
-    """Uncertain parameters: outcome m follows the m-th of several models.
+    """Uncertain model parameters: outcome m follows model m of an ensemble.
 
     Args:
-        models: M models of the same class and sizes, with different parameters.
+        models: M models of the same class and sizes with different parameters.
 
     Raises:
-        ValueError: no model, models that differ in more than numbers; from `check`, another number
-            of outcomes.
+        ValueError: no model, models that differ in more than array values; from `check`, another
+            number of outcomes than M.
     """
 
     models: Dynamics
@@ -157,11 +174,12 @@ class ModelEnsemble(Disturbance):
                 f"models have {len(structures)} structures; accepted: one or more models of one "
                 "class that differ in numbers only"
             )
-        stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *arrays)
+        # A leading axis of models lets rollouts map over them like over any other draw.
+        stacked = stack_trees(arrays)
         self.models = eqx.combine(stacked, static[0])
 
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Dynamics:
-        """Return the models at every step."""
+        """Return the M models, repeated for every step."""
         arrays, _ = eqx.partition(self.models, eqx.is_array)
         models: Dynamics = jax.tree.map(
             lambda leaf: jnp.broadcast_to(leaf, (horizon, *leaf.shape)), arrays
@@ -177,7 +195,7 @@ class ModelEnsemble(Disturbance):
         dt: Scalar,
         drawn: Dynamics,
     ) -> StateVector:
-        """Return the state that the drawn model leads to."""
+        """Return the state (nx,) after a step of the drawn model."""
         _, static = eqx.partition(self.models, eqx.is_array)
         model: Dynamics = eqx.combine(drawn, static)
         return model.step_at(state, control, t, dt)
@@ -192,28 +210,28 @@ class ModelEnsemble(Disturbance):
 
 
 class UncertainObstacles(Disturbance):
-    """Obstacles that are and go elsewhere than predicted: outcome m meets `Obstacles` as they were
-    drawn the m-th time, and knows them exactly.
+    """Obstacles that deviate from their prediction: outcome m has the m-th draw of the `Obstacles`.
 
-    With a measure of risk, such as `ConditionalValueAtRisk`, that is the risk of collision of a
-    whole plan. The robot's own rollout is computed once for all outcomes, unless it is disturbed
-    too.
+    In each outcome the drawn obstacles are known exactly. With a risk measure such as
+    `ConditionalValueAtRisk`, this gives the collision risk of a whole control sequence. The robot's
+    rollout is computed once for all outcomes, unless the robot is disturbed as well.
 
-    Reads and replaces the `Obstacles` of the belief: the belief itself, or its `obstacles`.
+    The belief must be `Obstacles`, or have them as `obstacles`; they are replaced by the draw.
 
     Args:
-        robot: what the robot itself is disturbed by; nothing when absent.
+        robot: disturbance of the robot itself; none by default.
     """
 
     robot: Disturbance | None = None
 
     @property
     def moves_robot(self) -> bool:
-        """Whether the robot is disturbed too."""
+        """Whether the robot itself is disturbed."""
         return self.robot is not None
 
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
-        """Return a key for each outcome, the same at every step, and the robot's draws."""
+        """Return a random key per outcome, equal at every step, and the draws for the robot."""
+        # One key per outcome keeps the obstacles of an outcome consistent over the horizon.
         first, second = jax.random.split(key)
         keys = jnp.broadcast_to(jax.random.split(first, num_outcomes), (horizon, num_outcomes))
         if self.robot is None:
@@ -229,19 +247,19 @@ class UncertainObstacles(Disturbance):
         dt: Scalar,
         drawn: Any,
     ) -> StateVector:
-        """Return the state after a step, disturbed if the robot is."""
+        """Return the state (nx,) after a step, disturbed if `robot` is given."""
         if self.robot is None:
             return dynamics.step_at(state, control, t, dt)
         return self.robot.step_at(dynamics, state, control, t, dt, drawn[1])
 
     def belief(self, belief: Any, drawn: Any) -> Any:
-        """Return the belief with obstacles as drawn."""
+        """Return the belief with the drawn obstacles."""
         if isinstance(belief, Obstacles):
             return belief.drawn(drawn[0])
         return eqx.tree_at(lambda known: known.obstacles, belief, belief.obstacles.drawn(drawn[0]))
 
     def check(self, dynamics: Dynamics, num_outcomes: int) -> None:
-        """Raise a `ValueError` if what the robot is disturbed by does not fit."""
+        """Raise a `ValueError` if the disturbance of the robot does not fit the model."""
         if self.robot is not None:
             self.robot.check(dynamics, num_outcomes)
 

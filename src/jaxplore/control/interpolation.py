@@ -1,4 +1,4 @@
-"""Ways to interpolate between knots; time is counted in model steps."""
+"""Interpolate between knots of a control sequence; time is in model steps."""
 
 import abc
 import functools
@@ -13,54 +13,55 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 
 CONDITION = 3e4
-"""Greatest condition number of a kernel's matrix: times the rounding of float32, 2e-3."""
+"""Greatest condition number of a kernel matrix; times the rounding of float32 it is 2e-3."""
 
 Times = Float[Array, " N"]
 Weights = Float[Array, "N P"]
 
 
 class Interpolation(eqx.Module):
-    """Values at any time as weighted sums of the values at evenly spaced knots."""
+    """Linear map from the values at evenly spaced knots to the value at any time; abstract."""
 
     @abc.abstractmethod
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
         """Return the weight (N, P) of each knot at each time.
 
         Args:
-            times: (N,) >= 0, in model steps. Beyond `end` the weights fall to 0: what is
-                interpolated is the deviation from the default control.
-            num_knots: P knots, evenly spaced from 0 to `end`.
-            end: time of the last knot.
+            times: times (N,) >= 0 [model steps]. Beyond `end` the weights fall to 0, because the
+                interpolated quantity is the deviation from the default control.
+            num_knots: number of knots, P, evenly spaced from 0 to `end`.
+            end: time of the last knot [model steps].
 
         Raises:
-            ValueError: knots that this interpolation cannot tell apart.
+            ValueError: knots that are too close together for this interpolation.
         """
 
     def weights_ahead(self, times: Times, num_knots: int, end: float) -> Weights:
-        """Return the weights (N, P) that move the knots on, to the values at these times."""
+        """Return the weights (N, P) that shift the knots in time, to the values at these times."""
         return self.weights(times, num_knots, end)
 
 
 class ZeroOrderHold(Interpolation):
-    """Each knot's value is held until the next knot."""
+    """Zero-order hold: the value of a knot is held until the next knot."""
 
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
-        """Return 1 for the last knot that is not later than the time."""
+        """Return weights of 1 for the last knot at or before each time."""
         index, _, _ = _interval(times, num_knots, end)
+        # `_interval` puts the end into the last interval, where the knot before it would be held.
         at_end = times >= end
         index = jnp.where(at_end, num_knots - 1, index)
         return _one_hot(index, num_knots, times) * _fade(times, end)[:, None]
 
     def weights_ahead(self, times: Times, num_knots: int, end: float) -> Weights:
-        """Return the weights of straight lines.
+        """Return the weights of linear interpolation.
 
-        Held values would never move on in steps shorter than the knots' distance.
+        Shifts shorter than the distance of the knots would never change held values.
         """
         return LinearInterpolation().weights(times, num_knots, end)
 
 
 class LinearInterpolation(Interpolation):
-    """Straight lines between the knots."""
+    """Linear interpolation between the knots."""
 
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
         """Return the hat functions of the knots."""
@@ -68,13 +69,14 @@ class LinearInterpolation(Interpolation):
 
 
 class CubicSpline(Interpolation):
-    """The natural cubic spline through the knots: twice continuously differentiable."""
+    """Natural cubic spline through the knots, twice continuously differentiable."""
 
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
-        """Return the cardinal splines.
+        """Return the values of the cardinal splines.
 
-        On an interval of length h, with a the share of its left end, b = 1 - a, and m the second
-        derivatives: `a y_0 + b y_1 + ((a^3 - a) m_0 + (b^3 - b) m_1) h^2 / 6`.
+        On an interval of length h the spline is
+        `a y_0 + b y_1 + ((a^3 - a) m_0 + (b^3 - b) m_1) h^2 / 6`, with a the weight of the left
+        end, b = 1 - a, and m the second derivatives at the ends.
         """
         index, share, width = _interval(times, num_knots, end)
         left, right = 1.0 - share, share
@@ -86,25 +88,25 @@ class CubicSpline(Interpolation):
 
 
 class Kernel(Interpolation):
-    """Interpolation by a kernel, `k(t, t_knots) k(t_knots, t_knots)^-1`.
+    """Kernel interpolation, `k(t, t_knots) k(t_knots, t_knots)^-1`; abstract.
 
-    It is the mean of a Gaussian process with this covariance through the knots.
+    It is the posterior mean of a Gaussian process with covariance k, given the knots.
     """
 
     length_scale: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the covariance of two times this far apart; 1 at distance 0."""
+        """Return the covariance between two times at a distance [model steps]; 1 at distance 0."""
 
     def weights(self, times: Times, num_knots: int, end: float) -> Weights:
-        """Return the weights of the kernel."""
+        """Return the weights of kernel interpolation."""
         knots = jnp.linspace(0.0, end, num_knots)
         across = self.covariance(jnp.abs(times[:, None] - knots))
         return across @ jnp.asarray(self._inverse(num_knots, end), times.dtype)
 
     def _inverse(self, num_knots: int, end: float) -> np.ndarray:
-        """Return `k(t_knots, t_knots)^-1` (P, P), computed when compiled, in double precision."""
+        """Return `k(t_knots, t_knots)^-1` (P, P), computed at compile time in double precision."""
         knots = np.linspace(0.0, end, num_knots)
         distance = np.abs(knots[:, None] - knots)
 
@@ -116,6 +118,7 @@ class Kernel(Interpolation):
         matrix = among(self.length_scale)
         if np.linalg.cond(matrix) <= CONDITION:
             return np.asarray(np.linalg.inv(matrix))
+        # Bisect for the largest length scale that is accepted, for the message.
         low, high = 0.0, self.length_scale
         for _ in range(20):
             middle = 0.5 * (low + high)
@@ -128,12 +131,12 @@ class Kernel(Interpolation):
 
 
 class RBFKernel(Kernel):
-    """`exp(-d^2 / (2 l^2))`.
+    """Radial basis function (Gaussian) kernel, `exp(-d^2 / (2 l^2))`.
 
     Source: the kernel MPPI of pytorch_mppi (Zhong, Fazeli, Berenson, "RUMI", T-RO 2025).
 
     Args:
-        length_scale: l, in model steps; static.
+        length_scale: length scale l [model steps]; static.
 
     Raises:
         ValueError: a length that is not positive.
@@ -145,18 +148,18 @@ class RBFKernel(Kernel):
         self.length_scale = _checks.number("length_scale", length_scale, above=0.0)
 
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the Gaussian of the distance."""
+        """Return the kernel at a distance [model steps]."""
         scaled = distance / self.length_scale
         return jnp.exp(-0.5 * scaled * scaled)
 
 
 class MaternKernel(Kernel):
-    """The Matérn covariance of smoothness 5/2, `(1 + s + s^2 / 3) exp(-s)`, `s = sqrt(5) d / l`.
+    """Matérn kernel of smoothness 5/2, `(1 + s + s^2 / 3) exp(-s)` with `s = sqrt(5) d / l`.
 
     Source: Rasmussen and Williams, "Gaussian Processes for Machine Learning", eq. 4.17.
 
     Args:
-        length_scale: l, in model steps; static.
+        length_scale: length scale l [model steps]; static.
 
     Raises:
         ValueError: a length that is not positive.
@@ -168,15 +171,15 @@ class MaternKernel(Kernel):
         self.length_scale = _checks.number("length_scale", length_scale, above=0.0)
 
     def covariance(self, distance: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Return the covariance."""
+        """Return the kernel at a distance [model steps]."""
         scaled = jnp.sqrt(5.0) * distance / self.length_scale
         return (1.0 + scaled + scaled * scaled / 3.0) * jnp.exp(-scaled)
 
 
 def _interval(times: Times, num_knots: int, end: float) -> tuple[Array, Array, float]:
-    """Return the interval of each time, its share of it, and the intervals' width."""
+    """Return the interval of each time, the fraction passed of it, and the interval's width."""
     width = end / max(num_knots - 1, 1) or 1.0
-    # Multiplied first: at a knot the quotient is then a whole number exactly.
+    # Multiply before dividing: at a knot the quotient is then exactly a whole number.
     position = times * max(num_knots - 1, 0) / (end or 1.0)
     position = jnp.clip(position, 0.0, float(max(num_knots - 1, 0)))
     index = jnp.clip(jnp.floor(position), 0.0, float(max(num_knots - 2, 0)))
@@ -184,13 +187,14 @@ def _interval(times: Times, num_knots: int, end: float) -> tuple[Array, Array, f
 
 
 def _hats(times: Times, num_knots: int, end: float) -> Weights:
+    """Return the hat functions of the knots: the weights of linear interpolation."""
     index, share, _ = _interval(times, num_knots, end)
     here = (1.0 - share)[:, None] * _one_hot(index, num_knots, times)
     return here + share[:, None] * _one_hot(index + 1, num_knots, times)
 
 
 def _fade(times: Times, end: float) -> Float[Array, " N"]:
-    """Return 1 up to the last knot, falling to 0 over the step after it."""
+    """Return a factor that is 1 up to the last knot and falls to 0 over the step after it."""
     return jnp.clip(1.0 - (times - end), 0.0, 1.0)
 
 
@@ -200,7 +204,7 @@ def _one_hot(index: Array, size: int, times: Times) -> Weights:
 
 @functools.lru_cache(maxsize=32)
 def _second_derivatives(num_knots: int, width: float) -> np.ndarray:
-    """Return (P, P): second derivatives at the knots of the natural splines of unit values."""
+    """Return the second derivatives (P, P) at the knots of the P natural cardinal splines."""
     if num_knots < 3:
         return np.zeros((num_knots, num_knots))
     knots = width * np.arange(num_knots)

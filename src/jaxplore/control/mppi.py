@@ -152,7 +152,7 @@ class MPPI(Controller):
         self.disturbance = disturbance
         self.risk = MeanVariance() if risk is None else risk
         self.interpolate_shift = interpolate_shift
-        self.mesh = None if mesh is None else devices.whole(mesh)
+        self.mesh = None if mesh is None else devices.auto_mesh(mesh)
         num_controls = dynamics.control_size
         self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)
         if smoothing is not None:
@@ -160,7 +160,7 @@ class MPPI(Controller):
         if disturbance is not None:
             disturbance.check(dynamics, self.num_outcomes)
         if mesh is not None:
-            devices.check_share(self.num_samples, mesh)
+            devices.check_divisible(self.num_samples, mesh)
         check_parts(dynamics, cost, self.horizon)
 
     def init(self, controls: Float[Array, "T nu"] | None = None) -> MPPIState:
@@ -263,7 +263,7 @@ class MPPI(Controller):
             perturbations=perturbations,
         )
         if self.mesh is not None:
-            samples = devices.spread(samples, self.mesh)
+            samples = devices.shard_samples(samples, self.mesh)
         controls, samples = self.parameterisation.decode(state.nominal, samples, context.space)
         # The samples are used by the rollouts and by the mean. Unless they are materialised here,
         # XLA fuses the noise generator into both and draws it twice.
@@ -307,7 +307,7 @@ class MPPI(Controller):
 
         if self.mesh is None:
             return costs(initial, sampled.controls, arrays)
-        return devices.on_each(costs, self.mesh, initial, sampled.controls, arrays)
+        return devices.map_over_devices(costs, self.mesh, initial, sampled.controls, arrays)
 
     def update(
         self, sampled: SampledControls, costs: Float[Array, " K"]

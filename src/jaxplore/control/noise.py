@@ -1,4 +1,4 @@
-"""Where randomness comes from: draws of mean 0 and variance 1 for every parameter and sample."""
+"""Draw sampling noise of mean 0 and variance 1 for every parameter and sample."""
 
 import abc
 import math
@@ -18,34 +18,40 @@ Shape = tuple[int, int, int]
 
 
 class Noise(eqx.Module):
-    """A source of noise of mean 0 and variance 1, the same for every control.
+    """Distribution of noise with mean 0 and variance 1, equal for all controls; abstract.
 
-    A proposal scales it. Sources nest: `AntitheticNoise(ColouredNoise(1.0))`.
+    A proposal scales the noise. Distributions nest: `AntitheticNoise(ColouredNoise(1.0))`.
     """
 
     @abc.abstractmethod
     def draw(self, shape: Shape, *, key: Key) -> Samples:
-        """Return noise of shape (P, nu, K)."""
+        """Draw noise of shape (P, nu, K).
+
+        Args:
+            shape: numbers of parameters, controls and samples.
+            key: random key.
+        """
 
     @abc.abstractmethod
     def covariance(self, rows: int) -> Float[Array, "P P"] | None:
-        """Return the covariance (P, P) over the rows, None if it is the unit matrix."""
+        """Return the covariance (P, P) over the parameters; None stands for the identity."""
 
     def precision(self, sequence: Parameters) -> Parameters:
-        """Return `C^-1 sequence` (P, nu), C the covariance."""
+        """Return `C^-1 sequence` (P, nu) with the covariance C."""
         covariance = self.covariance(sequence.shape[0])
         if covariance is None:
             return sequence
+        # Solve with the Cholesky factor, which is more accurate than inverting the covariance.
         factor = jnp.linalg.cholesky(covariance)
         solved: Array = jax.scipy.linalg.cho_solve((factor, True), sequence)
         return solved
 
     def check(self, shape: Shape) -> None:
-        """Raise a `ValueError` if noise of this shape cannot be drawn; all can, by default."""
+        """Raise a `ValueError` if noise of this shape cannot be drawn; by default any can."""
 
 
 LARGE = 2**20
-"""Numbers beyond which noise is drawn row by row: what is written at once should fit a cache."""
+"""Number of values above which noise is drawn row by row, so that a row fits the CPU's cache."""
 
 
 class WhiteNoise(Noise):
@@ -65,12 +71,12 @@ class WhiteNoise(Noise):
 
 
 class AntitheticNoise(Noise):
-    """Pairs of opposite draws: the second half of the samples mirrors the first.
+    """Pairs of opposite draws: the second half of the samples mirrors the first half.
 
-    The mean of the samples is 0 exactly (K even), and half as much is drawn.
+    For an even K the mean of the samples is exactly 0. Only half as many values are drawn.
 
     Args:
-        noise: what is mirrored.
+        noise: noise that is mirrored; `WhiteNoise()` by default.
     """
 
     noise: Noise
@@ -85,29 +91,29 @@ class AntitheticNoise(Noise):
         return jnp.concatenate([half, -half[:, :, : samples // 2]], axis=-1)
 
     def covariance(self, rows: int) -> Float[Array, "P P"] | None:
-        """Return that of the mirrored noise."""
+        """Return the covariance of the mirrored noise."""
         return self.noise.covariance(rows)
 
     def check(self, shape: Shape) -> None:
-        """Raise a `ValueError` if half of it cannot be drawn."""
+        """Raise a `ValueError` if half of the samples cannot be drawn."""
         rows, size, samples = shape
         self.noise.check((rows, size, (samples + 1) // 2))
 
 
 class LogNormalNoise(Noise):
-    """Normal draws times log-normal ones: many small perturbations and some large ones.
+    """Products of normal and log-normal draws: many small and a few large perturbations.
 
         eps = z exp(s y - s^2),   z, y ~ N(0, 1) independent
 
-    has variance 1 and kurtosis `3 exp(4 s^2)`. The larger reach finds ways around obstacles that
-    normal noise of the same variance does not.
+    has variance 1 and kurtosis `3 exp(4 s^2)`. The heavy tails find ways around obstacles that
+    normal noise of the same variance misses.
 
     Source: Mohamed, Yin, Liu, "Autonomous Navigation of AGVs in Unknown Cluttered Environments:
     log-MPPI Control Strategy", RA-L 2022, eq. 8.
 
     Args:
-        spread: s, standard deviation of the logarithm.
-        noise: z.
+        spread: standard deviation s of the logarithm.
+        noise: distribution of z; `WhiteNoise()` by default.
 
     Raises:
         ValueError: a negative spread.
@@ -122,12 +128,13 @@ class LogNormalNoise(Noise):
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
         """Return noise of shape (P, nu, K)."""
+        # E[exp(s y - s^2)^2] = 1, so the product with z keeps variance 1.
         normal_key, log_key = jax.random.split(key)
         scale = jnp.exp(self.spread * jax.random.normal(log_key, shape) - self.spread**2)
         return self.noise.draw(shape, key=normal_key) * scale
 
     def covariance(self, rows: int) -> Float[Array, "P P"] | None:
-        """Return that of the normal factor; between rows `exp(-s^2)` of it is left."""
+        """Return the covariance of z, with the entries off the diagonal scaled by `exp(-s^2)`."""
         inner = self.noise.covariance(rows)
         if inner is None:
             return None
@@ -140,20 +147,21 @@ class LogNormalNoise(Noise):
 
 
 class NoiseBank(Noise):
-    """Noise that is drawn once and used again and again.
+    """Bank of noise that is drawn once and reused in every step.
 
-    Each step takes one of `num_draws` stored draws at random and turns the sign of each control's
-    noise at random. Within a step the samples are those of `noise`; from step to step they recur.
-    Drawing is the larger part of a cheap rollout's time: this replaces it by a copy.
+    Each step picks one of `num_draws` stored draws at random, and flips the sign of each control's
+    noise at random. Within a step the samples are distributed like `noise`; over the steps the
+    draws recur. With cheap models, drawing noise takes more time than the rollouts; the bank
+    replaces it by a copy.
 
     Args:
-        shape: (P, nu, K) parameters, controls, samples.
-        key: randomness of the store.
-        num_draws: how many are stored; 4 bytes x P x nu x K each.
-        noise: what is stored; must be symmetric.
+        shape: numbers (P, nu, K) of parameters, controls and samples.
+        key: random key of the stored draws.
+        num_draws: number of stored draws; each takes 4 bytes x P x nu x K.
+        noise: distribution of the stored noise, which must be symmetric; `WhiteNoise()` by default.
 
     Raises:
-        ValueError: a size < 1, or, from `check`, another shape.
+        ValueError: a size < 1; from `check`, another shape than the stored one.
     """
 
     stored: Float[Array, "D P nu K"]
@@ -169,19 +177,20 @@ class NoiseBank(Noise):
         self.stored = jnp.stack([self.noise.draw(shape, key=one) for one in keys])
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
-        """Return stored noise (P, nu, K)."""
+        """Return a stored draw (P, nu, K) with random signs."""
         self.check(shape)
         which_key, sign_key = jax.random.split(key)
         which = jax.random.randint(which_key, (), 0, self.stored.shape[0])
+        # Random signs multiply the number of distinct draws by 2^nu at no cost.
         signs = jax.random.rademacher(sign_key, (shape[1], 1), jnp.float32)
         return self.stored[which] * signs
 
     def covariance(self, rows: int) -> Float[Array, "P P"] | None:
-        """Return that of the stored noise."""
+        """Return the covariance of the stored noise."""
         return self.noise.covariance(rows)
 
     def check(self, shape: Shape) -> None:
-        """Raise a `ValueError` if the store has another shape."""
+        """Raise a `ValueError` if the stored draws have another shape."""
         if self.stored.shape[1:] != shape:
             raise ValueError(
                 f"a NoiseBank holds draws of shape {self.stored.shape[1:]}; accepted: {shape}, "

@@ -1,4 +1,4 @@
-"""How the parameters that are sampled become a sequence of controls."""
+"""Map sampled parameters to control sequences."""
 
 import abc
 from typing import Any
@@ -16,14 +16,14 @@ Sequence = Float[Array, "T nu"]
 
 
 class ControlSpace(eqx.Module):
-    """The control sequences that there are.
+    """Space of the admissible control sequences.
 
     Args:
-        minimum: (nu,) lower bounds.
-        maximum: (nu,) upper bounds.
-        default: (nu,) what a robot does that is left alone.
-        dt: how long each control of a sequence is held [s].
-        horizon: how many there are in a sequence, T; static.
+        minimum: lower bounds (nu,) of the controls.
+        maximum: upper bounds (nu,) of the controls.
+        default: default control (nu,) of the robot.
+        dt: duration of each control of a sequence [s].
+        horizon: number of controls in a sequence, T; static.
     """
 
     minimum: ControlVector
@@ -33,77 +33,78 @@ class ControlSpace(eqx.Module):
     horizon: int = eqx.field(static=True)
 
     def clip(self, controls: Sequence) -> Sequence:
-        """Return controls (T, nu) within the bounds."""
+        """Return controls (T, nu), clipped to the bounds."""
         return jnp.clip(controls, self.minimum, self.maximum)
 
     def clip_samples(self, controls: ControlSamples) -> ControlSamples:
-        """Return controls (T, nu, K) within the bounds."""
+        """Return controls (T, nu, K), clipped to the bounds."""
         return jnp.clip(controls, self.minimum[:, None], self.maximum[:, None])
 
 
 class Parameterisation(eqx.Module):
-    """Maps P x nu parameters to T controls within the bounds, and moves them on in time.
+    """Map from P x nu parameters to T x nu controls within the bounds; abstract.
 
-    What it remembers between steps, the `nominal`, is a pytree of its own. Proposals sample around
-    its `centre`; the weighted mean of the samples is the next one.
+    Its memory between steps, the `nominal`, is a pytree of the subclass. Proposals sample around
+    the `centre` of the nominal, and `update` replaces it by the weighted mean of the samples.
     """
 
     @abc.abstractmethod
     def num_parameters(self, horizon: int) -> int:
-        """Return P, the number of rows of parameters for T = `horizon` controls.
+        """Return the number of parameters per control, P, for T = `horizon` controls.
 
         Raises:
-            ValueError: a horizon that is too short for it.
+            ValueError: a horizon that is too short for this parameterisation.
         """
 
     @abc.abstractmethod
     def init(self, controls: Sequence, space: ControlSpace) -> Any:
-        """Return the nominal whose controls are these (T, nu), or the nearest to them."""
+        """Return the nominal of a control sequence (T, nu), or of the nearest representable one."""
 
     @abc.abstractmethod
     def centre(self, nominal: Any) -> Parameters:
-        """Return the parameters (P, nu) of the nominal."""
+        """Return the parameters (P, nu) of the nominal, around which proposals sample."""
 
     @abc.abstractmethod
     def rest(self, space: ControlSpace) -> ControlVector:
-        """Return the parameters (nu,), the same in every row, of a robot that is left alone."""
+        """Return the parameters (nu,), equal in every row, of the default control."""
 
     @abc.abstractmethod
     def decode(
         self, nominal: Any, samples: Samples, space: ControlSpace
     ) -> tuple[ControlSamples, Samples]:
-        """Return the control sequences (T, nu, K) of samples, and the samples as they took effect.
+        """Return the control sequences (T, nu, K) and the effective samples (P, nu, K).
 
-        The controls are within the bounds. Averaging the samples that took effect, not those that
-        were drawn, keeps bounds from biasing.
+        The controls are clipped to the bounds. The effective samples are the parameters of the
+        clipped controls. Averaging them, instead of the samples as drawn, keeps the update unbiased
+        at the bounds.
         """
 
     @abc.abstractmethod
     def encode(self, nominal: Any, controls: Sequence, space: ControlSpace) -> Parameters:
-        """Return the sample (P, nu) whose controls are these (T, nu), or the nearest to them."""
+        """Return the sample (P, nu) of a control sequence (T, nu), or of the nearest one."""
 
     @abc.abstractmethod
     def update(self, nominal: Any, mean: Parameters, space: ControlSpace) -> Any:
-        """Return the nominal after a step whose samples have this weighted mean (P, nu)."""
+        """Return the updated nominal, given the weighted mean (P, nu) of the effective samples."""
 
     @abc.abstractmethod
     def controls(self, nominal: Any, space: ControlSpace) -> Sequence:
-        """Return the nominal's control sequence (T, nu) within the bounds."""
+        """Return the control sequence (T, nu) of the nominal, clipped to the bounds."""
 
     @abc.abstractmethod
     def shift(self, nominal: Any, steps: Scalar, space: ControlSpace) -> Any:
-        """Return the nominal as seen `steps` model steps later; a fraction interpolates."""
+        """Return the nominal shifted by `steps` model steps, interpolated for fractions."""
 
 
 class Direct(Parameterisation):
-    """The parameters are the controls, held constant over each model step."""
+    """Direct parameterisation: the parameters are the controls, constant over each model step."""
 
     def num_parameters(self, horizon: int) -> int:
         """Return the horizon."""
         return horizon
 
     def init(self, controls: Sequence, space: ControlSpace) -> Sequence:
-        """Return the controls within the bounds."""
+        """Return the controls, clipped to the bounds."""
         return space.clip(controls)
 
     def centre(self, nominal: Sequence) -> Parameters:
@@ -117,7 +118,7 @@ class Direct(Parameterisation):
     def decode(
         self, nominal: Sequence, samples: Samples, space: ControlSpace
     ) -> tuple[ControlSamples, Samples]:
-        """Return the samples within the bounds, twice."""
+        """Return the clipped samples, which are both the controls and the effective samples."""
         controls = space.clip_samples(samples)
         return controls, controls
 
@@ -126,20 +127,27 @@ class Direct(Parameterisation):
         return controls
 
     def update(self, nominal: Sequence, mean: Parameters, space: ControlSpace) -> Sequence:
-        """Return the mean."""
+        """Return the weighted mean of the samples."""
         return mean
 
     def controls(self, nominal: Sequence, space: ControlSpace) -> Sequence:
-        """Return the nominal within the bounds."""
+        """Return the nominal, clipped to the bounds."""
         return space.clip(nominal)
 
     def shift(self, nominal: Sequence, steps: Scalar, space: ControlSpace) -> Sequence:
-        """Return the controls moved on, linear between steps, the default where none is planned."""
+        """Return the shifted controls, extended by the default control."""
         return shifted(nominal, steps, space.default)
 
 
 def shifted(sequence: Sequence, steps: Scalar, after: ControlVector) -> Sequence:
-    """Return rows `t + steps` of a sequence, linear between rows and `after` (nu,) beyond it."""
+    """Return a sequence (T, nu) shifted by a number of steps, interpolated linearly.
+
+    Args:
+        sequence: sequence (T, nu).
+        steps: number of steps; may be a fraction.
+        after: row (nu,) by which the sequence is extended.
+    """
+    # Rows beyond the end read the extension, which is appended as one more row.
     length = sequence.shape[0]
     position = jnp.arange(length, dtype=steps.dtype) + steps
     first = jnp.floor(position)

@@ -1,4 +1,4 @@
-"""Noise that fills space more evenly than random draws: Sobol and Halton points."""
+"""Draw noise from Sobol and Halton points, which fill space more evenly than random draws."""
 
 import functools
 
@@ -13,15 +13,15 @@ from jaxplore.control.noise import Noise, Shape
 from jaxplore.control.parameterisations import Samples
 
 BITS = 24
-"""Binary digits of a point: those of a float32 between 0 and 1."""
+"""Number of binary digits of a point, as many as a float32 in [0, 1) has."""
 
 
 class SobolNoise(Noise):
     """Normal quantiles of the first K points of a scrambled Sobol sequence in P x nu dimensions.
 
-    Each step shifts all points by one random digital shift (XOR): every point is uniform, the
-    points stay as even as they were, and steps differ. K should be a power of two. It needs random
-    numbers for a shift only, so it is faster than random draws.
+    Each step applies one random digital shift (XOR) to all points. Each point is then uniformly
+    distributed, the points stay evenly spread, and steps differ. K should be a power of two. Only
+    the shift needs random numbers, so this is faster than random draws.
 
     Source: Joe and Kuo, "Constructing Sobol sequences with better two-dimensional projections",
     SISC 2008 (directions from SciPy); Matousek, "On the L2-discrepancy for anchored boxes", 1998
@@ -35,7 +35,7 @@ class SobolNoise(Noise):
         digits = max(1, (samples - 1).bit_length())
         directions = jnp.asarray(_sobol_directions(dimensions, digits))
         index = jnp.arange(samples, dtype=jnp.uint32)
-        # The Gray code of the index, as SciPy orders the points.
+        # SciPy orders the points by the Gray code of their index.
         index = index ^ (index >> 1)
         points = jax.random.bits(key, (dimensions, 1)) >> (32 - BITS)
         for digit in range(digits):
@@ -47,16 +47,16 @@ class SobolNoise(Noise):
         """Return None: the rows are uncorrelated."""
 
     def check(self, shape: Shape) -> None:
-        """Raise a `ValueError` for more dimensions than there are directions."""
+        """Raise a `ValueError` for more dimensions than SciPy has direction numbers."""
         _check_dimensions(shape, scipy.stats.qmc.Sobol.MAXDIM)
 
 
 class HaltonNoise(Noise):
     """Normal quantiles of the first K points of a scrambled Halton sequence in P x nu dimensions.
 
-    Each step shifts all points by one random vector, modulo 1 (Cranley and Patterson, 1976). Any K
-    does. In many dimensions its projections are worse than those of Sobol points: use it with a
-    few knots.
+    Each step shifts all points by one random vector, modulo 1 (Cranley and Patterson, 1976). K is
+    arbitrary. In many dimensions the points are less even than Sobol points: use them with a few
+    knots.
 
     Source: Owen, "A randomized Halton algorithm in R", 2017 (points from SciPy).
     """
@@ -73,9 +73,10 @@ class HaltonNoise(Noise):
 
 
 def _normal(points: Array) -> Float[Array, "D K"]:
-    """Return normal quantiles of whole numbers below 2^BITS, each for the middle of its cell."""
+    """Return the normal quantiles of integers below 2^BITS, taken at the middle of their cells."""
     uniform = (points.astype(jnp.float32) + 0.5) * (2.0 / 2**BITS) - 1.0
-    # Beyond 2^24 a float32 has no halves: the last cell would round to 1, which has no quantile.
+    # Above 2^23 a float32 cannot represent the added half: the last cell would round to 1, whose
+    # quantile is infinite.
     largest = 1.0 - 2.0**-BITS
     return jnp.sqrt(2.0) * jax.lax.erf_inv(jnp.clip(uniform, -largest, largest))
 
@@ -92,8 +93,8 @@ def _check_dimensions(shape: Shape, limit: int) -> None:
 def _sobol_directions(dimensions: int, digits: int) -> np.ndarray:
     """Return the direction numbers (dimensions, digits) as uint32 of BITS bits.
 
-    Point i of the sequence is the XOR of the directions at the ones of i's Gray code, so point 2^d
-    differs from point 2^d - 1 by direction d alone.
+    Point i of the sequence is the XOR of the directions of the bits set in i's Gray code. So point
+    2^d and point 2^d - 1 differ by direction d alone, from which it is read.
     """
     found = []
     for digit in range(digits):

@@ -1,4 +1,4 @@
-"""What a control sequence costs whose outcome is uncertain."""
+"""Reduce the costs of several outcomes of a control sequence to one: risk measures."""
 
 import abc
 
@@ -18,36 +18,37 @@ Costs = Float[Array, " K"]
 
 
 class Risk(eqx.Module):
-    """One number for M outcomes of each of K control sequences."""
+    """Risk measure: maps the costs of M outcomes to one cost per control sequence; abstract."""
 
     @abc.abstractmethod
     def costs(self, totals: Totals, variation: Costs) -> Costs:
         """Return the cost of each control sequence (K,).
 
         Args:
-            totals: (M, K) cost of each outcome.
-            variation: (K,) what `step_variation` added up to.
+            totals: cost (M, K) of each outcome.
+            variation: sum (K,) of `step_variation` over the steps.
         """
 
     def step_variation(self, paid: StepCosts, t: Scalar, dt: Scalar) -> Costs:
-        """Return what one step adds to the variation (K,): nothing, unless a risk says otherwise.
+        """Return the contribution (K,) of one step to the variation; 0 by default.
 
         Args:
-            paid: (M, K) stage costs of the step.
-            t: time from now at which it ends [s].
-            dt: its length [s].
+            paid: stage costs (M, K) of the step.
+            t: time at which the step ends [s].
+            dt: length of the step [s].
         """
         return jnp.zeros(paid.shape[1])
 
 
 class MeanVariance(Risk):
-    """`mean_m J_m + weight * sum_t discount^t var_m(stage cost of step t)`, t = 0, 1, ...
+    """Mean plus variance: `mean_m J_m + weight * sum_t discount^t var_m(stage cost of step t)`.
 
-    The variance is that of a sample, with M - 1 below. Weight 0 is the plain mean.
+    t counts the steps from 0. The variance is the unbiased sample variance, with denominator M - 1.
+    Weight 0 gives the mean.
 
     Args:
-        weight: of the variance.
-        discount: per step.
+        weight: weight of the variance.
+        discount: discount of the variance per step.
 
     Raises:
         ValueError: a weight that is not finite, a discount outside [0, 1].
@@ -61,7 +62,7 @@ class MeanVariance(Risk):
         self.discount = _checks.scalar("discount", discount, at_least=0.0, at_most=1.0)
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:
-        """Return the mean and the weighted variation (K,)."""
+        """Return the mean plus the weighted variation (K,)."""
         return jnp.mean(totals, axis=0) + self.weight * variation
 
     def step_variation(self, paid: StepCosts, t: Scalar, dt: Scalar) -> Costs:
@@ -72,7 +73,7 @@ class MeanVariance(Risk):
 
 
 class WorstCase(Risk):
-    """`max_m J_m`."""
+    """Worst case: `max_m J_m`."""
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:
         """Return the greatest cost (K,)."""
@@ -80,10 +81,10 @@ class WorstCase(Risk):
 
 
 class ValueAtRisk(Risk):
-    """The least cost that a share `level` of the outcomes does not exceed.
+    """Value at risk: the smallest cost that a share `level` of the outcomes does not exceed.
 
     Args:
-        level: 0 to 1; 0.9 ignores the worst tenth.
+        level: share of the outcomes, in (0, 1); 0.9 ignores the worst tenth.
 
     Raises:
         ValueError: a level that is not within (0, 1).
@@ -100,14 +101,14 @@ class ValueAtRisk(Risk):
 
 
 class ConditionalValueAtRisk(Risk):
-    """The mean cost of the worst share `1 - level` of the outcomes.
+    """Conditional value at risk: the mean cost of the worst share `1 - level` of the outcomes,
 
-        VaR + mean_m (J_m - VaR)_+ / (1 - level)
+        CVaR = VaR + mean_m (J_m - VaR)_+ / (1 - level)
 
     Source: Rockafellar and Uryasev, "Optimization of conditional value-at-risk", 2000, eq. 4.
 
     Args:
-        level: 0 to 1; 0.9 averages the worst tenth.
+        level: share of the outcomes that is left out, in [0, 1); 0.9 averages the worst tenth.
 
     Raises:
         ValueError: a level that is not within [0, 1).
@@ -120,18 +121,22 @@ class ConditionalValueAtRisk(Risk):
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:
         """Return the mean of the tail (K,)."""
+        # This form weights the outcome at the quantile by its fraction in the tail, so it holds
+        # also if (1 - level) M is not a whole number.
         quantile = _quantile(totals, self.level)
         excess = jnp.mean(jnp.maximum(totals - quantile, 0.0), axis=0)
         return quantile + excess / (1.0 - self.level)
 
 
 class Entropic(Risk):
-    """`log(mean_m exp(theta J_m)) / theta`: the mean for small theta, the worst case for large.
+    """Entropic risk, `log(mean_m exp(theta J_m)) / theta`.
+
+    It approaches the mean for small theta and the worst case for large theta.
 
     Source: Whittle, "Risk-sensitive linear/quadratic/Gaussian control", 1981.
 
     Args:
-        theta: aversion to risk, per unit of cost; negative values seek it.
+        theta: risk aversion [1 / unit of cost]; a negative value seeks risk.
 
     Raises:
         ValueError: a theta of 0 or not finite.
@@ -148,7 +153,8 @@ class Entropic(Risk):
         """Return the entropic risk (K,)."""
         mean = jnp.mean(totals, axis=0)
         exponent = self.theta * (totals - mean)
-        # Near 0 the logarithm of a sum of numbers near 1 would lose all digits.
+        # For small exponents the logarithm of a mean of numbers near 1 would lose all digits, so
+        # use expm1 and log1p. For large ones logsumexp avoids overflow.
         near = jnp.log1p(jnp.mean(jnp.expm1(jnp.clip(exponent, -1.0, 1.0)), axis=0))
         far = jax.nn.logsumexp(exponent, axis=0) - np.float32(np.log(totals.shape[0]))
         is_near = jnp.max(jnp.abs(exponent), axis=0) < 1.0
@@ -158,6 +164,6 @@ class Entropic(Risk):
 def _quantile(totals: Totals, level: Scalar) -> Costs:
     """Return the cost of rank `ceil(level M)` of the M outcomes, counted from 1."""
     count = totals.shape[0]
-    # Rounding must not lift 0.9 * 10 above 9.
+    # Tolerate rounding, which must not lift 0.9 * 10 above 9.
     rank = jnp.ceil(level * count - 1e-4).astype(jnp.int32) - 1
     return jnp.sort(totals, axis=0)[jnp.clip(rank, 0, count - 1)]

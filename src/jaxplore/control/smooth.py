@@ -1,4 +1,4 @@
-"""Smooth MPPI: the sampled parameters are rates of change of the controls."""
+"""Parameterise a control sequence by rates of change of the controls: smooth MPPI."""
 
 from typing import NamedTuple
 
@@ -19,27 +19,27 @@ from jaxplore.control.parameterisations import (
 
 
 class SmoothNominal(NamedTuple):
-    """What `Smooth` remembers: `rates` (T, nu) per second, and the `controls` (T, nu)."""
+    """Nominal of `Smooth`: the `rates` (T, nu) per second, and the `controls` (T, nu)."""
 
     rates: Sequence
     controls: Sequence
 
 
 class Smooth(Parameterisation):
-    """Samples rates and adds them to the controls of the last step.
+    """Rates of change that are added to the nominal controls of the last step:
 
         u_t,k = clip(u_t + dt * r_t,k),     r <- sum_k w_k r_k,     u_t <- u_t + dt * r_t
 
-    with r_k the rates as they took effect after clipping. The noise's standard deviation is per
-    second: a rate of s changes a control by s * dt in one command. The last control is held where
-    the horizon moves on; the rates continue with 0. Add a `ControlRateCost` to weigh the
-    differences of neighbouring controls, as the paper does.
+    with r_k the effective rates after clipping. The standard deviation of the noise is per second:
+    a rate s changes a control by s * dt per step. When the horizon moves on, the last control is
+    held and the new rates are 0. Add a `ControlRateCost` to penalise differences of successive
+    controls, as the paper does.
 
     Source: Kim, Park, Lee, Kim, "Smooth Model Predictive Path Integral Control Without Smoothing",
     RA-L 2022, Algorithm 1.
 
     Args:
-        max_rate: bound of every |rate| [1/s]; none when absent.
+        max_rate: bound of every |rate| [control unit / s]; unbounded by default.
 
     Raises:
         ValueError: a bound that is not positive.
@@ -57,7 +57,7 @@ class Smooth(Parameterisation):
         return horizon
 
     def init(self, controls: Sequence, space: ControlSpace) -> SmoothNominal:
-        """Return the controls within the bounds, and rates of 0."""
+        """Return the controls clipped to the bounds, with rates of 0."""
         return SmoothNominal(jnp.zeros_like(controls), space.clip(controls))
 
     def centre(self, nominal: SmoothNominal) -> Parameters:
@@ -71,28 +71,30 @@ class Smooth(Parameterisation):
     def decode(
         self, nominal: SmoothNominal, samples: Samples, space: ControlSpace
     ) -> tuple[ControlSamples, Samples]:
-        """Return the integrated controls within the bounds, and the rates that lead to them."""
+        """Return the clipped controls, and the effective rates that lead to them."""
+        # Return the rates that the clipped controls correspond to, not those drawn: their average
+        # is then unbiased at the bounds.
         rates = self._bounded(samples)
         base = nominal.controls[:, :, None]
         controls = space.clip_samples(base + space.dt * rates)
         return controls, (controls - base) / space.dt
 
     def encode(self, nominal: SmoothNominal, controls: Sequence, space: ControlSpace) -> Parameters:
-        """Return the rates that lead from the nominal controls to these."""
+        """Return the rates that lead from the nominal controls to the given ones."""
         return (controls - nominal.controls) / space.dt
 
     def update(
         self, nominal: SmoothNominal, mean: Parameters, space: ControlSpace
     ) -> SmoothNominal:
-        """Return the mean rates, and the controls after one step of them."""
+        """Return the mean rates, and the nominal controls changed by them."""
         return SmoothNominal(mean, space.clip(nominal.controls + space.dt * mean))
 
     def controls(self, nominal: SmoothNominal, space: ControlSpace) -> Sequence:
-        """Return the controls."""
+        """Return the nominal controls, clipped to the bounds."""
         return space.clip(nominal.controls)
 
     def shift(self, nominal: SmoothNominal, steps: Scalar, space: ControlSpace) -> SmoothNominal:
-        """Return rates and controls moved on; the last control is held."""
+        """Return rates and controls shifted in time; the last control is held."""
         return SmoothNominal(
             shifted(nominal.rates, steps, jnp.zeros_like(space.default)),
             shifted(nominal.controls, steps, nominal.controls[-1]),

@@ -1,4 +1,4 @@
-"""Smoothing of the controls that are given out."""
+"""Smooth the control sequence that is applied."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,20 +11,21 @@ from jaxplore.control.parameterisations import Sequence
 
 
 class SavitzkyGolay(eqx.Module):
-    """Fits a polynomial to every window of the control sequence and takes its middle value.
+    """Savitzky-Golay filter: fits a polynomial to a window around each control, takes its middle.
 
-    The window reaches back over controls already applied, so that the first planned control is the
-    middle of one too and is smooth with what went before. It smooths what is given out; the nominal
-    that the next step starts from stays as it was, so that smoothing does not pile up. Static.
+    The window reaches back over applied controls, so that the first planned control has a full
+    window and continues the applied ones smoothly. Only the applied controls are smoothed, not the
+    nominal of the next step: otherwise smoothing would accumulate over the steps. All sizes are
+    static.
 
-    Source: Savitzky and Golay, Analytical Chemistry 1964; nav2's MPPI controller smooths so.
+    Source: Savitzky and Golay, Analytical Chemistry 1964; used by nav2's MPPI controller.
 
     Args:
-        window: number of controls, odd.
-        order: of the polynomial.
+        window: number of controls in a window, odd.
+        order: order of the polynomial, below the window.
 
     Raises:
-        ValueError: an even window, an order that is not below it.
+        ValueError: an even window, an order that is not below the window.
     """
 
     window: int = eqx.field(static=True)
@@ -40,11 +41,11 @@ class SavitzkyGolay(eqx.Module):
 
     @property
     def history(self) -> int:
-        """How many applied controls it looks back on."""
+        """Number of applied controls that the window reaches back."""
         return self.window // 2
 
     def check(self, horizon: int) -> None:
-        """Raise a `ValueError` if the window is longer than the controls that there are."""
+        """Raise a `ValueError` if the window is longer than the applied and planned controls."""
         if self.window > horizon + self.history:
             raise ValueError(
                 f"window is {self.window}; accepted: at most {2 * horizon - 1} for a horizon of "
@@ -52,7 +53,13 @@ class SavitzkyGolay(eqx.Module):
             )
 
     def smooth(self, past: Float[Array, "H nu"], planned: Sequence) -> Sequence:
-        """Return planned controls (T, nu), smoothed together with the past ones, oldest first."""
+        """Return the smoothed planned controls (T, nu).
+
+        Args:
+            past: applied controls (H, nu), oldest first.
+            planned: planned controls (T, nu).
+        """
+        # The filter is linear: filter the identity at compile time, then multiply by the matrix.
         length = past.shape[0] + planned.shape[0]
         unit = scipy.signal.savgol_filter(np.eye(length), self.window, self.order, axis=0)
         matrix = jnp.asarray(unit[past.shape[0] :], jnp.float32)

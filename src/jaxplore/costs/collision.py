@@ -11,10 +11,11 @@ from jaxplore._types import ControlVector, Flag, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.tracks import Tracks
 from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
-from jaxplore.costs._distance import length, offset
+from jaxplore.costs._distance import offset
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.vectors import length
 
 
 class CollisionCost(Cost):
@@ -85,7 +86,7 @@ class CollisionCost(Cost):
 
         def gap(centre: Array, radius: Scalar) -> Scalar:
             away = offset(state, centre)
-            distances = [length(shifted(away, lever)) for lever in parts]
+            distances = [length(*shifted(away, lever)) for lever in parts]
             return functools.reduce(jnp.minimum, distances) - radius
 
         def penalty(obstacle: tuple[Array, Array, Scalar, Scalar, Scalar, Flag]) -> Scalar:

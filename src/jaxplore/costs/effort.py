@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
-from jaxplore.costs._distance import squared
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics, State
+from jaxplore.geometry.vectors import squared_length
 
 
 class ControlCost(Cost):
@@ -26,7 +26,7 @@ class ControlCost(Cost):
         low, high = state.dynamics.control_min, state.dynamics.control_max
         largest = jnp.maximum(jnp.abs(low), jnp.abs(high))
         share = control / jnp.where(largest > 0.0, largest, 1.0)
-        return squared(tuple(share))
+        return squared_length(*share)
 
 
 class QuadraticControlCost(Cost):

@@ -8,11 +8,13 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Scalar, Vector
-from jaxplore.belief.belief import Belief, StrategicBelief, remaining_pull
-from jaxplore.costs._distance import length, offset
+from jaxplore.belief.belief import Belief, StrategicBelief
+from jaxplore.belief.dwell import dwell_discount
+from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 from jaxplore.maps.field import ScalarField
 
 
@@ -38,7 +40,7 @@ class InformationCost(Cost):
         if not self.is_fading:
             return -reward
         dwell = ScalarField(belief.dwell, field.frame, jnp.zeros(()))
-        return -reward * remaining_pull(dwell(state.position), belief.patience)
+        return -reward * dwell_discount(dwell(state.position), belief.patience)
 
 
 class GuidanceCost(Cost):
@@ -155,4 +157,4 @@ class HomingCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Compute the distance to the goal, or 0 before everything is explored."""
-        return jnp.where(belief.is_explored, length(offset(state, self.goal)), 0.0)
+        return jnp.where(belief.is_explored, length(*offset(state, self.goal)), 0.0)

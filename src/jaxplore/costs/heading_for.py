@@ -5,10 +5,10 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.costs._distance import length
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 
 
 class ToGoalCost(Cost):
@@ -43,7 +43,7 @@ class ToGoalCost(Cost):
         direction = belief.to_goal.direction(position)
         sin, cos = sin_cos(heading)
         facing = cos * direction[0] + sin * direction[1]
-        size = length((direction[0], direction[1]))
+        size = length(direction[0], direction[1])
         return belief.to_goal(position) + self.turning * (size - facing)
 
 
@@ -76,4 +76,4 @@ class RegionCost(Cost):
         # Relative to the pose at the start of the rollout, so that the direction is fixed.
         angle = belief.pose[2] + self.direction
         sin, cos = sin_cos(angle)
-        return length((x, y)) - (x * cos + y * sin)
+        return length(x, y) - (x * cos + y * sin)

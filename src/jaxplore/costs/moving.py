@@ -1,6 +1,7 @@
 """Costs of being near obstacles that move: those given beforehand, and those the robot tracks."""
 
 import functools
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -13,10 +14,11 @@ from jaxplore._checks import array, covariances, isotropic, one_each
 from jaxplore._types import ControlVector, Flag, Rows, Scalar, Vector
 from jaxplore.belief.tracks import Tracks
 from jaxplore.costs._contact import contact, depth, levers, shifted
-from jaxplore.costs._distance import length, offset
+from jaxplore.costs._distance import offset
 from jaxplore.costs._many import add_up
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.vectors import length
 
 
 class MovingObstacleCost(Cost):
@@ -143,7 +145,7 @@ class TrackedObstacleCost(Cost):
         def price(obstacle: tuple[Array, Array, Scalar, Flag]) -> Scalar:
             centre, form, radius, counts = obstacle
             away = [shifted(offset(state, centre), lever) for lever in parts]
-            distance = functools.reduce(jnp.minimum, map(length, away)) - radius
+            distance = functools.reduce(jnp.minimum, itertools.starmap(length, away)) - radius
             deep = depth(distance, too_close)
             paid = _nearness(form, away) + self.collision * deep * deep
             return jnp.where(counts, paid, 0.0)

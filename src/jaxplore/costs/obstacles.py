@@ -12,10 +12,11 @@ from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
 from jaxplore.belief.belief import Belief
 from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
-from jaxplore.costs._distance import length, offset
+from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.vectors import length
 
 
 class ObstacleCost(Cost):
@@ -132,7 +133,7 @@ class DiscObstacleCost(Cost):
         def outside(disc: tuple[Array, Array]) -> Scalar:
             centre, radius = disc
             away = offset(state, centre)
-            nearest = [length(shifted(away, lever)) for lever in parts]
+            nearest = [length(*shifted(away, lever)) for lever in parts]
             return functools.reduce(jnp.minimum, nearest) - radius
 
         distance, _ = least(outside, (self.centres, self.radii))

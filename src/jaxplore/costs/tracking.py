@@ -22,11 +22,12 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._checks import array, by_name, names_within
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
-from jaxplore.costs._distance import length, offset, squared
+from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length, squared_length
 
 
 class GoalCost(Cost):
@@ -72,7 +73,7 @@ class GoalCost(Cost):
 
     def _to_go(self, state: State) -> Scalar:
         """Compute the distance, with the saturation if there is one [m]."""
-        distance = length(offset(state, self.goal))
+        distance = length(*offset(state, self.goal))
         if self.saturation is None:
             return distance
         return distance * (self.saturation / (self.saturation + distance))
@@ -129,7 +130,7 @@ class WaypointCost(Cost):
         return self.terminal_weight * self._error(state)
 
     def _error(self, state: State) -> Scalar:
-        square = squared(offset(state, self.waypoint))
+        square = squared_length(*offset(state, self.waypoint))
         if self.heading is None:
             return square
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
@@ -169,7 +170,7 @@ class ReferenceCost(Cost):
         before = jnp.floor(row)
         index = before.astype(jnp.int32)
         start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
-        return squared(offset(state, start + (row - before) * (end - start)))
+        return squared_length(*offset(state, start + (row - before) * (end - start)))
 
 
 class PathCost(Cost):
@@ -229,7 +230,7 @@ class PathCost(Cost):
             start, along, scale = segment
             x, y = offset(state, start)
             share = jnp.clip((x * along[0] + y * along[1]) * scale, 0.0, 1.0)
-            return squared((x - share * along[0], y - share * along[1]))
+            return squared_length(x - share * along[0], y - share * along[1])
 
         total, nearest = least(squared_distance, (self.points[:-1], segments, inverse))
         if self.heading_weight is None and self.speed is None:

@@ -1,1 +1,1 @@
-"""Models of robots."""
+"""Dynamics models of robots, and their integrators."""

@@ -1,4 +1,4 @@
-"""Checks of the bounds that several models have."""
+"""Check bounds that several models share."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,14 +9,15 @@ from jaxplore._types import ControlVector, Scalar, Vector
 
 
 def speed_range(min_speed: ArrayLike, max_speed: ArrayLike) -> tuple[Scalar, Scalar]:
-    """Return both as float32 scalars, `max_speed > 0` and `min_speed < max_speed`."""
+    """Return both speeds as float32 scalars; requires max_speed > 0 and min_speed < max_speed."""
     highest = _checks.scalar("max_speed", max_speed, above=0.0)
     below = None if _checks.is_traced(max_speed) else float(np.asarray(max_speed).item())
     return _checks.scalar("min_speed", min_speed, below=below), highest
 
 
 def positive(name: str, value: Vector, size: int) -> ControlVector:
-    """Return one positive number for all of `size` components, or one for each, as (size,)."""
+    """Return `value` as `size` positive numbers (size,); a single number is repeated."""
+    # The numbers of a traced value are unknown, so only its shape matters, in the broadcast below.
     if not _checks.is_traced(value):
         accepted = f"one positive number, or {size}"
         try:

@@ -1,4 +1,4 @@
-"""A car with acceleration and steering rate."""
+"""Model a car with acceleration and steering-rate controls."""
 
 import math
 from typing import ClassVar
@@ -16,7 +16,7 @@ from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
 class Ackermann(ContinuousDynamics):
-    """Car with Ackermann steering, whose steering angle takes its time; no wheel slips.
+    """Car with Ackermann steering and a bounded steering rate, without wheel slip.
 
     State (x, y, yaw, v, steering) [m, m, rad, m/s, rad] of the middle of the rear axle, control
     (a, steering_rate) [m/s^2, rad/s]:
@@ -24,11 +24,11 @@ class Ackermann(ContinuousDynamics):
         x' = v cos(yaw),  y' = v sin(yaw),  yaw' = v tan(steering) / wheelbase
         v' = a - c v,  steering' = steering_rate
 
-    v and steering stay within their bounds. Held steering drives a circle of radius
-    wheelbase / tan(steering). It is a rectangle, covered by discs.
+    v and steering are clipped to their bounds. A constant steering angle gives a circle of radius
+    wheelbase / tan(steering). The footprint is a rectangle, covered by discs.
 
-    Source: LaValle, "Planning Algorithms", 2006, section 13.1.2; the steering angle is a control
-    there.
+    Source: LaValle, "Planning Algorithms", 2006, section 13.1.2, where the steering angle is a
+    control.
 
     Args:
         wheelbase: distance between the axles [m].
@@ -37,11 +37,11 @@ class Ackermann(ContinuousDynamics):
         max_acceleration: bound of |a| [m/s^2].
         max_steering_rate: bound of |steering_rate| [rad/s].
         min_speed: lower bound of v [m/s]; negative to drive backwards.
-        drag: c, share of the speed lost per second [1/s].
-        footprint: outline, with its origin at the middle of the rear axle. When absent, a rectangle
-            from a quarter of the wheelbase behind the rear axle to as far before the front axle, as
-            wide as 0.8 of the wheelbase, covered by two discs.
-        integrator: `RK4()` when absent.
+        drag: drag coefficient c, fraction of the speed lost per second [1/s].
+        footprint: footprint with its origin at the middle of the rear axle. By default a rectangle
+            that reaches a quarter of the wheelbase beyond either axle and is 0.8 of the wheelbase
+            wide, covered by two discs.
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: a length or bound that is not positive, a negative drag, a `max_steering` of
@@ -89,16 +89,16 @@ class Ackermann(ContinuousDynamics):
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
             footprint = Rectangle(self.wheelbase + overhang, overhang, width, num_discs=2)
-        # Under a name of its own: `footprint` is a property of every model.
+        # Stored under another name, because `footprint` is a property of every model.
         self.outline = footprint
         self.integrator = RK4() if integrator is None else integrator
 
     @property
     def footprint(self) -> Footprint:
-        """What the car covers of the ground."""
+        """Footprint of the car."""
         return self.outline
 
-    # mypy takes what a subclass has to provide for a field; computed, it cannot disagree.
+    # A property instead of a field, so that it cannot disagree with the footprint.
     @property  # type: ignore[misc]
     def radius(self) -> Scalar:  # type: ignore[override]
         """Radius of the discs that cover the car [m]."""
@@ -106,7 +106,7 @@ class Ackermann(ContinuousDynamics):
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (5,)."""
-        # Between two steps an integrator may look beyond the bounds, which the car never reaches.
+        # The inner stages of an integrator may leave the bounds that the car itself never leaves.
         _, _, yaw, v, steering = self.project(state)
         a, steering_rate = control
         sin_yaw, cos_yaw = sin_cos(yaw)

@@ -1,4 +1,4 @@
-"""A robot with a virtual state beside its own."""
+"""Combine a robot's dynamics with a virtual state, such as the progress along a path."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -9,20 +9,20 @@ from jaxplore.geometry.footprint import Footprint
 
 
 class Augmented(Dynamics):
-    """A physical model and a virtual one side by side, each with its own state and controls:
+    """A physical and a virtual model side by side, each with its own state and controls:
 
         x = (x_p, x_v),  u = (u_p, u_v),  x' = (step_p(x_p, u_p, dt), step_v(x_v, u_v, dt))
 
-    Names, bounds and defaults are those of the physical part, then those of the virtual one.
-    Position, heading, speed and footprint are the physical part's, so that costs which read those
-    serve both, and costs that read a component by name find either's.
+    Names, bounds and default controls are concatenated, physical part first. Position, heading,
+    speed and footprint are those of the physical part. So a cost that reads them works for the
+    augmented model as well, and a cost can read any component of either part by its name.
 
     Args:
-        physical: the robot.
-        virtual: what is planned beside it, such as a `PathParameter`.
+        physical: model of the robot.
+        virtual: model of the state that is planned beside it, such as a `PathParameter`.
 
     Raises:
-        ValueError: a name of a state component or a control that both have.
+        ValueError: a state component or a control that has the same name in both models.
     """
 
     physical: Dynamics
@@ -39,7 +39,7 @@ class Augmented(Dynamics):
         self.physical = physical
         self.virtual = virtual
 
-    # The base's names are of the class; here they are those of the parts.
+    # Properties instead of class variables: the names depend on the two models.
     @property
     def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the state's components."""
@@ -50,40 +50,41 @@ class Augmented(Dynamics):
         """Names of the controls."""
         return (*self.physical.control_names, *self.virtual.control_names)
 
+    # Bounds are computed from the parts, so that a changed part cannot disagree with them.
     @property  # type: ignore[misc]
     def control_min(self) -> ControlVector:  # type: ignore[override]
-        """Lower bounds (nu,)."""
+        """Lower bounds of the controls (nu,)."""
         return jnp.concatenate([self.physical.control_min, self.virtual.control_min])
 
     @property  # type: ignore[misc]
     def control_max(self) -> ControlVector:  # type: ignore[override]
-        """Upper bounds (nu,)."""
+        """Upper bounds of the controls (nu,)."""
         return jnp.concatenate([self.physical.control_max, self.virtual.control_max])
 
     @property
     def default_control(self) -> ControlVector:
-        """The control (nu,) of a robot that is left alone."""
+        """Default control (nu,) of both parts."""
         return jnp.concatenate([self.physical.default_control, self.virtual.default_control])
 
     @property  # type: ignore[misc]
     def radius(self) -> Scalar:  # type: ignore[override]
-        """Radius of the disc that holds the robot [m]."""
+        """Radius of the discs that cover the robot [m]."""
         return self.physical.radius
 
     @property
     def footprint(self) -> Footprint:
-        """What the robot covers of the ground."""
+        """Footprint of the robot."""
         return self.physical.footprint
 
     def split_state(self, state: StateVector) -> tuple[Float[Array, " np"], Float[Array, " nv"]]:
-        """Return the physical and the virtual part of a state."""
+        """Return the physical (np,) and the virtual (nv,) part of a state."""
         size = self.physical.state_size
         return state[:size], state[size:]
 
     def split_control(
         self, control: ControlVector
     ) -> tuple[Float[Array, " np"], Float[Array, " nv"]]:
-        """Return the physical and the virtual part of a control."""
+        """Return the physical (np,) and the virtual (nv,) part of a control."""
         size = self.physical.control_size
         return control[:size], control[size:]
 
@@ -94,7 +95,8 @@ class Augmented(Dynamics):
     def step_at(
         self, state: StateVector, control: ControlVector, t: Scalar, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after the step that begins `t` seconds from now."""
+        """Return the state (nx,) after a step of `dt` seconds that begins at time `t` [s]."""
+        # The parts do not influence each other within a step; costs couple them.
         parts = (self.physical, self.virtual)
         states, controls = self.split_state(state), self.split_control(control)
         reached = [
@@ -116,12 +118,12 @@ class Augmented(Dynamics):
         return self.physical.speed(self.split_state(state)[0])
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
-        """Return the state of a robot that stands still at a pose, its virtual part at zero."""
+        """Return the state of a robot at rest at a pose, with the virtual state at zero."""
         return jnp.concatenate(
             [self.physical.at_pose(x, y, yaw), jnp.zeros(self.virtual.state_size)]
         )
 
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:
-        """Return the state of a robot that something kept from moving; the virtual part goes on."""
+        """Return the state after a collision stopped the robot; the virtual state moves on."""
         stopped = self.physical.blocked(self.split_state(before)[0], self.split_state(after)[0])
         return jnp.concatenate([stopped, self.split_state(after)[1]])

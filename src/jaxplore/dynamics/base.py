@@ -1,4 +1,4 @@
-"""What a robot's model is, and how costs read its state."""
+"""Define the interface of dynamics models, and how costs read a state."""
 
 import abc
 from typing import ClassVar
@@ -12,14 +12,14 @@ from jaxplore.geometry.footprint import Disc, Footprint
 
 
 class Dynamics(eqx.Module):
-    """A robot's discrete-time model, `state' = step(state, control, dt)`.
+    """Discrete-time model of a robot, `state' = step(state, control, dt)`; abstract.
 
-    Written for one robot and one step; the engine maps it over samples and time. A model says its
-    `state_names` and `control_names`, its control bounds, the `radius` of the disc that holds it
-    and `step`. Position, heading and speed are found among the state's names (`x`, `y`, `yaw`,
-    `v`); a model that names or computes them otherwise gives its own accessors. A robot that is no
-    disc around its position gives its `footprint`; its `radius` is then that of the discs that
-    cover it together. A model that is given by its time derivative is a `ContinuousDynamics`.
+    Write it for one robot and one step; the controller maps it over samples and time. A subclass
+    provides `state_names`, `control_names`, the control bounds, `step`, and the `radius` of a disc
+    around the position that contains the robot. Position, heading and speed are the components
+    named `x`, `y`, `yaw` and `v`; a model without these names overrides the accessors. A robot with
+    another shape than a disc overrides `footprint`; `radius` is then the radius of the discs that
+    cover the footprint. A model given by its time derivative is a `ContinuousDynamics`.
     """
 
     state_names: ClassVar[tuple[str, ...]]
@@ -36,31 +36,30 @@ class Dynamics(eqx.Module):
     def step_at(
         self, state: StateVector, control: ControlVector, t: Scalar, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after the step that begins `t` seconds from now.
+        """Return the state (nx,) after a step of `dt` seconds that begins at time `t` [s].
 
-        The engine calls this. A model that does not depend on time leaves it as it is: `step`.
+        Rollouts call this method, with t = 0 at the start of the horizon. The default calls `step`;
+        only models that depend on time override it.
         """
         return self.step(state, control, dt)
 
     @property
     def default_control(self) -> ControlVector:
-        """The control (nu,) of a robot that is left alone: no control, within the bounds.
+        """Control (nu,) with which a control sequence is initialised and extended.
 
-        A plan starts with it and is continued with it. A model that zeros would let fall says
-        better.
+        It is zero, clipped to the bounds. A model for which zero is a bad idle control overrides
+        it: a quadrotor hovers.
         """
         return jnp.clip(jnp.zeros(self.control_size), self.control_min, self.control_max)
 
     @property
     def control_half_range(self) -> ControlVector:
-        """Half the range between the bounds of each control, `(control_max - control_min) / 2`
-        (nu,)."""
+        """Half the width of the control range (nu,), a natural scale for sampling noise."""
         return 0.5 * (self.control_max - self.control_min)
 
     @property
     def footprint(self) -> Footprint:
-        """What the robot covers of the ground: the disc of its radius, unless a model says
-        otherwise."""
+        """Footprint of the robot on the ground; by default a disc of its radius."""
         return Disc(self.radius)
 
     @property
@@ -86,10 +85,10 @@ class Dynamics(eqx.Module):
         return self.component(state, "v")
 
     def component(self, state: StateVector, name: str) -> Scalar:
-        """Return the state component called `name`.
+        """Return the state component with a name.
 
         Raises:
-            ValueError: the model has no such component.
+            ValueError: a name that is not among `state_names`.
         """
         if name not in self.state_names:
             raise ValueError(
@@ -99,15 +98,21 @@ class Dynamics(eqx.Module):
         return state[self.state_names.index(name)]
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
-        """Return the state of a robot that stands still at a pose [m, m, rad]."""
+        """Return the state of a robot at rest at a pose (x, y, yaw) [m, m, rad]."""
         pose = {"x": x, "y": y, "yaw": yaw}
         return jnp.asarray([pose.get(name, 0.0) for name in self.state_names], jnp.float32)
 
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:
-        """Return the state of a robot that something kept from moving.
+        """Return the state after a collision stopped the robot.
 
-        It stays at the position it had, without speed. A disc may still turn.
+        The robot keeps its position and loses its speed. A disc may still turn; any other footprint
+        keeps its yaw as well, because turning would move its outline.
+
+        Args:
+            before: state (nx,) before the step.
+            after: state (nx,) after the step, which collides.
         """
+        # Select by masks instead of branches: the method is traced.
         kept = ("x", "y") if isinstance(self.footprint, Disc) else ("x", "y", "yaw")
         stays = jnp.asarray([name in kept for name in self.state_names])
         stops = jnp.asarray([name in ("v", "vx", "vy", "vz") for name in self.state_names])
@@ -115,25 +120,27 @@ class Dynamics(eqx.Module):
 
 
 class ContinuousDynamics(Dynamics):
-    """A model given by its time derivative, `dx/dt = derivative(x, u)`, and an integrator.
+    """Model given by its time derivative, `dx/dt = derivative(x, u)`, and an integrator; abstract.
 
-    `step` integrates with the control held constant, then projects onto the states that there are.
+    `step` integrates with a constant control, then projects the state onto the admissible states.
     """
 
     integrator: eqx.AbstractVar[Integrator]
 
     @abc.abstractmethod
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
-        """Return dx/dt (nx,)."""
+        """Return the time derivative of the state, dx/dt (nx,)."""
 
     def project(self, state: StateVector) -> StateVector:
-        """Return the nearest admissible state (nx,): all are, unless a model says otherwise."""
+        """Return the nearest admissible state (nx,); by default every state is admissible."""
         return state
 
     def derivative_under(self, control: ControlVector) -> Derivative:
-        """Return the derivative for a control that is held, `derivative` unless a model says
-        otherwise: one that computes much from its control alone does it here, once for all stages
-        of an integrator."""
+        """Return the derivative function for a control that is constant during the step.
+
+        The default returns `derivative`. A model overrides it to compute what depends on the
+        control alone once, instead of once per stage of the integrator.
+        """
         return self.derivative
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
@@ -143,10 +150,10 @@ class ContinuousDynamics(Dynamics):
 
 
 class State(eqx.Module):
-    """A state with the model that knows what its components mean.
+    """State vector together with the model that names its components.
 
-    Costs get this and read `state.position`, `state.heading`, `state.speed` or `state["omega"]`,
-    never an index, so that one cost serves every model.
+    Costs receive it and read `state.position`, `state.heading`, `state.speed` or `state["omega"]`
+    instead of an index, so that one cost works for every model.
     """
 
     values: StateVector

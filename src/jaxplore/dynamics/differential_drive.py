@@ -1,4 +1,4 @@
-"""A robot with two driven wheels and inertia."""
+"""Model a robot with two driven wheels and inertia."""
 
 from typing import ClassVar
 
@@ -20,18 +20,18 @@ class DifferentialDrive(ContinuousDynamics):
         x' = v cos(yaw),  y' = v sin(yaw),  yaw' = omega
         v' = a - c v,  omega' = alpha - c omega
 
-    After each step v is clipped to [0, max_speed] and omega to +-max_turn_rate. It drives forwards
-    only, and turns on the spot.
+    After each step v is clipped to [0, max_speed] and omega to +-max_turn_rate. The robot drives
+    forwards only, and can turn on the spot.
 
     Args:
         max_speed: upper bound of v [m/s].
         max_turn_rate: bound of |omega| [rad/s].
         max_acceleration: bound of |a| [m/s^2].
         max_angular_acceleration: bound of |alpha| [rad/s^2].
-        drag: c, share of either speed lost per second [1/s].
-        radius: radius of the disc that holds the robot [m].
-        integrator: `Euler()` when absent, which costs little; `RK4()` is more exact, but for steps
-            that a speed bound cuts off.
+        drag: drag coefficient c, fraction of v and omega lost per second [1/s].
+        radius: radius of the disc that contains the robot [m].
+        integrator: time integrator; by default `Euler()`, which is cheap. `RK4()` is more accurate,
+            except in steps in which a speed is clipped.
 
     Raises:
         ValueError: a bound or radius that is not positive, a negative drag.

@@ -1,4 +1,4 @@
-"""How a continuous model is taken from one time step to the next."""
+"""Integrate continuous-time models over one time step."""
 
 import abc
 from collections.abc import Callable
@@ -14,41 +14,49 @@ Derivative = Callable[[StateVector, ControlVector], StateVector]
 
 
 class Integrator(eqx.Module):
-    """Solves `dx/dt = f(x, u)` over one step of `dt` seconds with u held constant."""
+    """Method that solves `dx/dt = f(x, u)` over one step with a constant control; abstract."""
 
     @abc.abstractmethod
     def __call__(
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after `dt`."""
+        """Return the state (nx,) after `dt` seconds.
+
+        Args:
+            derivative: function f(state, control) that returns dx/dt (nx,).
+            state: state (nx,) at the start of the step.
+            control: control (nu,), constant during the step.
+            dt: length of the step [s].
+        """
 
 
 class Euler(Integrator):
-    """`x' = x + dt f(x, u)`; error of the order dt."""
+    """Explicit Euler method, `x' = x + dt f(x, u)`; global error of order dt."""
 
     def __call__(
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after `dt`."""
+        """Return the state (nx,) after `dt` seconds."""
         return jnp.stack(_ahead(tuple(state), derivative(state, control), dt))
 
 
 class RK4(Integrator):
-    """The classical Runge-Kutta method; error of the order dt^4.
+    """Classical Runge-Kutta method; global error of order dt^4.
 
         k1 = f(x, u),  k2 = f(x + dt/2 k1, u),  k3 = f(x + dt/2 k2, u),  k4 = f(x + dt k3, u)
         x' = x + dt/6 (k1 + 2 k2 + 2 k3 + k4)
 
-    With s2, s3, s4 the states at which k2, k3, k4 are taken, the same is
-    `x' = x + ((s2 - x) + 2 (s3 - x) + (s4 - x)) / 3 + dt/6 k4`: of each stage only the state is
-    kept, which halves what a rollout of many samples reads and writes. The differences are exact in
-    floating point, as of any two numbers within a factor of two.
+    With s2, s3, s4 the states at which k2, k3, k4 are evaluated, this equals
+    `x' = x + ((s2 - x) + 2 (s3 - x) + (s4 - x)) / 3 + dt/6 k4`. In this form only the state of each
+    stage is kept, which halves the memory traffic of a rollout with many samples. The differences
+    are exact in floating point if the states are within a factor of two of each other.
     """
 
     def __call__(
         self, derivative: Derivative, state: StateVector, control: ControlVector, dt: Scalar
     ) -> StateVector:
-        """Return the state (nx,) after `dt`."""
+        """Return the state (nx,) after `dt` seconds."""
+        # `cut` keeps XLA's CPU back end from recomputing all earlier stages for each component.
         half = 0.5 * dt
         first = tuple(state)
         second = cut(_ahead(first, derivative(state, control), half))
@@ -64,6 +72,6 @@ class RK4(Integrator):
 
 
 def _ahead(state: tuple[Array, ...], rate: Array, dt: Array) -> tuple[Array, ...]:
-    # Component by component: XLA takes a stack apart again that is only unpacked, so that rollouts
-    # of K samples compute on vectors of K, and no (nx, K) array is put together in between.
+    # Component by component, because XLA removes a stack that is only unpacked again: rollouts of K
+    # samples then compute on vectors of K without building (nx, K) arrays in between.
     return tuple(value + dt * change for value, change in zip(state, rate, strict=True))

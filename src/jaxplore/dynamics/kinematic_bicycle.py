@@ -1,4 +1,4 @@
-"""A car seen from its centre of gravity, steered at once."""
+"""Model a car as a kinematic bicycle about its centre of gravity."""
 
 import math
 from typing import ClassVar
@@ -16,30 +16,30 @@ from jaxplore.geometry.angles import sin_cos
 
 
 class KinematicBicycle(ContinuousDynamics):
-    """Kinematic bicycle with the steering angle as a control; no wheel slips.
+    """Kinematic bicycle with the steering angle as a control, without wheel slip.
 
     State (x, y, yaw, v) [m, m, rad, m/s] of the centre of gravity, control (a, steering)
-    [m/s^2, rad]. It moves at the slip angle beta to its heading:
+    [m/s^2, rad]. The velocity is at the slip angle beta to the heading:
 
         beta = atan(l_r / (l_f + l_r) tan(steering))
         x' = v cos(yaw + beta),  y' = v sin(yaw + beta)
         yaw' = v cos(beta) tan(steering) / (l_f + l_r),  v' = a
 
-    v stays within its bounds.
+    v is clipped to its bounds.
 
     Sources: Rajamani, "Vehicle Dynamics and Control", section 2.2; Kong, Pfeiffer, Schildbach and
     Borrelli, "Kinematic and dynamic vehicle models for autonomous driving control design", IV 2015,
     eq. 1, which writes yaw' = v sin(beta) / l_r.
 
     Args:
-        front_length: l_f, from the centre of gravity to the front axle [m].
-        rear_length: l_r, from the centre of gravity to the rear axle [m].
+        front_length: l_f, distance from the centre of gravity to the front axle [m].
+        rear_length: l_r, distance from the centre of gravity to the rear axle [m].
         max_speed: upper bound of v [m/s].
         max_steering: bound of |steering|, below pi/2 [rad].
         max_acceleration: bound of |a| [m/s^2].
         min_speed: lower bound of v [m/s]; negative to drive backwards.
-        radius: radius of the disc around the centre of gravity that holds the robot [m].
-        integrator: `RK4()` when absent.
+        radius: radius of the disc around the centre of gravity that contains the robot [m].
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: a length or bound that is not positive, a `max_steering` of pi/2 or more, a
@@ -87,9 +87,9 @@ class KinematicBicycle(ContinuousDynamics):
         return self.derivative_under(control)(state, control)
 
     def derivative_under(self, control: ControlVector) -> Derivative:
-        """Return the derivative for a control that is held."""
+        """Return the derivative function for a control that is constant during the step."""
         steering = control[1]
-        # Without tan and arctan, which take a CPU longer than all the rest.
+        # Avoid tan and arctan: on a CPU they take longer than all the rest.
         wheelbase = self.front_length + self.rear_length
         sine, cosine = sin_cos(steering)
         turn = sine / (wheelbase * cosine)
@@ -98,8 +98,8 @@ class KinematicBicycle(ContinuousDynamics):
         cos_beta, sin_beta, bend = cut((cos_beta, tan_beta * cos_beta, cos_beta * turn))
 
         def rate(state: StateVector, control: ControlVector) -> StateVector:
-            # Between two steps an integrator may look beyond the bounds, which the car never
-            # reaches.
+            # The inner stages of an integrator may leave the bounds that the car itself never
+            # leaves.
             _, _, yaw, v = self.project(state)
             sin_yaw, cos_yaw = sin_cos(yaw)
             return jnp.stack(

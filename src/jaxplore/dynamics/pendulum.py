@@ -1,4 +1,4 @@
-"""A pendulum to be swung up."""
+"""Model a pendulum that is swung up by a torque."""
 
 from typing import ClassVar
 
@@ -15,23 +15,24 @@ from jaxplore.geometry.angles import sin_cos
 class Pendulum(ContinuousDynamics):
     """Uniform rod that swings about one end, driven by a torque: Gymnasium's Pendulum-v1.
 
-    State (angle, rate) [rad, rad/s], control (torque,) [N m]; the angle is 0 upright, pi hanging,
-    and counts turns:
+    State (angle, rate) [rad, rad/s], control (torque,) [N m]. The angle is 0 upright and pi
+    hanging, and is not wrapped:
 
         angle' = rate,  rate' = 3 gravity / (2 length) sin(angle) + 3 / (mass length^2) torque
 
-    The rate stays within its bound. It is no vehicle: position, heading, speed and `at_pose` raise.
+    The rate is clipped to its bound. A pendulum is no vehicle: position, heading, speed and
+    `at_pose` raise a `ValueError`.
 
     Source: Gymnasium, `envs/classic_control/pendulum.py`, which steps it by 0.05 s with the
     semi-implicit Euler method.
 
     Args:
-        mass: [kg].
-        length: [m]; also the radius of the disc that holds it, about the pivot.
-        gravity: [m/s^2].
+        mass: mass of the rod [kg].
+        length: length of the rod [m]; also the radius of the disc about the pivot that contains it.
+        gravity: gravitational acceleration [m/s^2].
         max_torque: bound of |torque| [N m].
         max_rate: bound of |rate| [rad/s].
-        integrator: `RK4()` when absent.
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: an argument that is not positive.
@@ -69,7 +70,7 @@ class Pendulum(ContinuousDynamics):
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (2,)."""
-        # Between two steps an integrator may look beyond the bound, which the rate never passes.
+        # The inner stages of an integrator may leave the bound that the rate itself never leaves.
         angle, rate = self.project(state)
         (torque,) = control
         fall = 1.5 * self.gravity / self.length * sin_cos(angle)[0]
@@ -81,7 +82,7 @@ class Pendulum(ContinuousDynamics):
         return jnp.stack([angle, jnp.clip(rate, -self.max_rate, self.max_rate)])
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
-        """Raise: a pendulum is not at a pose.
+        """Raise a `ValueError`: a pendulum has no pose.
 
         Raises:
             ValueError: always.

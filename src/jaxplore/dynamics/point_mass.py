@@ -7,29 +7,29 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore.dynamics._bounds import positive
-from jaxplore.dynamics._vectors import angle, length
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.vectors import angle, length
 
 
 class PointMass(ContinuousDynamics):
     """Point mass, or double integrator, with linear drag.
 
-    In three dimensions state (x, y, z, vx, vy, vz) [m, m/s] and control (ax, ay, az) [m/s^2]; in
-    two without z, in one without y and z:
+    State (x, y, z, vx, vy, vz) [m, m/s] and control (ax, ay, az) [m/s^2] in three dimensions;
+    without z in two, and without y and z in one:
 
         p' = v,  v' = a - c v
 
-    A velocity longer than `max_speed` is shortened to it. The heading is the direction of travel,
-    and 0 at rest; a robot placed at a pose forgets its yaw.
+    A velocity above `max_speed` is scaled down to it. The heading is the direction of travel, and 0
+    at rest; the yaw of a start pose is ignored.
 
     Args:
-        dimensions: 1, 2 or 3; static.
-        max_speed: bound of the speed [m/s]; none when absent.
+        dimensions: number of dimensions, 1, 2 or 3; static.
+        max_speed: upper bound of the speed [m/s]; unbounded by default.
         max_acceleration: bound of each |a|, one number or one per dimension [m/s^2].
-        drag: c, share of the velocity lost per second [1/s].
-        radius: radius of the disc that holds the robot [m].
-        integrator: `RK4()` when absent.
+        drag: drag coefficient c, fraction of the velocity lost per second [1/s].
+        radius: radius of the disc that contains the robot [m].
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: other dimensions, a bound or radius that is not positive, a negative drag.
@@ -64,7 +64,7 @@ class PointMass(ContinuousDynamics):
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = RK4() if integrator is None else integrator
 
-    # The base's names are of the class; here the dimensions decide.
+    # Properties instead of class variables: the names depend on the number of dimensions.
     @property
     def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the state's components."""
@@ -77,17 +77,19 @@ class PointMass(ContinuousDynamics):
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (2 n,) in n dimensions."""
-        # Between two steps an integrator may look beyond the bound, which the mass never reaches.
+        # The inner stages of an integrator may leave the bound that the mass itself never leaves.
         velocity = tuple(self.project(state))[self.dimensions :]
         pushed = [a - self.drag * v for a, v in zip(control, velocity, strict=True)]
         return jnp.stack([*velocity, *pushed])
 
     def project(self, state: StateVector) -> StateVector:
-        """Return the state (2 n,) with a velocity that is no longer than `max_speed`."""
+        """Return the state (2 n,) with the velocity scaled down to at most `max_speed`."""
         if self.max_speed is None:
             return state
         components = tuple(state)
         position, velocity = components[: self.dimensions], components[self.dimensions :]
+        # Scale the vector instead of clipping components, which would change its direction. The
+        # division is guarded for gradients at rest.
         speed = length(*velocity)
         is_fast = speed > self.max_speed
         scale = jnp.where(is_fast, self.max_speed / jnp.where(is_fast, speed, 1.0), 1.0)
@@ -104,5 +106,5 @@ class PointMass(ContinuousDynamics):
         return angle(self.component(state, "vx"), vy)
 
     def speed(self, state: StateVector) -> Scalar:
-        """Return the length of the velocity, in all dimensions [m/s]."""
+        """Return the norm of the velocity in all dimensions [m/s]."""
         return length(*tuple(state)[self.dimensions :])

@@ -1,4 +1,4 @@
-"""A quadrotor whose body rates follow commands."""
+"""Model a quadrotor that takes thrust and body-rate commands."""
 
 import math
 from typing import ClassVar
@@ -9,38 +9,38 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector, Vector
 from jaxplore.dynamics._bounds import positive
-from jaxplore.dynamics._vectors import TINY, angle, length
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.vectors import TINY, angle, length
 
 
 class Quadrotor(ContinuousDynamics):
     """Quadrotor with thrust and body-rate commands, as a flight controller takes them.
 
-    The world is NED (x north, y east, z down), the body FRD (forward, right, down); thrust points
-    up, along -z of the body. State (x, y, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz): position p
-    [m] and velocity v [m/s] in the world, the unit quaternion q that turns the body's vectors into
-    the world's, body rates w [rad/s]. Control (thrust, wx_command, wy_command, wz_command) [N,
-    rad/s]:
+    The world frame is NED (x north, y east, z down), the body frame FRD (forward, right, down).
+    Thrust acts along -z of the body. State (x, y, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz):
+    position p [m] and velocity v [m/s] in the world frame, unit quaternion q that rotates body
+    vectors into the world frame, body rates w [rad/s]. Control (thrust, wx_command, wy_command,
+    wz_command) [N, rad/s]:
 
         p' = v        v' = (0, 0, gravity) - thrust / mass R(q) e_z
         q' = q (0, w) / 2        w' = (w_command - w) / rate_time_constant
 
-    The rate loop of the vehicle is a lag of first order; there is no drag. The quaternion is
-    normalised after each step, and thrust keeps its size whatever the length of q: a measured q
-    need not be exact. RK4 is stable for steps below 2.78 rate time constants.
+    The body-rate loop is a first-order lag; there is no drag. The quaternion is normalised after
+    each step. The thrust is divided by |q|^2, so that a measured q need not be exactly normalised.
+    RK4 is stable for steps below 2.78 rate time constants.
 
     Source: Kaufmann, Bauersfeld and Scaramuzza, "A benchmark comparison of learned control policies
-    for agile quadrotor flight", ICRA 2022, collective thrust and body rates; there z is up.
+    for agile quadrotor flight", ICRA 2022, collective thrust and body rates, with z up.
 
     Args:
-        mass: [kg].
-        gravity: [m/s^2].
-        rate_time_constant: of the body rates [s].
-        max_thrust: upper bound of the thrust [N]; four times the weight when absent.
+        mass: mass of the vehicle [kg].
+        gravity: gravitational acceleration [m/s^2].
+        rate_time_constant: time constant of the body rates [s].
+        max_thrust: upper bound of the thrust [N]; four times the weight by default.
         max_rate: bound of each |w_command|, one number or (3,) [rad/s].
-        radius: radius of the disc that holds the robot [m].
-        integrator: `RK4()` when absent.
+        radius: radius of the disc that contains the robot [m].
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: an argument that is not positive.
@@ -88,7 +88,7 @@ class Quadrotor(ContinuousDynamics):
 
     @property
     def default_control(self) -> ControlVector:
-        """Hover (4,): thrust equal to the weight and no rates, within the bounds."""
+        """Hover control (4,): thrust equal to the weight and zero rates, clipped to the bounds."""
         zero = jnp.zeros(())
         hover = jnp.stack([self.mass * self.gravity, zero, zero, zero])
         return jnp.clip(hover, self.control_min, self.control_max)
@@ -97,6 +97,7 @@ class Quadrotor(ContinuousDynamics):
         """Return dx/dt (13,)."""
         _, _, _, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = state
         thrust, wx_command, wy_command, wz_command = control
+        # The rotation below scales with |q|^2: dividing by it keeps the thrust's size.
         squared = qw * qw + qx * qx + qy * qy + qz * qz
         push = thrust / (self.mass * jnp.where(squared < TINY, 1.0, squared))
         return jnp.stack(
@@ -118,12 +119,12 @@ class Quadrotor(ContinuousDynamics):
         )
 
     def project(self, state: StateVector) -> StateVector:
-        """Return the state (13,) with a quaternion of length 1; that of a zero one is level."""
+        """Return the state (13,) with a unit quaternion; a zero quaternion becomes level."""
         x, y, z, vx, vy, vz, qw, qx, qy, qz, wx, wy, wz = state
         squared = qw * qw + qx * qx + qy * qy + qz * qz
         is_zero = squared < TINY
-        # A square that overflows would make a zero quaternion of finite numbers, and hide that this
-        # rollout is worth nothing.
+        # If the square overflows, the division would give a zero quaternion and hide that the
+        # rollout diverged: make it NaN.
         squared = jnp.where(jnp.isinf(squared), jnp.nan, squared)
         norm = jnp.sqrt(jnp.where(is_zero, 1.0, squared))
         return jnp.stack(
@@ -138,16 +139,16 @@ class Quadrotor(ContinuousDynamics):
     def heading(self, state: StateVector) -> Scalar:
         """Return the yaw of the quaternion [rad], from x (north) towards y (east).
 
-        It jumps where the nose points straight up or down, and is 0 there.
+        It is discontinuous where the nose points straight up or down, and 0 there.
         """
         _, _, _, _, _, _, qw, qx, qy, qz, _, _, _ = state
         return angle(1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qw * qz + qx * qy))
 
     def speed(self, state: StateVector) -> Scalar:
-        """Return the speed over ground [m/s], without the vertical part."""
+        """Return the horizontal speed [m/s]."""
         return length(self.component(state, "vx"), self.component(state, "vy"))
 
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
-        """Return the state of a robot that stands still and level at a pose [m, m, rad, m]."""
+        """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         return jnp.asarray([x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0], jnp.float32)

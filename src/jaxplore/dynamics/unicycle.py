@@ -1,4 +1,4 @@
-"""A robot that takes its speeds at once."""
+"""Model a robot whose controls are its forward speed and turn rate."""
 
 from typing import ClassVar
 
@@ -14,7 +14,7 @@ from jaxplore.geometry.angles import sin_cos
 
 
 class Unicycle(ContinuousDynamics):
-    """Unicycle: the speeds themselves are the controls.
+    """Unicycle with forward speed and turn rate as controls, without inertia.
 
     State (x, y, yaw) [m, m, rad], control (v, omega) [m/s, rad/s]:
 
@@ -26,8 +26,8 @@ class Unicycle(ContinuousDynamics):
         max_speed: upper bound of v [m/s].
         max_turn_rate: bound of |omega| [rad/s].
         min_speed: lower bound of v [m/s]; negative to drive backwards.
-        radius: radius of the disc that holds the robot [m].
-        integrator: `RK4()` when absent.
+        radius: radius of the disc that contains the robot [m].
+        integrator: time integrator; `RK4()` by default.
 
     Raises:
         ValueError: a bound or radius that is not positive, a `min_speed` that is not below
@@ -65,5 +65,5 @@ class Unicycle(ContinuousDynamics):
         return jnp.stack([v * cos, v * sin, omega])
 
     def speed(self, state: StateVector) -> Scalar:
-        """Return 0: the speed is a control, and no part of the state [m/s]."""
+        """Return 0 [m/s]: the speed is a control, not part of the state."""
         return jnp.zeros(())

@@ -1,1 +1,1 @@
-"""Exact ray traversal."""
+"""Geometry: angles, paths by arc length, footprints, outlines and exact ray traversal."""

@@ -1,4 +1,4 @@
-"""Curves as paths: lines, arcs, clothoids, and splines through points."""
+"""Build paths from lines, arcs, clothoids and splines through waypoints."""
 
 import itertools
 import math
@@ -11,26 +11,26 @@ from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolato
 
 from jaxplore import _checks
 from jaxplore._types import Rows, Vector
-from jaxplore.geometry.path import Path, nodes_for
+from jaxplore.geometry.path import Path, count_nodes
 
 METHODS = ("cubic", "monotone", "akima")
 BOUNDARIES = ("not-a-knot", "natural", "clamped")
 
 Function = Callable[[np.ndarray], np.ndarray]
 Piece = tuple[float, float, float]
-"""Length [m], curvature at its start and at its end [1/m]."""
+"""Length [m], curvature at the start [1/m], curvature at the end [1/m]."""
 
 
 def line_path(start: Vector, end: Vector, *, half_widths: Rows | None = None) -> Path:
     """Return the straight path between two points.
 
     Args:
-        start: (x, y) [m].
-        end: (x, y) [m].
-        half_widths: see `Path`.
+        start: first point (x, y) [m].
+        end: last point (x, y) [m].
+        half_widths: free width to the left and right of the path; see `Path`.
 
     Raises:
-        ValueError: points that are the same, or no two finite numbers.
+        ValueError: equal points, or a point that is not two finite numbers.
     """
     first, last = (
         np.asarray(_checks.vector(name, value, 2), np.float64)
@@ -44,7 +44,7 @@ def line_path(start: Vector, end: Vector, *, half_widths: Rows | None = None) ->
         lambda phi: first + phi[:, None] * along,
         lambda phi: np.broadcast_to(along, (phi.size, 2)),
         length,
-        num_nodes=nodes_for(length, np.zeros(1)),
+        num_nodes=count_nodes(length, np.zeros(1)),
         half_widths=half_widths,
     )
 
@@ -52,16 +52,16 @@ def line_path(start: Vector, end: Vector, *, half_widths: Rows | None = None) ->
 def arc_path(
     start: Vector, radius: float, angle: float, *, half_widths: Rows | None = None
 ) -> Path:
-    """Return an arc of a circle; a whole turn is a closed path.
+    """Return an arc of a circle; a full turn gives a closed path.
 
     Args:
-        start: (x, y, heading) where it begins [m, m, rad].
-        radius: [m].
-        angle: by which the heading changes, positive to the left [rad].
-        half_widths: see `Path`.
+        start: pose (x, y, heading) at which the arc begins [m, m, rad].
+        radius: radius of the circle [m].
+        angle: change of the heading along the arc, positive to the left [rad].
+        half_widths: free width to the left and right of the path; see `Path`.
 
     Raises:
-        ValueError: a radius that is not positive, an angle of 0 or beyond a whole turn.
+        ValueError: a radius that is not positive, an angle of 0 or of more than a full turn.
     """
     size = _checks.number("radius", radius, above=0.0)
     turn = _checks.number("angle", angle, at_least=-math.tau, at_most=math.tau)
@@ -83,25 +83,28 @@ def clothoid_path(
     is_closed: bool = False,
     half_widths: Rows | None = None,
 ) -> Path:
-    """Return a path of pieces whose curvature changes linearly: lines, arcs and clothoids.
+    """Return a path of pieces with linearly changing curvature: lines, arcs and clothoids.
 
-    With s the arc length from the start of a piece of length l from curvature k_0 to k_1,
+    For a piece of length l whose curvature goes from k_0 to k_1, with s the arc length from its
+    start,
 
         theta(s) = theta_0 + k_0 s + (k_1 - k_0) s^2 / (2 l)
         p(s) = p_0 + integral from 0 to s of (cos theta, sin theta)
 
-    by Gauss-Legendre quadrature: the Fresnel integrals have no closed form. Without jumps of the
-    curvature between pieces, a car can follow it at speed.
+    The integral is a Fresnel integral without closed form; it is evaluated by Gauss-Legendre
+    quadrature. If the curvature is continuous between pieces, a car can follow the path without
+    stopping to steer.
 
     Args:
-        start: (x, y, heading) where it begins [m, m, rad].
-        pieces: length [m] and curvatures at start and end [1/m] of each; positive to the left.
-        is_closed: whether it ends where and as it began.
-        half_widths: see `Path`.
+        start: pose (x, y, heading) at which the path begins [m, m, rad].
+        pieces: length [m], curvature at the start and curvature at the end [1/m] of each piece;
+            positive curvature turns left.
+        is_closed: whether the path ends at its start, with the same heading.
+        half_widths: free width to the left and right of the path; see `Path`.
 
     Raises:
-        ValueError: no pieces, one that is not a positive length and two finite curvatures, one that
-            is too long for its curvature, a closed path that ends elsewhere.
+        ValueError: no pieces, a piece that is not a positive length and two finite curvatures, a
+            piece that is too long for its curvature, a closed path that does not end at its start.
     """
     x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
     rows = [
@@ -119,7 +122,7 @@ def clothoid_path(
     turns = 0.5 * lengths * (bends + ends)
     headings = heading + np.concatenate([[0.0], np.cumsum(turns)])
     total = float(starts[-1])
-    count = nodes_for(total, np.concatenate([bends, ends]))
+    count = count_nodes(total, np.concatenate([bends, ends]))
 
     def theta(phi: np.ndarray) -> np.ndarray:
         piece = np.clip(np.searchsorted(starts, phi, side="right") - 1, 0, len(rows) - 1)
@@ -132,11 +135,13 @@ def clothoid_path(
         return np.stack([np.cos(theta(phi)), np.sin(theta(phi))], -1)
 
     def position(phi: np.ndarray) -> np.ndarray:
-        # Curvature may jump between pieces, so none is integrated across.
+        # The quadrature is exact only for smooth integrands, and curvature may jump between
+        # pieces: no interval may span two of them.
         knots = np.union1d(starts, phi)
         places = np.array([x, y]) + _integrals(direction, knots)
         return np.asarray(places[np.searchsorted(knots, phi)])
 
+    # `Path` checks that the end points meet; only here is it known that the headings do as well.
     if is_closed:
         turned = headings[-1] - heading
         if not math.isclose(turned, math.tau * round(turned / math.tau), abs_tol=1e-6):
@@ -154,27 +159,27 @@ def path_through(
     is_closed: bool = False,
     half_widths: Rows | None = None,
 ) -> Path:
-    """Return a smooth path through waypoints, by its true arc length.
+    """Return a smooth path through waypoints, parameterised by its true arc length.
 
-    x and y are splines over the length of the chords, in SciPy; the arc length is integrated and
+    x and y are splines over the accumulated chord length (SciPy). The arc length is integrated and
     inverted numerically.
 
     | method | between waypoints |
     | --- | --- |
-    | "cubic" | twice differentiable: the curvature has no jumps; may swing out |
-    | "monotone" | once (PCHIP): x and y stay between those of the waypoints |
-    | "akima" | once: swings out less than "cubic", turns more smoothly than "monotone" |
+    | "cubic" | twice differentiable: continuous curvature; may overshoot between waypoints |
+    | "monotone" | once differentiable (PCHIP): x and y stay between those of the waypoints |
+    | "akima" | once differentiable: less overshoot than "cubic", smoother turns than "monotone" |
 
     Args:
-        points: (M, 2) to pass in this order, M >= 2; of a closed path M >= 3, the first not
-            repeated at the end [m].
-        method: the spline.
-        boundary: of an open cubic one: "natural" (no curvature at the ends: who stands at the
-            start need not turn at once), "not-a-knot" or "clamped" (no derivative there). A closed
-            one is periodic.
+        points: waypoints (M, 2) in order [m]. M >= 2; for a closed path M >= 3, and the first point
+            is not repeated at the end.
+        method: name of the spline, from the table.
+        boundary: end condition of an open cubic spline: "natural" (zero curvature at the ends, so a
+            robot at the start need not turn at once), "not-a-knot" or "clamped" (zero derivative at
+            the ends). A closed cubic spline is periodic.
         is_closed: whether the path returns to the first point.
-        half_widths: room to the left and right of the path [m]: two numbers, or (M, 2), one row for
-            each waypoint.
+        half_widths: free width to the left and right of the path [m]: two numbers, or (M, 2) with
+            one row for each waypoint.
 
     Raises:
         ValueError: too few points, points that are not finite, the same point twice in a row, an
@@ -192,7 +197,8 @@ def path_through(
     def speed(values: np.ndarray) -> np.ndarray:
         return np.asarray(np.hypot(*slope(values).T))
 
-    # Arc length at many parameters of every piece, then inverted: Newton from a linear guess.
+    # Tabulate the arc length at many parameters of every piece. `parameter` inverts it by Newton's
+    # method, from a linear guess between two entries.
     fine = np.unique(np.concatenate([np.linspace(a, b, 33) for a, b in itertools.pairwise(at)]))
     arc = _integrals(lambda values: speed(values)[:, None], fine)[:, 0]
     total = float(arc[-1])
@@ -211,15 +217,16 @@ def path_through(
         values = parameter(phi)
         tangent = slope(values)
         size = np.hypot(*tangent.T)
-        # A clamped end stands still: its direction is that of the acceleration there.
+        # The derivative of a clamped end is zero: take the direction from the second derivative.
         still = size < 1e-9
         tangent = np.where(still[:, None], second(values) * _sign_at(values, at), tangent)
         return np.asarray(tangent / np.hypot(*tangent.T)[:, None])
 
+    # The table must resolve the sharpest bend, so its size follows from the curvature.
     first, bend = slope(fine), second(fine)
     size = np.maximum(np.hypot(*first.T), 1e-3)
     curvature = (first[:, 0] * bend[:, 1] - first[:, 1] * bend[:, 0]) / size**3
-    count = nodes_for(total, curvature)
+    count = count_nodes(total, curvature)
     return Path(
         lambda phi: spline(parameter(phi)),
         direction,
@@ -231,20 +238,22 @@ def path_through(
 
 
 def _sign_at(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    # At the end of the path the second derivative points backwards.
     return np.where(values > 0.5 * (at[0] + at[-1]), -1.0, 1.0)[:, None]
 
 
 def _spline(
     at: np.ndarray, knots: np.ndarray, method: str, boundary: str, is_closed: bool
 ) -> tuple[Function, Function, Function]:
-    """Return a spline (N,) -> (N, 2) through knots, and its first two derivatives."""
+    """Return a spline (N,) -> (N, 2) through the knots, and its first two derivatives."""
     if method == "cubic":
         kind: Any = "periodic" if is_closed else boundary
         spline: Any = CubicSpline(at, knots, bc_type=kind)
     else:
         build = PchipInterpolator if method == "monotone" else Akima1DInterpolator
         if is_closed:
-            # Neither has a periodic form: round three times, of which the middle one is looked at.
+            # Neither spline has a periodic form in SciPy. Go round three times and use the middle
+            # lap, whose ends then join smoothly.
             at = np.concatenate([at[:-1] - at[-1], at[:-1], at + at[-1]])
             knots = np.concatenate([knots[:-1], knots[:-1], knots])
         spline = build(at, knots)
@@ -279,7 +288,7 @@ def _widths_along(
     total: float,
     count: int,
 ) -> Rows | None:
-    """Return half widths at equal arc lengths, of those at waypoints."""
+    """Interpolate the half widths of the waypoints at `count` equally spaced arc lengths."""
     if half_widths is None:
         return None
     given = np.asarray(half_widths, np.float64)
@@ -303,14 +312,14 @@ NODES, WEIGHTS = leggauss(8)
 
 
 def _between(rate: Function, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the integral of a rate (N,) between pairs of bounds, by Gauss-Legendre quadrature."""
+    """Integrate a function (N,) between pairs of bounds, by Gauss-Legendre quadrature."""
     half, middle = 0.5 * (high - low), 0.5 * (high + low)
     values = rate((middle[:, None] + half[:, None] * NODES).ravel()).reshape(-1, NODES.size)
     return np.asarray(half * (values @ WEIGHTS))
 
 
 def _integrals(rate: Function, at: np.ndarray) -> np.ndarray:
-    """Return the integral (N, D) of a rate from the first of increasing values to each of them."""
+    """Return the integrals (N, D) of a function from the first of increasing values to each."""
     half, middle = 0.5 * np.diff(at), 0.5 * (at[1:] + at[:-1])
     values = rate((middle[:, None] + half[:, None] * NODES).ravel())
     values = values.reshape(len(half), NODES.size, -1)

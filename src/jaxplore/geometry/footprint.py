@@ -1,4 +1,4 @@
-"""What a robot covers of the ground."""
+"""Describe the area that a robot covers on the ground, as discs."""
 
 import math
 
@@ -13,14 +13,14 @@ from jaxplore._types import Scalar
 
 
 class Footprint(eqx.Module):
-    """Outline of a robot on the ground, in its own frame: x ahead, the origin at its position.
+    """Footprint of a robot on the ground, in the robot's frame: x ahead, origin at its position.
 
-    Equal discs with their centres along the heading cover it together, so that costs which know
-    only distances from a point hold for all of the robot:
+    C equal discs with their centres on the x axis cover the footprint:
 
-        the footprint is within the union over i of the discs of `radius` around (offsets_i, 0)
+        footprint is a subset of the union over i of the discs of `radius` around (offsets_i, 0)
 
-    The number of discs C is static.
+    So a cost that knows only the distance from a point to an obstacle can be evaluated for the
+    whole robot. C is static.
     """
 
     offsets: eqx.AbstractVar[Float[Array, " C"]]
@@ -28,13 +28,13 @@ class Footprint(eqx.Module):
 
 
 class Disc(Footprint):
-    """Disc around the robot's position; it covers itself.
+    """Disc around the robot's position.
 
     Args:
-        radius: [m].
+        radius: radius of the disc [m].
 
     Raises:
-        ValueError: a negative radius, or none that is finite.
+        ValueError: a radius that is negative or not finite.
     """
 
     radius: Scalar
@@ -42,34 +42,34 @@ class Disc(Footprint):
     def __init__(self, radius: ArrayLike) -> None:
         self.radius = _checks.scalar("radius", radius, at_least=0.0)
 
-    # mypy takes what a subclass has to provide for a field; computed, it cannot disagree.
+    # A property instead of a field, so that it cannot disagree with the fields it follows from.
     @property  # type: ignore[misc]
     def offsets(self) -> Float[Array, " C"]:  # type: ignore[override]
-        """Centre of the one disc along the heading, (1,) [m]: 0."""
+        """Position of the single disc along the heading, (1,) [m]: 0."""
         return jnp.zeros(1)
 
 
 class Rectangle(Footprint):
-    """Rectangle along the heading, covered by C discs, one for each of C equal parts:
+    """Rectangle along the heading, cut into C equal parts with one disc around each:
 
         l = front + rear
         offsets_i = -rear + (i + 1/2) l / C,  radius = sqrt((l / (2 C))^2 + (width / 2)^2)
 
-    More discs follow the outline more closely, and costs evaluate each.
+    More discs follow the outline more closely, but costs are evaluated for each disc.
 
     Source: Ziegler and Stiller, "Fast collision checking for intelligent vehicle motion planning",
     IV 2010.
 
     Args:
-        front: from the origin to the front edge [m].
-        rear: from the origin to the rear edge, positive backwards [m].
-        width: [m].
-        num_discs: C, static; the length over the width, rounded up, when absent. In traced code,
-            where lengths are not known, it has to be given.
+        front: distance from the origin to the front edge [m].
+        rear: distance from the origin to the rear edge, positive backwards [m].
+        width: width of the rectangle [m].
+        num_discs: number of discs, C; static. By default the length over the width, rounded up. It
+            must be given if the lengths are traced.
 
     Raises:
-        ValueError: a front or width that is not positive, a negative rear, a number of discs below
-            1, or none beside traced lengths.
+        ValueError: a front or width that is not positive, a negative rear, fewer than one disc, or
+            no number of discs beside traced lengths.
     """
 
     front: Scalar
@@ -93,18 +93,18 @@ class Rectangle(Footprint):
                     "num_discs is None; accepted: a whole number >= 1 where lengths are traced"
                 )
             length = np.float64(self.front) + np.float64(self.rear)
-            # Less a rounding error: a length of exactly three widths needs three discs.
+            # Tolerate rounding: a length of exactly three widths needs three discs, not four.
             num_discs = max(1, math.ceil(length / np.float64(self.width) - 1e-6))
         self.num_discs = _checks.positive_int("num_discs", num_discs)
 
     @property
     def length(self) -> Scalar:
-        """From the rear edge to the front edge [m]."""
+        """Length of the rectangle along the heading [m]."""
         return self.front + self.rear
 
     @property  # type: ignore[misc]
     def offsets(self) -> Float[Array, " C"]:  # type: ignore[override]
-        """Centres of the discs along the heading, (C,) from the rear to the front [m]."""
+        """Positions of the disc centres along the heading, (C,) from rear to front [m]."""
         shares = (np.arange(self.num_discs, dtype=np.float32) + 0.5) / np.float32(self.num_discs)
         return jnp.asarray(shares) * self.length - self.rear
 

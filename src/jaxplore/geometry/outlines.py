@@ -1,4 +1,4 @@
-"""Outlines of things on the ground: discs, polygons, and what is between them."""
+"""Describe obstacles on the ground by rounded polygons: discs, capsules and polygons."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,28 +13,28 @@ from jaxplore._checks import array, one_each
 from jaxplore._types import Flag, Position, Rows, Scalar, Vector
 
 UNROLL = 8
-"""Edges per iteration: few iterations without a long program."""
+"""Edges per loop iteration: fewer iterations, yet a short program."""
 
 
 class Outlines(eqx.Module):
-    """N things on the ground, each of which is what is within a radius of a polygon.
+    """N shapes on the ground, each the set of points within a radius of a polygon.
 
-    So a disc is one corner and a radius, a capsule two corners and a radius, a polygon three
-    corners or more without one. The distance of a point q from the n-th is
+    A disc is one corner and a radius, a capsule two corners and a radius, a polygon three or more
+    corners with radius 0. The signed distance from a point q to shape n is
 
         d_n(q) = s min over its edges e of |q - e| - r_n,   s = -1 inside the polygon, else 1
 
-    negative inside. Inside is where a ray crosses the edges an odd number of times, so corners may
-    go round either way. (Ericson, "Real-Time Collision Detection", 2005, section 5.1.2, the
-    point of a segment nearest to a point; Shimrat, "Algorithm 112: position of point relative to
-    polygon", CACM 1962.)
+    A point is inside if a ray from it crosses the edges an odd number of times, so corners may be
+    listed in either direction. Sources: Ericson, "Real-Time Collision Detection", 2005, section
+    5.1.2 (closest point of a segment); Shimrat, "Algorithm 112: position of point relative to
+    polygon", CACM 1962.
 
-    Made by `discs` and `polygons`; `a + b` has the things of both. The numbers N of things and V of
-    corners are static; a polygon with fewer corners than another repeats its last one.
+    Build it with `discs` and `polygons`; `a + b` holds the shapes of both. The number N of shapes
+    and the number V of corners are static; a polygon with fewer corners than V repeats its last.
 
     Args:
-        corners: (N, V, 2) in order [m].
-        radii: (N,) [m].
+        corners: corners (N, V, 2) of the polygons, in order [m].
+        radii: radii (N,) by which the polygons are grown [m].
     """
 
     corners: Float[Array, "N V 2"]
@@ -42,29 +42,29 @@ class Outlines(eqx.Module):
 
     @classmethod
     def discs(cls, centres: Rows, radii: Vector) -> "Outlines":
-        """Return discs.
+        """Build N discs.
 
         Args:
-            centres: (N, 2) [m]; none of them is fine.
-            radii: (N,) or one number [m].
+            centres: centres (N, 2) [m]; N may be 0.
+            radii: radii (N,), or one number for all [m].
 
         Raises:
-            ValueError: another shape, numbers that are not finite, a negative radius.
+            ValueError: an array of another shape, numbers that are not finite, a negative radius.
         """
         middles = array("centres", centres, ("N", 2), may_be_empty=True)
         return cls(middles[:, None, :], one_each("radii", radii, middles.shape[0], at_least=0.0))
 
     @classmethod
     def polygons(cls, polygons: Sequence[Rows], radii: Vector = 0.0) -> "Outlines":
-        """Return polygons, each of which is rounded off by its radius.
+        """Build N polygons, each grown by a radius, which rounds its corners.
 
         Args:
-            polygons: of each its corners (V_n, 2) in order, without repeating the first [m].
-            radii: by which they are thicker, (N,) or one number [m].
+            polygons: corners (V_n, 2) of each polygon in order, without repeating the first [m].
+            radii: radii (N,), or one number for all [m].
 
         Raises:
-            ValueError: another shape, fewer corners than 3, numbers that are not finite, corners
-                on one line, a negative radius.
+            ValueError: an array of another shape, fewer than 3 corners, numbers that are not
+                finite, corners on one line, a negative radius.
         """
         rows = []
         for index, polygon in enumerate(polygons):
@@ -75,6 +75,8 @@ class Outlines(eqx.Module):
                     f"{name} is {corners.tolist()}; accepted: 3 corners or more, not on one line"
                 )
             rows.append(corners)
+        # Repeating the last corner adds edges of zero length, which change neither the distance nor
+        # the number of crossings.
         most = max(map(len, rows), default=1)
         padded = [np.concatenate([row, row[-1:].repeat(most - len(row), axis=0)]) for row in rows]
         stacked = np.reshape(padded, (-1, most, 2))
@@ -92,16 +94,16 @@ class Outlines(eqx.Module):
 
     @property
     def number(self) -> int:
-        """How many things there are, N."""
+        """Number of shapes, N."""
         return self.radii.shape[0]
 
     @property
     def centres(self) -> Float[Array, "N 2"]:
-        """Middles (N, 2) of the boxes along the axes that hold the corners [m]."""
+        """Centres (N, 2) of the axis-aligned bounding boxes of the corners [m]."""
         return 0.5 * (jnp.min(self.corners, axis=1) + jnp.max(self.corners, axis=1))
 
     def distances(self, position: Position) -> Float[Array, " N"]:
-        """Return the distance (N,) of a position from each [m], negative inside."""
+        """Return the signed distances (N,) from a position to each shape [m], negative inside."""
 
         def one(corners: Array, radius: Scalar) -> Scalar:
             return nearest(corners, radius, position[0], position[1]).distance
@@ -110,12 +112,13 @@ class Outlines(eqx.Module):
 
 
 class Nearest(NamedTuple):
-    """How far a point is from something.
+    """Distance and offset from a shape to a point.
 
     Args:
-        distance: from its edge, negative inside [m].
-        x: from the nearest point of the polygon without its radius to the point [m].
-        y: the same along y [m].
+        distance: signed distance to the edge of the shape, negative inside [m].
+        x: x component of the vector from the nearest point of the polygon, without its radius, to
+            the point [m].
+        y: y component of the same vector [m].
     """
 
     distance: Scalar
@@ -124,16 +127,18 @@ class Nearest(NamedTuple):
 
 
 def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) -> Nearest:
-    """Return how far a point is from one of `Outlines`.
+    """Return the signed distance and the offset from one shape of `Outlines` to a point.
 
-    Of a point that is not a number the distance is none.
+    The distance of a NaN point is NaN.
 
     Args:
-        corners: (V, 2) [m].
-        radius: [m].
-        x: of the point [m].
-        y: of the point [m].
+        corners: corners (V, 2) of the polygon, in order [m].
+        radius: radius by which the polygon is grown [m].
+        x: x coordinate of the point [m].
+        y: y coordinate of the point [m].
     """
+    # Repeated corners give edges of zero length, and level edges have no slope: both divisions are
+    # guarded, and such edges are never crossed.
     ends = jnp.roll(corners, -1, axis=0)
     edges = ends - corners
     square = jnp.sum(edges * edges, axis=-1)
@@ -150,9 +155,10 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
         share = jnp.clip((ahead * along[0] + beside * along[1]) * scale, 0.0, 1.0)
         off_x, off_y = ahead - share * along[0], beside - share * along[1]
         distance = off_x * off_x + off_y * off_y
-        # Also what is not a number is taken: a diverged rollout is not far from everything.
+        # Negated so that NaN is taken: a diverged rollout must not count as far from everything.
         is_nearer = ~(distance >= least)
-        # By the corners themselves: two edges that meet agree on which side of the ray they do.
+        # Compare the corners themselves, so that two edges that meet agree on the side of the ray
+        # on which their common corner lies.
         crosses = (start[1] > y) != (end[1] > y)
         is_inside = is_inside ^ (crosses & (ahead < slope * beside))
         return (
@@ -166,6 +172,7 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
     (least, off_x, off_y, is_inside), _ = jax.lax.scan(
         take, start, (corners, ends, edges, inverse, run), unroll=UNROLL
     )
+    # On the polygon itself the gradient of the square root is infinite; there it is set to zero.
     is_zero = least <= 0.0
     length = jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, least)))
     return Nearest(jnp.where(is_inside, -length, length) - radius, off_x, off_y)

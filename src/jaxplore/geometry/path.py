@@ -1,4 +1,4 @@
-"""Paths by arc length: where a robot is to go, and how far it is from there."""
+"""Represent reference paths by arc length, and measure contouring and lag errors from them."""
 
 import math
 from collections.abc import Callable
@@ -13,23 +13,23 @@ from jaxplore import _checks
 from jaxplore._types import Position, Rows, Scalar
 
 NODES_PER_RADIUS = 10.0
-"""Nodes on the length of the least radius of curvature: the look-up is off by 1e-6 radii then."""
+"""Nodes per smallest radius of curvature, which keeps the interpolation error below 1e-6 radii."""
 LEAST_NODES, MOST_NODES = 65, 16385
 NEWTON_STEPS = 4
-"""From a node within half a spacing; each squares the error."""
+"""Newton steps from the nearest node, at most half a spacing away; each step squares the error."""
 LOOK_UP: Any = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
-"""Rows are within the table: without this every look-up checks them again."""
+"""Options of table look-ups whose rows are known to be valid: they skip the bounds check."""
 
 
 class PathPoint(NamedTuple):
     """One point of a path.
 
     Args:
-        x: [m].
-        y: [m].
-        cos: of the heading.
-        sin: of the heading.
-        curvature: positive to the left [1/m].
+        x: x coordinate [m].
+        y: y coordinate [m].
+        cos: cosine of the heading of the path.
+        sin: sine of the heading of the path.
+        curvature: curvature of the path, positive to the left [1/m].
     """
 
     x: Scalar
@@ -40,12 +40,12 @@ class PathPoint(NamedTuple):
 
     @property
     def position(self) -> Position:
-        """(x, y) [m]."""
+        """Position (x, y) [m]."""
         return jnp.stack([self.x, self.y])
 
     @property
     def heading(self) -> Scalar:
-        """Of the path [rad], counter-clockwise from the x axis."""
+        """Heading of the path [rad], counter-clockwise from the x axis."""
         return jnp.arctan2(self.sin, self.cos)
 
     @property
@@ -55,11 +55,11 @@ class PathPoint(NamedTuple):
 
 
 class PathErrors(NamedTuple):
-    """How far a position is from a point of a path.
+    """Errors of a position relative to a point of a path.
 
     Args:
-        contouring: across the path, positive to its right [m].
-        lag: along the path, positive behind the point [m].
+        contouring: error across the path, positive to its right [m].
+        lag: error along the path, positive behind the point [m].
     """
 
     contouring: Scalar
@@ -67,27 +67,27 @@ class PathErrors(NamedTuple):
 
 
 class Path(eqx.Module):
-    """A planar curve by its true arc length phi, in metres from its start.
+    """Planar curve, parameterised by its true arc length phi in metres from its start.
 
-    Held as a table of points and directions at equal arc lengths. Between two of them, h apart,
-    positions are cubic (Hermite) in phi, with the directions as derivatives, so that a look-up
-    costs the same for any curve and length; it deviates by less than h^4 / 384 times the fourth
-    derivative, about (h / R)^4 R / 384 on an arc of radius R.
+    The curve is stored as a table of points and unit tangents at equal arc lengths. Between two
+    nodes, h apart, the position is a cubic Hermite polynomial in phi with the tangents as
+    derivatives, so a look-up costs the same for any curve and length. Its error is below h^4 / 384
+    times the fourth derivative, about (h / R)^4 R / 384 on an arc of radius R.
 
-    An open path goes on straight before its start and after its end. A closed one repeats: after
-    two laps phi is twice the length, so that progress never jumps.
+    An open path is extended by straight lines before its start and after its end. A closed path
+    repeats: after two laps phi is twice the length, so that progress never jumps.
 
-    Built by `path_through`, `line_path`, `arc_path`, `clothoid_path` or `read_path`; this
+    Build it with `path_through`, `line_path`, `arc_path`, `clothoid_path` or `read_path`; this
     constructor takes any function of the arc length.
 
     Args:
-        position: maps arc lengths (N,) to points (N, 2) [m], in NumPy.
-        direction: maps arc lengths (N,) to unit tangents (N, 2).
-        length: [m].
+        position: NumPy function from arc lengths (N,) to points (N, 2) [m].
+        direction: NumPy function from arc lengths (N,) to unit tangents (N, 2).
+        length: arc length of the whole curve [m].
         is_closed: whether the end is the start; static.
-        num_nodes: of the table, static.
-        half_widths: room to the left and to the right of the path [m]: two numbers, or (M, 2) at
-            equal distances from start to end; unbounded when absent.
+        num_nodes: number of nodes in the table; static.
+        half_widths: free width to the left and to the right of the path [m]: two numbers, or (M, 2)
+            at equal distances from start to end. The path is unbounded by default.
 
     Raises:
         ValueError: a length that is not positive, points that are not finite, a closed path whose
@@ -95,11 +95,11 @@ class Path(eqx.Module):
     """
 
     points: Float[Array, "N 2"]
-    """At the nodes [m]."""
+    """Positions of the nodes [m]."""
     tangents: Float[Array, "N 2"]
-    """Unit vectors along the path at the nodes."""
+    """Unit tangents of the path at the nodes."""
     half_widths: Float[Array, "N 2"]
-    """Room to the left and to the right at the nodes [m]; infinite where there is no bound."""
+    """Free width to the left and to the right at the nodes [m]; infinite where it is unbounded."""
     length: Scalar
     is_closed: bool = eqx.field(static=True)
 
@@ -123,6 +123,7 @@ class Path(eqx.Module):
                 raise ValueError(
                     f"{name} of {count} arc lengths is {rows!r}; accepted: finite numbers (N, 2)"
                 )
+        # Tangents that are off by rounding are normalised below; others are a user's mistake.
         size = np.hypot(*tangents.T)
         if not np.allclose(size, 1.0, atol=1e-3):
             worst = float(size[np.argmax(np.abs(size - 1.0))])
@@ -141,16 +142,17 @@ class Path(eqx.Module):
 
     @property
     def has_room(self) -> bool:
-        """Whether the path is bounded on either side anywhere; true where that is traced."""
+        """Whether the free width is bounded anywhere; true if the half widths are traced."""
         if _checks.is_traced(self.half_widths):
             return True
         return bool(np.isfinite(np.asarray(self.half_widths)).any())
 
     def with_room(self, half_widths: Rows) -> "Path":
-        """Return the same path with that room to its left and right.
+        """Return the same path with another free width to its left and right.
 
         Args:
-            half_widths: two numbers, or (M, 2) at equal distances from start to end [m].
+            half_widths: free width as two numbers, or as (M, 2) at equal distances from start to
+                end [m].
 
         Raises:
             ValueError: half widths that are not positive, or of another shape.
@@ -166,28 +168,29 @@ class Path(eqx.Module):
         return self.length / (self.points.shape[0] - 1)
 
     def at(self, phi: Scalar) -> PathPoint:
-        """Return the point at an arc length [m]."""
+        """Return the point, heading and curvature of the path at an arc length [m]."""
         row, share, beyond = self._locate(phi)
         h = self.spacing
         (x0, y0), (x1, y1) = self._rows(self.points, row)
         (c0, s0), (c1, s1) = self._rows(self.tangents, row)
         x, dx, ddx = _hermite(x0, h * c0, x1, h * c1, share)
         y, dy, ddy = _hermite(y0, h * s0, y1, h * s1, share)
-        # The derivative of the cubic is a unit vector up to the table's error.
+        # The derivative of the cubic has length h only up to the interpolation error: normalise it.
         square = dx * dx + dy * dy
         inverse = 1.0 / jnp.sqrt(jnp.where(square > 0.0, square, 1.0))
         cos, sin = dx * inverse, dy * inverse
         curvature = (dx * ddy - dy * ddx) * (inverse * inverse * inverse)
+        # Extend an open path by straight lines, whose curvature is zero.
         if not self.is_closed:
             x, y = x + beyond * cos, y + beyond * sin
             curvature = jnp.where(beyond == 0.0, curvature, 0.0)
         return PathPoint(x, y, cos, sin, curvature)
 
     def room(self, phi: Scalar) -> tuple[Scalar, Scalar]:
-        """Return the room to the left and to the right of the path [m], linear between nodes."""
+        """Return the free width to the left and to the right [m], linear between nodes."""
         row, share, _ = self._locate(phi)
         before, after = self._rows(self.half_widths, row)
-        # Of an infinite width no difference is taken.
+        # The difference of two infinite widths would be NaN.
         left, right = (
             jnp.where(a == b, a, a + share * (jnp.where(a == b, 0.0, b - a)))
             for a, b in zip(before, after, strict=True)
@@ -195,44 +198,45 @@ class Path(eqx.Module):
         return left, right
 
     def errors(self, position: Position, phi: Scalar) -> PathErrors:
-        """Return how far a position is from the point at an arc length.
+        """Return the contouring and lag errors of a position at an arc length.
 
             contouring = sin(theta) (x - x_phi) - cos(theta) (y - y_phi)
             lag = -cos(theta) (x - x_phi) - sin(theta) (y - y_phi)
 
-        with theta the heading of the path there: the errors of model predictive contouring control
-        (Lam, Manzie and Good, CDC 2010, eq. 8; Liniger et al., "Optimization-based autonomous
-        racing of 1:43 scale RC cars", 2015, eq. 9).
+        with theta the heading of the path at phi. These are the errors of model predictive
+        contouring control (Lam, Manzie and Good, CDC 2010, eq. 8; Liniger et al.,
+        "Optimization-based autonomous racing of 1:43 scale RC cars", 2015, eq. 9).
 
         Args:
-            position: (x, y) [m].
-            phi: arc length [m].
+            position: position of the robot (x, y) [m].
+            phi: arc length of the point on the path [m].
         """
         return errors_at(self.at(phi), position)
 
     def offset(self, phi: Scalar, lateral: Scalar) -> Position:
-        """Return the position (2,) that is so far to the left of the point at an arc length [m]."""
+        """Return the position (x, y) at an arc length, shifted to the left by `lateral` [m]."""
         point = self.at(phi)
         return point.position + lateral * point.normal
 
     def nearest(self, position: Position, near: Scalar | None = None) -> Scalar:
         """Return the arc length of the point of the path that is nearest to a position [m].
 
-        Of a closed path it is in [0, length), or with `near` in the lap that is nearest to it; then
-        only what is within a quarter of the length from there is considered. Of an open path it is
-        in [0, length].
+        The search takes the nearest node and refines it by Newton steps on the cubic between the
+        neighbouring nodes. Of equally near points it returns the one with the smallest arc length.
 
-        The nearest node, then Newton steps on the cubic between its neighbours. Of points that are
-        equally near, that with the least arc length.
+        The result is in [0, length] for an open path and in [0, length) for a closed one. With
+        `near`, only points within a quarter of the length from there are considered, and on a
+        closed path the result is in the lap nearest to `near`.
 
         Args:
-            position: (x, y) [m].
-            near: arc length around which to look [m]; everywhere when absent.
+            position: position of the robot (x, y) [m].
+            near: arc length around which the path is searched [m]; the whole path by default.
         """
         count = self.points.shape[0]
         h = self.spacing
         away = self.points - position
         square = away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]
+        # Exclude far nodes, so that a robot where the path crosses itself stays on its branch.
         if near is not None:
             nodes = h * jnp.arange(count, dtype=jnp.float32)
             off = nodes - near
@@ -246,7 +250,9 @@ class Path(eqx.Module):
             dx, dy = position[0] - point.x, position[1] - point.y
             along = dx * point.cos + dy * point.sin
             across = dy * point.cos - dx * point.sin
-            # d/dphi of half the squared distance is -along, its derivative 1 - curvature * across.
+            # Half the squared distance has derivative -along and second derivative
+            # 1 - curvature * across, which is bounded below to keep the step finite at the centre
+            # of a bend.
             slope = jnp.maximum(1.0 - point.curvature * across, 0.25)
             phi = jnp.clip(phi + along / slope, start - h, start + h)
         if not self.is_closed:
@@ -256,8 +262,8 @@ class Path(eqx.Module):
         return phi + self.length * jnp.round((near - phi) / self.length)
 
     def _locate(self, phi: Scalar) -> tuple[Array, Scalar, Scalar]:
-        """Return the node before an arc length, the share of the way to the next, and by how much
-        the arc length is beyond an open path's ends [m]."""
+        """Return the node before an arc length, the fraction of the way to the next node, and the
+        distance by which the arc length is beyond the ends of an open path [m]."""
         last = self.points.shape[0] - 2
         if self.is_closed:
             inside, beyond = phi - self.length * jnp.floor(phi / self.length), jnp.zeros(())
@@ -266,14 +272,14 @@ class Path(eqx.Module):
             beyond = phi - inside
         steps = inside / self.spacing
         row = jnp.clip(jnp.floor(steps), 0.0, last)
-        # Of what is not a number the row is any, and the share is none: so is what is looked up.
+        # A NaN arc length reads an arbitrary row, but its fraction is NaN, and so is the result.
         return jnp.nan_to_num(row).astype(jnp.int32), steps - row, beyond
 
     @staticmethod
     def _rows(
         table: Float[Array, "N 2"], row: Array
     ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-        # Components, not vectors: of K samples each is one vector of K.
+        # Return components, not vectors: mapped over K samples, each component is one vector of K.
         def value(index: Array, column: int) -> Scalar:
             return table.at[index, column].get(
                 mode="promise_in_bounds", wrap_negative_indices=False
@@ -284,15 +290,15 @@ class Path(eqx.Module):
 
 
 def errors_at(point: PathPoint, position: Position) -> PathErrors:
-    """Return how far a position (x, y) is from a point of a path: see `Path.errors`."""
+    """Return the contouring and lag errors of a position (x, y) [m]: see `Path.errors`."""
     dx, dy = position[0] - point.x, position[1] - point.y
     return PathErrors(
         contouring=point.sin * dx - point.cos * dy, lag=-point.cos * dx - point.sin * dy
     )
 
 
-def nodes_for(length: float, curvature: np.ndarray) -> int:
-    """Return how many nodes a path of that length and those curvatures [1/m] needs."""
+def count_nodes(length: float, curvature: np.ndarray) -> int:
+    """Return the number of table nodes for a path of a length [m] and given curvatures [1/m]."""
     sharpest = float(np.max(np.abs(curvature), initial=0.0))
     wanted = 1 + math.ceil(min(NODES_PER_RADIUS * sharpest * length, MOST_NODES))
     return min(max(wanted, LEAST_NODES), MOST_NODES)
@@ -301,7 +307,7 @@ def nodes_for(length: float, curvature: np.ndarray) -> int:
 def _hermite(
     start: Scalar, start_slope: Scalar, end: Scalar, end_slope: Scalar, share: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
-    """Return a cubic on [0, 1] and its first two derivatives, by its ends and their slopes."""
+    """Return a cubic on [0, 1] and its first two derivatives, given its end values and slopes."""
     rise = end - start
     second = 3.0 * rise - 2.0 * start_slope - end_slope
     third = start_slope + end_slope - 2.0 * rise

@@ -1,10 +1,10 @@
-"""Exact traversal of grid cells by rays: no sampling step, no cell left out.
+"""Traverse grid cells along rays exactly: no step size, and no cell is missed.
 
-A ray leaves every cell through a column line or through a row line of the grid. The crossings with
-either family of lines are equally spaced along the ray, so the n-th crossing of both together, and
-with it the n-th cell, follows in closed form: all cells of all rays in parallel, nearest first. The
-cells are those of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing",
-Eurographics 1987, which finds them one after the other.
+A ray leaves every cell through a column line or a row line of the grid. The crossings with each
+family of lines are equally spaced along the ray, so the n-th crossing of both families together,
+and with it the n-th cell, has a closed form. All cells of all rays are computed in parallel,
+nearest first. The cells are those of Amanatides and Woo, "A fast voxel traversal algorithm for ray
+tracing", Eurographics 1987, which finds them one after another.
 """
 
 import math
@@ -19,17 +19,17 @@ from jaxtyping import Bool, Float, Int
 from jaxplore._types import Scalar
 
 TOUCH = 1e-4
-"""A cell that a ray crosses over less than this length [cells] is touched at a corner, no more."""
+"""A ray that is in a cell over less than this length only touches its corner [cells]."""
 FAR = 1e9
-"""Stands for "never" where infinity would spoil the arithmetic [cells]."""
+"""Finite stand-in for an infinite distance: products of infinity and zero are NaN [cells]."""
 
 
 class RayCells(NamedTuple):
-    """The cells that a ray crosses, nearest first.
+    """Cells that a ray crosses, nearest first.
 
-    `cell` (N, 2) is (row, column); the ray is in it from `entry` to `exit` (N,), distances from the
-    start [cells], and `exit[n] == entry[n + 1]`. Where the ray only touches a cell, at a corner,
-    `is_crossed` (N,) is False.
+    `cell` (N, 2) is (row, column). The ray is in the cell from `entry` to `exit` (N,), distances
+    from its start [cells], and `exit[n] == entry[n + 1]`. `is_crossed` (N,) is False if the ray
+    only touches a corner of the cell.
     """
 
     cell: Int[Array, "N 2"]
@@ -39,37 +39,38 @@ class RayCells(NamedTuple):
 
 
 def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells:
-    """Return the cells that a ray crosses, its first cell included.
+    """Return the cells that a ray crosses, starting with the cell that holds its start.
 
     Args:
-        start: grid coordinates (row, column) [cells].
+        start: start of the ray in grid coordinates (row, column) [cells].
         angle: direction in the grid's frame, from the column axis towards the row axis [rad].
-        length: static; at least the cells entered within this length are returned [cells]. Some
-            farther ones follow, whose entries say so.
+        length: length of the ray [cells]; static. All cells entered within it are returned. Some
+            farther cells may follow; their `entry` is greater than the length.
     """
     direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
     base = jnp.floor(start)
-    # Within the first cell: distances stay exact however far the map's corner is.
+    # Work relative to the first cell, so that distances stay exact far from the map's corner.
     fraction = start - base
     moves = jnp.abs(direction) > 1e-9
     spacing = jnp.where(moves, 1.0 / jnp.where(moves, jnp.abs(direction), 1.0), FAR)
     to_first = jnp.where(moves, jnp.where(direction > 0, 1.0 - fraction, fraction), 1.0)
 
     def crossing(axis: int, count: Array) -> Array:
-        """Distance at which the count-th line of a family is crossed, count >= 1."""
+        """Return the distance at which the count-th line of a family is crossed, count >= 1."""
         return (to_first[axis] + (count - 1.0)) * spacing[axis]
 
-    # Of the first n crossings, r are with row lines and n - r with column lines, if the r-th of the
-    # one comes before the (n - r + 1)-th of the other, and so the other way round.
+    # Of the first n crossings, r are with row lines and n - r with column lines if the r-th row
+    # line comes before the (n - r + 1)-th column line and the (n - r)-th column line before the
+    # (r + 1)-th row line.
     number = jnp.arange(max_cells(length), dtype=jnp.float32)
     ahead = crossing(1, number + 1.0) - crossing(0, jnp.zeros(()))
     rows = jnp.clip(jnp.floor(ahead / (spacing[0] + spacing[1])), 0.0, number)
-    # The estimate is off by one at most; comparing the very distances settles it, so that every
-    # cell is left where the next one is entered.
+    # Rounding can put the estimate off by one. Correct it by comparing the distances themselves, so
+    # that every cell is left exactly where the next one is entered.
     too_many = (rows > 0) & (crossing(0, rows) > crossing(1, number - rows + 1.0))
     too_few = (rows < number) & (crossing(1, number - rows) > crossing(0, rows + 1.0))
     rows = rows - too_many.astype(jnp.float32) + too_few.astype(jnp.float32)
-    # Everything else follows from it: materialised, it is computed once, not once for each.
+    # All outputs depend on `rows`. The barrier makes XLA compute it once, not once per output.
     rows = jax.lax.optimization_barrier(rows)  # type: ignore[no-untyped-call]
     columns = number - rows
     last_row = jnp.where(rows > 0, crossing(0, rows), 0.0)
@@ -81,15 +82,15 @@ def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells
 
 
 def max_cells(length: float) -> int:
-    """Return how many cells a ray of this length [cells] can enter, wherever it starts."""
+    """Return the greatest number of cells that a ray of a length [cells] can enter."""
     return math.ceil(math.sqrt(2.0) * length) + 3
 
 
 class RayOffsets(NamedTuple):
-    """The cells that rays from a cell's centre cross, nearest first, as offsets from that cell.
+    """Cells crossed by rays from a cell's centre, nearest first, as offsets from that cell.
 
-    `offset` (D, N, 2) is (row, column), `entry` and `exit` (D, N) the distances at which each cell
-    is entered and left [cells]. Short rays are padded with the offset 0 and infinite distances.
+    `offset` (D, N, 2) is (row, column). `entry` and `exit` (D, N) are the distances at which each
+    cell is entered and left [cells]. Short rays are padded with offset 0 and infinite distances.
     """
 
     offset: np.ndarray
@@ -98,20 +99,21 @@ class RayOffsets(NamedTuple):
 
     @property
     def is_crossed(self) -> np.ndarray:
-        """Where the table holds a cell (D, N), not padding."""
+        """Mask (D, N) of the entries that hold a cell, not padding."""
         return np.isfinite(self.exit)
 
 
 def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
-    """Return the cells left within `length` [cells] by rays from a cell's centre.
+    """Tabulate the cells that rays from a cell's centre leave within a length.
 
-    A table in double precision, made once per sensor and resolution: every cell's ray in one
-    direction crosses the same offsets, which is what lets a whole map be scanned by shifts.
+    Rays in one direction cross the same offsets from every cell, so a whole map can be processed by
+    shifting it. The table is computed in double precision, once per sensor and resolution.
 
     Args:
-        angles: (D,) directions from the column axis towards the row axis [rad].
-        length: how far a ray reaches [cells].
+        angles: directions (D,) from the column axis towards the row axis [rad].
+        length: length of the rays [cells].
     """
+    # From a cell's centre, the n-th line of either family is n + 1/2 cells away along its axis.
     lines = np.arange(math.ceil(length) + 2) + 0.5
     rays = []
     for angle in angles:

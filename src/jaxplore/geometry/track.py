@@ -1,4 +1,4 @@
-"""Race tracks, generated."""
+"""Generate random closed race tracks."""
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -7,8 +7,8 @@ from jaxplore import _checks
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
 
-WAYS_OUT = 40
-"""Times that a shape is flattened before the track counts as too wide for its length."""
+MAX_ATTEMPTS = 40
+"""Attempts with ever smaller bends before the track is refused as too wide for its length."""
 
 
 def race_track(
@@ -18,19 +18,20 @@ def race_track(
     min_radius: float = 1.5,
     num_bends: int = 6,
 ) -> Path:
-    """Return a closed track with random bends, by default of F1TENTH's size.
+    """Generate a closed track with random bends, by default of F1TENTH's size.
 
         r(angle) = 1 + flat * sum_k a_k cos(k angle + p_k),  k = 2 ... num_bends
 
-    in polar coordinates around (0, 0), with random a_k and p_k, scaled to its length, and flattened
-    until no bend is too tight and no two stretches of it meet. It begins where it bends least.
+    in polar coordinates around (0, 0), with random a_k and p_k, scaled to the given length. The
+    factor `flat` is reduced until no bend is too tight and no two stretches of the track overlap.
+    The track starts where its curvature is smallest.
 
     Args:
-        seed: of the shape; the same one gives the same track.
-        length: of the centre line [m].
-        half_width: room on either side [m].
-        min_radius: of the centre line [m]; at least the half width.
-        num_bends: more make it more winding.
+        seed: seed of the shape; equal seeds give equal tracks.
+        length: length of the centre line [m].
+        half_width: free width on either side of the centre line [m].
+        min_radius: smallest radius of curvature of the centre line [m]; at least the half width.
+        num_bends: highest frequency of the shape; a greater number gives a more winding track.
 
     Raises:
         ValueError: a negative seed, numbers that are not positive, a minimum radius below the half
@@ -47,7 +48,7 @@ def race_track(
     angles = np.linspace(0.0, 2.0 * np.pi, 40 * bends, endpoint=False)
     wave = (sizes * np.cos(np.outer(angles, waves) + phases)).sum(axis=1)
     wave /= np.abs(wave).max()
-    for flat in 0.75 * 0.93 ** np.arange(WAYS_OUT):
+    for flat in 0.75 * 0.93 ** np.arange(MAX_ATTEMPTS):
         radius = 1.0 + flat * wave
         ring = np.stack([radius * np.cos(angles), radius * np.sin(angles)], axis=-1)
         ring *= total / np.hypot(*(np.roll(ring, -1, axis=0) - ring).T).sum()
@@ -64,7 +65,7 @@ def race_track(
 
 def _curvatures(ring: np.ndarray) -> np.ndarray:
     """Return the curvature (N,) at each corner of a closed polygon [1/m]: that of the circle
-    through it and its neighbours."""
+    through the corner and its two neighbours (Menger curvature)."""
     before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
     cross = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
     sides = np.hypot(*before.T) * np.hypot(*after.T) * np.hypot(*(before + after).T)
@@ -72,7 +73,10 @@ def _curvatures(ring: np.ndarray) -> np.ndarray:
 
 
 def _is_apart(ring: np.ndarray, gap: float, total: float) -> bool:
-    """Say whether stretches that are not neighbours along the track are more than `gap` apart."""
+    """Return whether stretches that are not neighbours along the track are more than `gap` apart.
+
+    Points nearer than a half circle of the gap's diameter along the track count as neighbours.
+    """
     along = np.arange(len(ring)) * (total / len(ring))
     near = KDTree(ring).query_pairs(1.1 * gap, output_type="ndarray")
     way = np.abs(along[near[:, 0]] - along[near[:, 1]])

@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxplore import _checks
-from jaxplore.build.exploration import build
-from jaxplore.settings.exploration import OFFICE, Settings, make_settings
+from jaxplore.build.tasks import build
+from jaxplore.settings.defaults import default_of
+from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
 from jaxplore.simulation.environment.action_modes import (
     ActionMode,
     ControlMode,
@@ -16,7 +17,7 @@ from jaxplore.simulation.environment.action_modes import (
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
 
-DRIVE = {"horizon": 30, "num_samples": 256}
+DRIVE = {name: default_of(waypoint_mppi, name) for name in ("horizon", "num_samples")}
 """Of the controller that drives to waypoints, where the settings do not say."""
 WAYPOINT_PERIOD = 1.0
 """Time between waypoints [s]."""
@@ -53,7 +54,7 @@ def environment_of(
             `time_limit` ends an episode, `controller` is the MPPI of waypoints.
 
     Raises:
-        ValueError: an action that there is not, settings that `make_settings` or `build` refuse,
+        ValueError: an action that there is not, settings that are not accepted,
             settings beside a scenario that says the same, floors of another map than the office,
             and what `Environment` refuses.
     """
@@ -103,7 +104,7 @@ def _checked(scenario: object, settings: dict[str, Any]) -> Settings:
         entries["map"] = os.fspath(entries["map"])
     if isinstance(entries["controller"], Mapping):
         entries["controller"] = {**DRIVE, **entries["controller"]}
-    return make_settings(entries)
+    return make_exploration_settings(entries)
 
 
 def _scenarios(settings: Settings, num_floors: int) -> list[Scenario]:

@@ -76,7 +76,8 @@ class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
     @property
     def belief(self) -> Belief:
         """What the robot knows, as jaxplore's controllers take it."""
-        return self.state.belief
+        belief: Belief = self.state.belief
+        return belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

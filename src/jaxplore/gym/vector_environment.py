@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from jax import Array
 
 from jaxplore import _checks
+from jaxplore._trees import stack_trees
 from jaxplore._types import Count
 from jaxplore.gym.build import environment_of
 from jaxplore.gym.environment import checked_render_mode, metadata_of, picture
@@ -219,8 +220,7 @@ def _step_each(
 
 @eqx.filter_jit
 def _rows(states: list[EnvironmentState]) -> EnvironmentState:
-    stacked: EnvironmentState = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
-    return stacked
+    return stack_trees(states)
 
 
 @eqx.filter_jit

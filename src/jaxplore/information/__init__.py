@@ -1,1 +1,1 @@
-"""What a measurement is worth, everywhere at once."""
+"""Expected information of beams, scans and trajectories, and fields of it over a whole map."""

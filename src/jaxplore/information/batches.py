@@ -1,4 +1,4 @@
-"""A gain of one pose, applied to one or to many."""
+"""Apply a function of one pose to one pose or to many."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from jaxplore._types import Position, Scalar
 
 BATCH = 64
-"""Poses evaluated at once: what a batch works on stays in the cache."""
+"""Poses that are evaluated at once: the working memory of a batch fits the CPU's cache."""
 
 
 def over_poses(
@@ -17,10 +17,15 @@ def over_poses(
     position: Float[Array, "*N 2"],
     heading: Float[Array, "*N"],
 ) -> Float[Array, "*N"]:
-    """Return the gain of one pose, (2,) and (), or of each of N, (N, 2) and (N,).
+    """Evaluate a function of position and heading at one pose or at each of N poses.
+
+    Args:
+        gain: function of one position (2,) and one heading () that returns a scalar.
+        position: position (2,) or positions (N, 2) [m].
+        heading: heading () or headings (N,) [rad].
 
     Raises:
-        ValueError: shapes that are neither.
+        ValueError: shapes other than (2,) and (), or (N, 2) and (N,).
     """
     if position.ndim not in (1, 2) or position.shape != (*heading.shape, 2):
         raise ValueError(
@@ -29,6 +34,7 @@ def over_poses(
         )
     if position.ndim == 1:
         return gain(position, heading)
+    # A single `vmap` over many poses would write its intermediate arrays to main memory.
     if position.shape[0] <= BATCH:
         return jax.vmap(gain)(position, heading)
     values: Array = jax.lax.map(lambda pose: gain(*pose), (position, heading), batch_size=BATCH)

@@ -1,25 +1,27 @@
-"""What one beam is worth: the FSMI family over the cells that it crosses.
+"""Compute the expected information of one range beam: the FSMI family.
 
 A beam crosses cells 0 ... n-1, nearest first; cell i is occupied with probability o_i. The beam's
 first hit is in cell j with probability `P(e_j) = o_j prod_{l<j} (1 - o_l)`, and with probability
-`P(e_none) = prod_l (1 - o_l)` there is none. A reading in cell k updates the map: the cells before
-k as free, cell k as occupied, and is worth
+`P(e_none) = prod_l (1 - o_l)` it hits nothing. A reading in cell k updates the cells before k as
+free and cell k as occupied. Its information is
 
     C_k = f_occ,k + sum_{i<k} f_emp,i
 
-with f the divergence between a cell's posterior and prior (`jaxplore.information.gain`); no return
-is worth `sum_i f_emp,i`. So the beam's information is (Zhang, Henderson, Sze and Karaman, "FSMI:
-Fast computation of Shannon mutual information for information-theoretic mapping", IJRR 2020,
-Theorem 1, with the no-return event that it leaves out)
+with f the divergence of a cell's posterior from its prior (`jaxplore.information.gain`). The
+information of no return is `sum_i f_emp,i`. With the range noise G (`jaxplore.information.noise`),
+the expected information of the beam is
 
     I = sum_j sum_k P(e_j) G_kj C_k + P(e_none) sum_i f_emp,i            [nat]
 
-It is the expectation over maps and readings of `sum_i KL(posterior_i || prior_i)`. Ordered by cells
-instead of readings,
+which is the expectation of `sum_i KL(posterior_i || prior_i)` over maps and readings. Summed over
+cells instead of readings it is
 
     I = sum_k v_k,   v_k = f_occ,k P(reading in k) + f_emp,k P(reading behind k, or none)
 
-a sum of non-negative terms in which nothing cancels, and which says what each cell contributes.
+All terms are non-negative, so nothing cancels, and v_k is the contribution of cell k.
+
+Source: Zhang, Henderson, Sze and Karaman, "FSMI: Fast computation of Shannon mutual information for
+information-theoretic mapping", IJRR 2020, Theorem 1, extended by the no-return event.
 """
 
 import jax.numpy as jnp
@@ -58,19 +60,19 @@ def cell_information(
     no_return: bool = True,
     edges: Float[Array, " n+1"] | None = None,
 ) -> Float[Array, " n"]:
-    """Return what each cell along a beam contributes to its expected information [nat].
+    """Return the contribution of each cell along a beam to its expected information [nat].
 
     Args:
-        probability: (n,) of being occupied, nearest cell first.
-        sensor: what a measurement does to a cell: the map's own `InverseSensorModel`, with its
-            clamp, or `IdealSensor()` for Shannon's mutual information. When absent
-            `InverseSensorModel.from_odds()`, unclamped log-odds of 0.85 and -0.4.
-        noise: of the range; None for none. `GaussianNoise` (exact or banded), `UniformNoise`,
-            `ToeplitzNoise`.
-        no_return: whether a beam that meets nothing counts, as passing every cell. Leaving it out
-            loses most of the value of open space.
-        edges: (n + 1,) increasing distances at which the cells begin and end, in the unit of the
-            noise; 0 ... n when absent.
+        probability: probability of occupancy (n,), nearest cell first.
+        sensor: update of a cell by a measurement: the `InverseSensorModel` of the map with its
+            clamp, or `IdealSensor()` for Shannon's mutual information. The default
+            `InverseSensorModel.from_odds()` adds log-odds of 0.85 and -0.4 without a clamp.
+        noise: range noise: `GaussianNoise` (exact or banded), `UniformNoise` or `ToeplitzNoise`;
+            None for no noise.
+        no_return: whether a beam that meets nothing counts as passing every cell. Without it most
+            of the information of open space is lost.
+        edges: increasing distances (n + 1,) at which the cells begin and end, in the unit of the
+            noise; 0 ... n by default.
 
     Raises:
         ValueError: no cells, a probability outside [0, 1], edges that do not fit or increase.
@@ -94,14 +96,22 @@ def contributions(
     cell_size: float | None,
     in_range: Bool[Array, " n"] | None = None,
 ) -> Float[Array, " n"]:
-    """Return what each cell contributes, from the gains of the cells: this module's formula.
+    """Return the contribution of each cell [nat], v_k of this module's formula.
 
-    Cells out of range, all at the far end, only fill the array: a reading there is discarded.
+    Args:
+        probability: probability of occupancy (n,), nearest cell first.
+        gains: information gained in each cell by either measurement.
+        noise: range noise, or None.
+        no_return: whether a beam that meets nothing counts as passing every cell.
+        edges: distances (n + 1,) at which the cells begin and end.
+        cell_size: side of a grid cell in the unit of `edges`; None if the cells are not grid cells.
+        in_range: mask (n,) of the cells within the range; the others pad the far end of the array,
+            and a reading there is discarded.
     """
     passed = jnp.cumprod(1.0 - probability)
     hit = probability * jnp.concatenate([jnp.ones(1), passed[:-1]])
     if noise is None and no_return:
-        behind = passed  # reading behind k, or none: the beam passed k
+        behind = passed  # without noise: a reading behind k, or none, means the beam passed k
     else:
         if noise is not None:
             hit = noise.measured(hit, edges, cell_size)
@@ -122,16 +132,18 @@ def cauchy_schwarz_information(
         I_CS = ln sum_l w_l N(0; 2 s^2) + ln [ prod_i q_i sum_ij p_i p_j N(mu_i - mu_j; 2 s^2) ]
                - 2 ln sum_ij p_i w_j N(mu_i - mu_j; 2 s^2)
 
-    with p the probabilities of the first hit, the one of no return last and at the end of the last
-    cell, `q = o^2 + (1 - o)^2` and `w_l = p_l^2 prod_{k>l} q_k`. Charrow, Liu, Kumar and Michael,
-    "Information-theoretic mapping using Cauchy-Schwarz quadratic mutual information", ICRA 2015,
-    eq. 8. It is a divergence of its own, not comparable in size with nats of Shannon's, and knows
-    no inverse sensor model.
+    with p the probabilities of the first hit, `q = o^2 + (1 - o)^2` and
+    `w_l = p_l^2 prod_{k>l} q_k`. The last entry of p is the probability of no return, at the end of
+    the last cell. I_CS is another divergence than Shannon's: its values are not comparable with
+    nats, and it does not use an inverse sensor model.
+
+    Source: Charrow, Liu, Kumar and Michael, "Information-theoretic mapping using Cauchy-Schwarz
+    quadratic mutual information", ICRA 2015, eq. 8.
 
     Args:
-        probability: (n,) of being occupied, nearest cell first.
-        std: of the range noise, s, in the unit of `edges`.
-        edges: (n + 1,) distances at which the cells begin and end; 0 ... n when absent.
+        probability: probability of occupancy (n,), nearest cell first.
+        std: standard deviation s of the range noise, in the unit of `edges`.
+        edges: distances (n + 1,) at which the cells begin and end; 0 ... n by default.
 
     Raises:
         ValueError: no cells, a probability outside [0, 1], edges that do not fit or increase, a
@@ -147,7 +159,7 @@ def cauchy_schwarz_information(
     square = values * values + free * free
     passed = jnp.concatenate([jnp.ones(1), jnp.cumprod(free)])
     first_hit = jnp.append(values, 1.0) * passed
-    # w divided by the product of all q, which cancels: of long beams both would underflow.
+    # w is divided by the product of all q, which cancels in I_CS: for long beams both underflow.
     passed_square = jnp.concatenate([jnp.ones(1), jnp.cumprod(free * free / square)])
     weight = jnp.append(values * values / square, 1.0) * passed_square
     centre = jnp.append(0.5 * (edges[1:] + edges[:-1]), edges[-1])

@@ -1,18 +1,18 @@
-"""Beams from a whole lattice of poses at once, by shifts of the map instead of rays.
+"""Compute the information of beams from a whole lattice of poses by shifting the map.
 
-In one direction the rays of all cells cross the same cells relative to their own. So what a beam is
-worth follows for all poses together, from the beams' far end to their near end, by a recursion over
-whole shifted maps: exact cell traversal without a single gather. With `a = 1 - o` and f the cells'
-gains, the double sum of `jaxplore.information.beam` is
+In one direction, the rays from all cells cross the same offsets. So the information of a beam is
+computed for all poses together by a recursion over shifted maps, from the far end of the beams to
+their near end: exact cell traversal without gathers. With `a = 1 - o` and f the gains of the cells,
+the double sum of `jaxplore.information.beam` becomes
 
     V_s = o_s D_s + a_s (w_s f_emp,s K_{s+1} + V_{s+1})
     K_s = kappa_s o_s + a_s K_{s+1},            K_n = 1 if no return counts, else 0
     D_s = sum_k G_ks (w_k f_occ,k + E_k - E_s), E_k = sum_{i<k} w_i f_emp,i
 
-where w is the share of a cell that is the beam's, `kappa_s = sum_k G_ks` the readings that noise
-does not discard and K the probability that a reading, or none, is counted at all. E_k - E_s runs
-over the cells between the two, so D_s needs the cells around s only, as far as noise goes. Without
-noise and with no return this is the one multiplication and addition per cell of
+w is the beam's share of a cell, `kappa_s = sum_k G_ks` the probability that noise keeps the reading
+within the beam, and K the probability that the outcome of the beam counts. E_k - E_s is a sum over
+the cells between s and k, so D_s depends only on cells around s within the reach of the noise.
+Without noise, and with no return counted, this reduces to one multiplication and addition per cell:
 
     V_s = w_s b_s + a_s V_{s+1},                b = o f_occ + a f_emp
 """
@@ -34,35 +34,35 @@ from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 
 UNROLL = 8
-"""Cells per pass over the map: what is between is kept in registers, twice as fast as one."""
+"""Cells per pass over the map: values in between stay in registers, twice as fast as one cell."""
 NEGLIGIBLE = 1e-6
-"""Share of the readings below which noise does not reach a cell."""
+"""Probabilities of a reading in a cell below this are set to zero."""
 
 Read = Callable[[int, Array], Array]
-"""Gives a channel's values (rows, columns) at the nodes of a lattice, from where they start."""
+"""Function from a channel and a start index to the channel's values (rows, columns)."""
 
 
 class CellMaps(eqx.Module):
-    """What beams read of a map: channels, each split by `index % stride` into S = stride^2 phases.
+    """Channels of a map, each split by `index % stride` into S = stride^2 phases.
 
-    So every strided read of cells is a slice of neighbours. Margins absorb: off the map nothing
-    passes (a = 0) and nothing is learned.
+    The split makes every strided read a slice of adjacent values. Cells in the margins absorb
+    beams: off the map nothing passes (a = 0) and nothing is learned.
     """
 
     channels: tuple[Float[Array, "S h w"], ...]
 
 
 class BeamTable(eqx.Module):
-    """Which cells the beams from a cell's centre cross, and how much each counts.
+    """Table of the cells that beams from a cell's centre cross, with the weight of each cell.
 
     Args:
-        angles: (D,) directions in the grid's frame, from the column axis to the row axis [rad].
-        length: how far a beam reaches [cells].
-        stride: cells between the poses of the lattice.
-        share: beams that each direction stands for.
-        spacing: angle between beams, for the share of a near cell that is one beam's [rad]; None
-            to count every cell of every beam fully.
-        noise: of the range; None for none.
+        angles: directions (D,) in the grid's frame, from the column axis to the row axis [rad].
+        length: length of a beam [cells].
+        stride: number of cells between the poses of the lattice.
+        share: number of beams that each direction stands for.
+        spacing: angle between beams, which gives the share of a near cell that belongs to one beam
+            [rad]; None to count every cell of every beam fully.
+        noise: range noise; None for no noise.
         resolution: side of a cell, in the unit of the noise [m].
         no_return: whether a beam that meets nothing counts.
     """
@@ -104,7 +104,7 @@ class BeamTable(eqx.Module):
 
     @property
     def num_directions(self) -> int:
-        """D."""
+        """Number of directions, D."""
         return int(self.weight.shape[0])
 
     def maps(
@@ -115,15 +115,14 @@ class BeamTable(eqx.Module):
         margin: tuple[tuple[int, int], tuple[int, int]] = ((0, 0), (0, 0)),
         interest: GridValues | None = None,
     ) -> CellMaps:
-        """Return what beams read of a piece of a map.
+        """Precompute the channels that beams read from a map or a part of it.
 
         Args:
-            probability: (H, W) of being occupied.
-            is_inside: (H, W) which cells are on the map; None for all.
-            sensor: what a measurement does to a cell.
-            margin: absorbing rows before and after, columns before and after.
-            interest: (H, W) what a look into each cell, past which a beam goes, is worth on top
-                [nat].
+            probability: probability of occupancy (H, W).
+            is_inside: mask (H, W) of the cells that are on the map; None for all.
+            sensor: update of a cell by a measurement.
+            margin: number of absorbing rows before and after, and columns before and after.
+            interest: additional information (H, W) of observing each cell that a beam passes [nat].
         """
         probability = settled(probability, sensor)
         if self.is_simple:
@@ -136,7 +135,8 @@ class BeamTable(eqx.Module):
                 channels[2] = channels[2] + interest
         if is_inside is not None:
             channels = [jnp.where(is_inside, channel, 0.0) for channel in channels]
-        # Materialised once: fused into the padding, logarithms would be evaluated many times.
+        # The barrier makes XLA compute the channels once. Fused into the padding, their logarithms
+        # would be evaluated once per phase.
         barrier = jax.lax.optimization_barrier
         stacked: Array = barrier(jnp.stack(channels))  # type: ignore[no-untyped-call]
         step = self.stride
@@ -157,7 +157,13 @@ class BeamTable(eqx.Module):
     def is_open(
         self, maps: CellMaps, first: Int[Array, "2"], shape: tuple[int, int]
     ) -> Bool[Array, "rows columns"]:
-        """Say at which nodes a robot can be: on the map and not in what is known to be occupied."""
+        """Return the mask of the nodes at which a robot can be: on the map and not occupied.
+
+        Args:
+            maps: channels of the map.
+            first: cell (row, column) of node (0, 0) in `maps`.
+            shape: rows and columns of nodes.
+        """
         passing = self._read(maps, shape)(0, self._starts(first, jnp.zeros(2, jnp.int32)))
         return passing >= 1.0 - OCCUPIED_THRESHOLD
 
@@ -168,13 +174,13 @@ class BeamTable(eqx.Module):
         shape: tuple[int, int],
         direction: Int[Array, ""],
     ) -> Float[Array, "rows columns"]:
-        """Return what the beams of one direction are worth from every node of a lattice [nat].
+        """Return the information of the beams in one direction, from every node of a lattice [nat].
 
         Args:
-            maps: with cells at least `reach` farther than the nodes on every side.
-            first: (row, column) in `maps` of the cell of node (0, 0).
+            maps: channels of the map, at least `reach` cells wider than the nodes on every side.
+            first: cell (row, column) of node (0, 0) in `maps`.
             shape: rows and columns of nodes.
-            direction: which of the D.
+            direction: index of the direction, 0 to D - 1.
         """
         read, start = self._read(maps, shape), self._starts(first, self.offset[direction])
         if self.is_simple:
@@ -182,17 +188,18 @@ class BeamTable(eqx.Module):
         return self._general(read, start, shape, direction)
 
     def _starts(self, first: Array, offset: Array) -> Array:
-        """Return where the slices of the cells at offsets (..., 2) from the nodes start, (..., 3).
+        """Return the start indices (..., 3) of the slices at offsets (..., 2) from the nodes.
 
-        For a whole ray at once: an index that each slice computed for itself would be a dozen
-        operations to compile, each time."""
+        They are computed for a whole ray at once. Computed per slice, each would add a dozen
+        operations to the program.
+        """
         step = self.stride
         cell = first + offset
         phase = cell % step
         return jnp.concatenate([phase[..., :1] * step + phase[..., 1:], cell // step], axis=-1)
 
     def _read(self, maps: CellMaps, shape: tuple[int, int]) -> Read:
-        """Return a function that gives a channel's (rows, columns) from where they start."""
+        """Return a function that slices (rows, columns) of a channel at a start index."""
 
         def read(channel: int, start: Array) -> Array:
             phase, row, column = (jax.lax.index_in_dim(start, k, keepdims=False) for k in range(3))
@@ -202,7 +209,8 @@ class BeamTable(eqx.Module):
         return read
 
     def _simple(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
-        # Rays are padded at their far end with cells of no weight, where V is still 0.
+        """Evaluate the recursion without noise, with no return counted."""
+        # Rays are padded at their far end with cells of weight 0, where V is still 0.
         starts, weights = _padded(start), _padded(self.weight[direction])
         blocks = -(-self.length[direction] // UNROLL)
 
@@ -217,6 +225,8 @@ class BeamTable(eqx.Module):
         return value
 
     def _general(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
+        """Evaluate the recursion with noise, or without counting no return."""
+        # `value` is V, `counted` is K, and `worth` is C relative to the first cell of the window.
         taps = self.reading.shape[-1]
         width = taps // 2
         end = 1.0 if self.no_return else 0.0
@@ -230,7 +240,7 @@ class BeamTable(eqx.Module):
         def nearer(block: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
             value, counted = carry
             nearest = (blocks - 1 - block) * UNROLL
-            # What a reading in each cell around is worth, counted from the first of them: C.
+            # Information C of a reading in each cell of the window, summed from its first cell.
             passed, before, worth, free = jnp.zeros(shape), [], [], []
             cells, shares = (
                 _parts(rows, nearest, UNROLL + 2 * width) for rows in (starts, weights)
@@ -264,13 +274,13 @@ def window_maps(
     first: Array,
     shape: tuple[int, int],
 ) -> tuple[CellMaps, Array]:
-    """Return the maps around a lattice of nodes anywhere, and where in them its first node is.
+    """Return the channels around a lattice of nodes, and the position of its first node in them.
 
     Args:
-        table: the beams.
-        belief: the map.
-        sensor: what a measurement does to a cell.
-        first: (row, column) of the cell of node (0, 0); on the map or off it.
+        table: table of the beams.
+        belief: occupancy grid.
+        sensor: update of a cell by a measurement.
+        first: cell (row, column) of node (0, 0); it may be off the map.
         shape: rows and columns of nodes; static.
     """
     reach = table.reach
@@ -283,14 +293,18 @@ def window_maps(
     piece = belief.probability[jnp.clip(rows, 0, height - 1)]
     piece = piece[:, jnp.clip(columns, 0, width - 1)]
     is_inside = is_row[:, None] & is_column[None, :]
-    # A row of phases more than the slices need, at the far end.
+    # Add a row and a column of phases at the far end, so that no slice reaches beyond the array.
     margin = ((0, table.stride), (0, table.stride))
     maps = table.maps(piece, is_inside, sensor, margin)
     return maps, jnp.full(2, reach, jnp.int32)
 
 
 def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> np.ndarray:
-    """Return the share of each cell that is one beam's, `min(1, r dtheta)`, r in its middle."""
+    """Return the share of each cell that belongs to one beam, `min(1, r dtheta)`.
+
+    r is the distance to the middle of the beam's section in the cell [cells], and dtheta the angle
+    between beams. Near the sensor several beams cross one cell, and each gets its share.
+    """
     if spacing is None:
         return np.ones_like(entry)
     share: np.ndarray = np.minimum(1.0, 0.5 * (entry + exit_) * spacing)
@@ -298,7 +312,7 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
 
 
 def _parts(values: Array, first: Array, count: int) -> list[Array]:
-    """Return `count` entries from the first on."""
+    """Return `count` entries of an array as a list, starting at index `first`."""
     some: Array = jax.lax.dynamic_slice_in_dim(values, first, count)
     return [jax.lax.index_in_dim(some, part, keepdims=False) for part in range(count)]
 
@@ -311,8 +325,11 @@ def _padded(values: Array) -> Array:
 def _readings(
     entry: np.ndarray, exit_: np.ndarray, noise: RangeNoise | None, resolution: float
 ) -> np.ndarray:
-    """Return G by distance in cells of the ray, (D, N, 2 width + 1): of the first hits in cell s,
-    what is measured in cells s - width ... s + width."""
+    """Tabulate the range noise as a band, (D, N, 2 width + 1).
+
+    Entry [d, s, i] is the probability G of a reading in cell s - width + i of ray d, given that the
+    first hit is in cell s. The width is the reach of the noise in cells.
+    """
     is_cell = np.isfinite(exit_)
     directions, size = exit_.shape
     if noise is None:

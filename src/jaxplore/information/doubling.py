@@ -1,20 +1,21 @@
-"""Long beams from every cell of a map, at a cost that grows with the logarithm of their length.
+"""Compute the information of long beams from every cell at a cost logarithmic in their length.
 
-A ray from the centre of a cell whose direction is a vector (p, q) of whole numbers without a common
-divisor passes the centre of the cell (p, q) farther on, and from there everything repeats. So what
-happens over one such period, seen from every cell, is a pair of maps (A, B),
+A ray from the centre of a cell in the direction of an integer vector (p, q) without a common
+divisor passes through the centre of the cell (p, q) farther on, and from there its cells repeat.
+The effect of one such period, for every cell, is a pair of maps (A, B) with
 
-    value from here = B + A (value from one period on),
+    information from here = B + A (information from one period on),
 
-and 2, 4, 8 ... periods follow by composing a pair with itself, shifted (theory 1.1):
+and 2, 4, 8 ... periods follow by composing a pair with its own shifted copy (theory 1.1):
 
     (A, B) after (A', B') = (A A', B + A B').
 
-Any length is a few of these pairs and what is left at its end, cell by cell. Every ray crosses its
-cells exactly; only the directions are chosen, within their sectors, among those that repeat.
+A beam of any length is a few of these pairs and a rest, which is followed cell by cell. The cells
+of every ray are exact; only the directions are chosen, within their sectors, among periodic ones.
 
-Near the sensor, where a cell counts less the closer it is, beams are followed cell by cell: up to
-where they are a cell apart, which depends on the number of beams and not on their length.
+Near the sensor a cell counts less the closer it is, because several beams share it. There beams are
+followed cell by cell, up to the distance at which they are one cell apart. That distance depends on
+the number of beams, not on their length.
 """
 
 import math
@@ -33,25 +34,25 @@ from jaxplore.information.gain import CellSensor, expected_gain, settled
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 
 WORTHWHILE = 140.0
-"""Cells of a beam, beyond those near the sensor, from which doubling was measured to be faster."""
+"""Cells per beam, beyond those near the sensor, from which doubling is faster (measured)."""
 UNROLL = 4
-"""Cells followed per pass over the map."""
+"""Cells that are followed per pass over the map."""
 
 
 def is_faster(length: float, stride: int, spacing: float | None) -> bool:
-    """Say whether doubling beats following every cell of the beams.
+    """Return whether doubling is faster than following every cell of the beams.
 
     Args:
-        length: of a beam [cells].
-        stride: cells between nodes; doubling evaluates every cell whatever the stride.
-        spacing: angle between beams if near cells count less [rad].
+        length: length of a beam [cells].
+        stride: number of cells between nodes; doubling evaluates every cell whatever the stride.
+        spacing: angle between beams [rad]; None if near cells are not shared among beams.
     """
     near = 0.0 if spacing is None else 1.0 / spacing
     return length - near > WORTHWHILE * stride * stride
 
 
 class Segment(eqx.Module):
-    """Cells of a ray to be followed one by one: offsets and shares, padded where not `is_cell`."""
+    """Cells of a ray that are followed one by one: offsets, shares, and a mask of the padding."""
 
     offset: Int[Array, "... N 2"]
     weight: Float[Array, "... N"]
@@ -59,15 +60,15 @@ class Segment(eqx.Module):
 
 
 class Doubling(eqx.Module):
-    """The beams of all cells of a map in D directions, noise-free and with no return.
+    """Beams from all cells of a map in D directions, without noise and with no return counted.
 
     Args:
-        angles: (D,) middles of the sectors [rad].
-        length: how far a beam reaches [cells].
-        stride: cells between the nodes whose values are returned.
-        share: beams that each direction stands for.
-        spacing: angle between beams, for the share of a near cell that is one beam's [rad]; None to
-            count every cell of every beam fully.
+        angles: centres (D,) of the sectors [rad].
+        length: length of a beam [cells].
+        stride: number of cells between the nodes whose values are returned.
+        share: number of beams that each direction stands for.
+        spacing: angle between beams, which gives the share of a near cell that belongs to one beam
+            [rad]; None to count every cell of every beam fully.
     """
 
     period: Int[Array, "D 2"]
@@ -94,13 +95,15 @@ class Doubling(eqx.Module):
     ) -> None:
         self.share, self.stride = float(share), stride
         near_length = 0.0 if spacing is None else min(length, 1.0 / spacing)
-        # Well within its sector; the shorter a period, the fewer cells are followed one by one.
+        # The direction may deviate by a quarter of its sector. A wider tolerance allows shorter
+        # periods, and so fewer cells that are followed one by one.
         tolerance = 0.25 * 2.0 * np.pi / len(angles)
         period, sign, counts, parts = [], [], [], []
         for angle in angles:
             vector = _shortest_period(angle, tolerance)
             step = math.hypot(*vector)
             positive = math.atan2(abs(vector[0]), abs(vector[1]))
+            # Split the ray into cells near the sensor, whole periods, and the rest.
             ray = ray_offsets(np.array([positive]), length)
             offset, entry, leave = ray.offset[0], ray.entry[0], ray.exit[0]
             size = int(np.isfinite(leave).sum())
@@ -135,12 +138,12 @@ class Doubling(eqx.Module):
     def beams(
         self, probability: GridValues, sensor: CellSensor, interest: GridValues | None = None
     ) -> Float[Array, "D rows columns"]:
-        """Return what the beams of each direction are worth from every node [nat].
+        """Return the information of the beams in each direction, from every node [nat].
 
         Args:
-            probability: (H, W) of being occupied.
-            sensor: what a measurement does to a cell.
-            interest: (H, W) what a look at each cell is worth on top [nat].
+            probability: probability of occupancy (H, W).
+            sensor: update of a cell by a measurement.
+            interest: additional information (H, W) of observing each cell that a beam passes [nat].
         """
         probability = settled(probability, sensor)
         gain = expected_gain(probability, sensor)
@@ -151,7 +154,7 @@ class Doubling(eqx.Module):
         height, width = probability.shape
 
         def facing(direction: Array, values: Array) -> Array:
-            """Turn the map so that the beams go up its rows and columns."""
+            """Flip the map so that the beams run towards greater rows and columns."""
             down, right = self.sign[direction, 0] < 0, self.sign[direction, 1] < 0
             values = jnp.where(down, values[::-1], values)
             return jnp.where(right, values[:, ::-1], values)
@@ -160,7 +163,7 @@ class Doubling(eqx.Module):
             passing, worth = facing(number, 1.0 - probability), facing(number, gain)
             value = self._one(passing, worth, number)
             value = jnp.where(is_open, facing(number, value), 0.0)
-            # A node beyond the map has nothing to see.
+            # Pad so that there is a node in every started block of cells; off the map it is 0.
             more = [-size % step if size % step <= middle else 0 for size in (height, width)]
             return jnp.pad(value, [(0, more[0]), (0, more[1])])[middle::step, middle::step]
 
@@ -168,8 +171,13 @@ class Doubling(eqx.Module):
         return values
 
     def _one(self, passing: Array, gain: Array, direction: Array) -> Array:
+        """Return the information (H, W) of the beams in one direction, from every cell.
+
+        Longer than 60 lines because every helper shares the padded maps of the direction.
+        """
         height, width = shape = passing.shape
-        # Beyond the map nothing passes and nothing is learned: zeros, which stay where they are.
+        # Pad with zeros: off the map nothing passes and nothing is learned. Shifts beyond the map
+        # are cut to its size, where everything is zero already.
         farthest = jnp.asarray([min(self.reach, height), min(self.reach, width)], jnp.int32)
         empty = jnp.zeros((height + min(self.reach, height), width + min(self.reach, width)))
 
@@ -187,7 +195,7 @@ class Doubling(eqx.Module):
         period = self.period[direction]
 
         def follow(segment: Segment, value: Array) -> Array:
-            """Go along the cells of a segment, from its far end to its near end."""
+            """Follow the cells of a segment from its far end to its near end."""
             last = segment.weight.shape[-1] - 1
 
             def nearer(block: Array, value: Array) -> Array:
@@ -204,6 +212,7 @@ class Doubling(eqx.Module):
             return result
 
         def pass_period(block: Array, value: Array) -> Array:
+            """Multiply by the probability of passing the cells of one period: A."""
             for part in range(UNROLL):
                 index = block * UNROLL + part
                 through = shifted(passings, self.cells.offset[direction, index]) * value
@@ -216,6 +225,7 @@ class Doubling(eqx.Module):
         value = follow(self.rest, jnp.zeros(shape))
 
         def level(number: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
+            """Add 2^number periods if the number of periods has that bit set; then double."""
             through, within, value, position = carry
             is_part = (self.num_far[direction] >> number) & 1
             position = position - (is_part << number)
@@ -241,7 +251,8 @@ class Doubling(eqx.Module):
 
 
 def _shortest_period(angle: float, tolerance: float) -> np.ndarray:
-    """Return the shortest (row, column) of whole numbers with nearly this direction."""
+    """Return the shortest integer vector (row, column) within a tolerance of a direction [rad]."""
+    # Try all vectors of 1-norm 1, 2, 3, ...: the first hit has no common divisor.
     size = 0
     while True:
         size += 1
@@ -256,6 +267,7 @@ def _shortest_period(angle: float, tolerance: float) -> np.ndarray:
 
 
 def _segments(rays: list[tuple[np.ndarray, np.ndarray]]) -> Segment:
+    """Pad the offsets and shares of each ray to one length, a multiple of `UNROLL`."""
     longest = max(len(weight) for _, weight in rays)
     longest = max(UNROLL, -(-longest // UNROLL) * UNROLL)
     offset = np.zeros((len(rays), longest, 2), np.int32)

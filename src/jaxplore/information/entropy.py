@@ -1,4 +1,4 @@
-"""Entropy within a sensor's field of view: the plain gain of ground vehicles and cameras."""
+"""Sum the map entropy within a sensor's field of view: a simple information gain."""
 
 import math
 from collections.abc import Callable
@@ -20,38 +20,37 @@ from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.lidar import Lidar
 
 PoseGain = Callable[[OccupancyGrid, Position, Scalar], Scalar]
-"""What a pose is worth: `gain(grid, position, heading)` of one pose (2,), () is a scalar."""
+"""Information of a pose: `gain(grid, position, heading)` of one pose (2,) and () is a scalar."""
 
 
 class EntropyFan(eqx.Module):
-    """Entropy of the map over a fan of samples in front of a pose [nat], nearer samples first.
+    """Map entropy at samples along a fan of beams [nat], with a weight that decays with range:
 
         I(x, y, yaw) = sum over beams b, ranges r of
                        seen(b, r) h(p(x + r cos(yaw + a_b), y + r sin(yaw + a_b))) exp(-r / l)
 
-    with h the binary entropy of the cell that holds the sample, 0 off the map, ranges r in
+    with h the binary entropy of the cell that contains the sample (0 off the map), ranges r in
     `linspace(0, max_range, num_ranges)`, beam angles a_b of the lidar and the decay length l. The
     first sample of every beam is at the pose itself.
 
-    Without line of sight every sample is seen, through walls too. With it, those up to where the
-    beam leaves the first cell known to be occupied: the wall counts, what is behind it does not.
-    The wall is found by exact traversal, so none is stepped over however coarse the ranges are.
+    Without line of sight every sample counts, even behind walls. With it, samples count up to the
+    point at which the beam leaves the first occupied cell: the wall counts, the cells behind it do
+    not. The wall is found by exact traversal, so coarse ranges cannot step over it.
 
-    It is a sum over samples, not the information of a scan: a cell counts as often as samples fall
-    into it. `PoseInformation` is the measure that predicts what a scan brings. The sum is constant
-    but for jumps where samples change cells, so its gradient in the pose is 0; the interpolated
-    `pose_table` has a useful one.
+    The result is a sum over samples, not the information of a scan: a cell counts as often as
+    samples fall into it. `PoseInformation` predicts the information of a scan. The sum is piecewise
+    constant in the pose, so its gradient is 0; the interpolated `pose_table` has a useful gradient.
 
-    A pose off the map, in a cell known to be occupied or not finite is worth 0.
+    A pose that is off the map, in an occupied cell or not finite gets 0.
 
-    Ground-vehicle design notes, sections 5.2 (camera, here with line of sight) and 8.1 (lidar,
-    without).
+    Source: ground-vehicle design notes, sections 5.2 (camera, here with line of sight) and 8.1
+    (lidar, without line of sight).
 
     Args:
-        lidar: the beams: their number, range and field of view. Its noise is not read.
-        num_ranges: samples along each beam, R; static.
-        decay_length: distance at which a sample counts 1/e, l [m]; the lidar's range when absent.
-        line_of_sight: whether walls hide what is behind them; static.
+        lidar: sensor whose number of beams, range and field of view are used; its noise is not.
+        num_ranges: number of samples along each beam, R; static.
+        decay_length: distance l at which the weight of a sample is 1/e [m]; by default the range.
+        line_of_sight: whether walls occlude what is behind them; static.
 
     Raises:
         ValueError: no ranges, a decay length that is not positive.
@@ -86,14 +85,15 @@ class EntropyFan(eqx.Module):
         num_ranges: int = 20,
         decay_length: ArrayLike | None = None,
     ) -> "EntropyFan":
-        """Return the gain of a forward camera: its frustum seen from above, with line of sight.
+        """Build the gain of a forward camera: its frustum in the plane, with line of sight.
 
         Args:
-            horizontal_field_of_view: in (0, 2 pi] [rad], centred on the heading.
+            horizontal_field_of_view: field of view, in (0, 2 pi] [rad], centred on the heading.
             max_range: effective depth [m].
-            num_columns: directions over the field of view, the first and last on its edges.
-            num_ranges: samples along each direction.
-            decay_length: distance at which a sample counts 1/e [m]; `max_range` when absent.
+            num_columns: number of directions, with the first and the last on the edges of the view.
+            num_ranges: number of samples along each direction.
+            decay_length: distance at which the weight of a sample is 1/e [m]; by default
+                `max_range`.
 
         Raises:
             ValueError: a field of view outside (0, 2 pi], no columns or ranges, a range or decay
@@ -113,12 +113,12 @@ class EntropyFan(eqx.Module):
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]
     ) -> Float[Array, "*N"]:
-        """Return what one pose is worth, or each of N [nat].
+        """Return the gain of one pose, or of each of N poses [nat].
 
         Args:
-            grid: what is known.
-            position: (2,) or (N, 2), world (x, y) [m].
-            heading: () or (N,), world yaw [rad].
+            grid: occupancy grid of the robot.
+            position: world position (x, y), (2,) or (N, 2) [m].
+            heading: world yaw, () or (N,) [rad].
 
         Raises:
             ValueError: other shapes.
@@ -146,6 +146,7 @@ class EntropyFan(eqx.Module):
         def beam(angle: Scalar) -> Scalar:
             direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
             cell = jnp.floor(start + depth[:, None] * direction).astype(jnp.int32)
+            # Samples off the map read an index out of bounds, which is filled with 0.
             index = cell[:, 0] * width + cell[:, 1]
             index = jnp.where(grid.contains(cell), index, height * width)
             sample = entropy.reshape(-1).at[index].get(mode="fill", fill_value=0.0)
@@ -157,7 +158,7 @@ class EntropyFan(eqx.Module):
         return jnp.where(is_open, total, 0.0)
 
     def _sight(self, grid: OccupancyGrid, start: Position, angle: Scalar) -> Scalar:
-        """Return where a beam leaves the first cell known to be occupied [cells]."""
+        """Return the distance at which a beam leaves the first occupied cell [cells]."""
         cells = traverse(start, angle, self.lidar.max_range / grid.resolution)
         is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
         return jnp.where(is_wall, cells.exit, jnp.inf).min()
@@ -166,22 +167,23 @@ class EntropyFan(eqx.Module):
 def pose_table(
     gain: PoseGain, grid: OccupancyGrid, num_headings: int = 16, *, batch_size: int = 256
 ) -> HeadingField:
-    """Return the lookup table of a gain: its value at every cell centre and heading of a map.
+    """Build a lookup table of a gain at every cell centre and heading of a map.
 
-    Row i, column j, n of the values (H, W, num_headings) is `gain` at the centre of cell (i, j),
-    heading `n 2 pi / num_headings` from the map's x axis. A lookup is then O(1), exact at the
-    nodes, trilinear in between and 0 beyond the outermost centres. Ground-vehicle design notes,
-    section 8.1.
+    Entry [i, j, n] of the values (H, W, num_headings) is `gain` at the centre of cell (i, j) with
+    heading `n 2 pi / num_headings` from the map's x axis. A look-up is O(1), exact at the nodes,
+    trilinear in between and 0 beyond the outermost centres.
 
-    That is H W num_headings evaluations, `batch_size` of them at a time, so memory stays bounded.
-    Where it is called more than once, call it from a compiled function (`equinox.filter_jit`).
+    The table takes H W num_headings evaluations, `batch_size` at a time, so memory stays bounded.
+    To call it repeatedly, call it from a compiled function (`equinox.filter_jit`).
+
+    Source: ground-vehicle design notes, section 8.1.
 
     Args:
         gain: `gain(grid, position, heading)` of one pose, (2,) [m] and () [rad]: an `EntropyFan`,
             a `PoseInformation` or a function.
-        grid: what is known.
-        num_headings: headings of the table.
-        batch_size: poses evaluated at once.
+        grid: occupancy grid of the robot.
+        num_headings: number of headings in the table.
+        batch_size: number of poses that are evaluated at once.
 
     Raises:
         ValueError: no headings, an empty batch.

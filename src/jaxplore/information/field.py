@@ -1,4 +1,4 @@
-"""The information of a scan, for every pose of a map and every field of view, read in O(1)."""
+"""Look up the expected information of a scan at any pose and field of view in O(1)."""
 
 import math
 
@@ -19,16 +19,16 @@ class InformationField(eqx.Module):
     """Expected information of a scan at any position, heading and field of view, in O(1).
 
     `sectors[d, row, column]` is the information of the beams in the d-th of D equal sectors of the
-    circle at a node, and `cumulative[d]` that of the first d of them, so that with linear
-    interpolation over direction
+    circle at a node. `cumulative[d]` is the sum over the first d sectors. With S the cumulative
+    information, interpolated linearly over direction,
 
         I(x, y, yaw, fov) = S(yaw + fov / 2) - S(yaw - fov / 2)                          [nat]
 
-    (theory: a circular prefix sum over directions). Over the full circle that is `total`. Bilinear
-    between nodes, exact at them, 0 outside, which begins right behind the outermost nodes.
+    (theory: a circular prefix sum over directions). Over the full circle it is `total`. The field
+    is exact at the nodes, bilinear between them, and 0 beyond the outermost nodes.
 
-    `source` is the map that the field was made from: what has changed since is what `FieldSensor`
-    brings up to date.
+    `source` is the occupancy (H, W) from which the field was computed; `FieldSensor.update`
+    recomputes only what changed since.
     """
 
     sectors: Float[Array, "D rows columns"]
@@ -40,18 +40,18 @@ class InformationField(eqx.Module):
 
     @property
     def total(self) -> Float[Array, "rows columns"]:
-        """Information of a full turn of beams at each node [nat]."""
+        """Information of a full circle of beams at each node [nat]."""
         return self.cumulative[-1]
 
     def __call__(
         self, position: Position, heading: Scalar, field_of_view: float | None = None
     ) -> Scalar:
-        """Return the information of a scan [nat].
+        """Return the expected information of a scan [nat].
 
         Args:
-            position: (x, y) [m].
+            position: position (x, y) of the sensor [m].
             heading: centre of the field of view [rad].
-            field_of_view: in (0, 2 pi] [rad]; static; the sensor's own when absent.
+            field_of_view: field of view, in (0, 2 pi] [rad]; static. By default the sensor's own.
 
         Raises:
             ValueError: a field of view outside (0, 2 pi].
@@ -59,6 +59,7 @@ class InformationField(eqx.Module):
         view = self._view(field_of_view)
         height, width = self.cumulative.shape[1:]
         nodes = stencil((height, width), self.frame.to_grid(position), 0.0)
+        # A full circle needs no interpolation over direction, and does not depend on the heading.
         if view >= 2.0 * math.pi - 1e-6:
             return gather(self.cumulative, nodes, 0.0, self.sectors.shape[0])
         is_finite = jnp.isfinite(heading)
@@ -70,8 +71,9 @@ class InformationField(eqx.Module):
         """Return the information at the nodes for equally spaced headings.
 
         Args:
-            num_headings: N; heading n is `n 2 pi / N` from the lattice's x axis.
-            field_of_view: in (0, 2 pi] [rad]; the sensor's own when absent.
+            num_headings: number of headings, N; heading n is `n 2 pi / N` from the lattice's x
+                axis.
+            field_of_view: field of view, in (0, 2 pi] [rad]; by default the sensor's own.
 
         Raises:
             ValueError: no headings, a field of view outside (0, 2 pi].
@@ -79,7 +81,8 @@ class InformationField(eqx.Module):
         count = _checks.positive_int("num_headings", num_headings)
         view = self._view(field_of_view)
         sectors = self.sectors.shape[0]
-        # How much of each sector every heading sees, turns included.
+        # Fraction of each sector within the view of each heading. The view may wrap around the
+        # circle, so sectors are repeated for several turns.
         covered = np.zeros((count, sectors))
         width = 2.0 * math.pi / sectors
         low = width * np.arange(sectors)
@@ -99,7 +102,7 @@ class InformationField(eqx.Module):
         )
 
     def _until(self, nodes: Stencil, angle: Scalar) -> Scalar:
-        """Return S(angle), continued over full turns: `S(angle + 2 pi) = S(angle) + total`."""
+        """Return S(angle), extended beyond one turn by `S(angle + 2 pi) = S(angle) + total`."""
         sectors = self.sectors.shape[0]
         sector = angle * (sectors / (2.0 * math.pi))
         turns = jnp.floor(sector / sectors)

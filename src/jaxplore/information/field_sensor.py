@@ -1,4 +1,4 @@
-"""The information of a scan from every node of a lattice over a map, in all directions."""
+"""Compute the expected information of a scan from every node of a lattice, in all directions."""
 
 from typing import NamedTuple
 
@@ -21,44 +21,47 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 
 TILE = 40
-"""Nodes on a side of the pieces that are evaluated at a time: they stay in the cache."""
+"""Nodes on a side of the tiles that are evaluated at a time: a tile fits the CPU's cache."""
 SUMS = 8
-"""Directions added up at a time."""
+"""Directions that are added up per loop iteration."""
 BLOCKS = 5
-"""Blocks on a side of a tile, in which changed cells are looked for."""
+"""Blocks on a side of a tile; changed cells are detected per block."""
 
 
 class Values(NamedTuple):
-    """Values of sectors (D, rows, columns), and the sums of the first d of them."""
+    """Information of the sectors (D, rows, columns), and sums over the first d sectors."""
 
     sectors: Array
     cumulative: Array
 
 
 class FieldSensor(eqx.Module):
-    """What a lidar's scan is worth from every node of a lattice over a map, in all directions.
+    """Evaluates the expected information of a scan on a lattice over a map, in all directions.
 
-    Made once per sensor, map resolution and number of directions. It gives `PoseInformation` at its
-    nodes, with one beam in the middle of each sector standing for all of the sector's.
+    Build it once per sensor, map resolution and number of directions. At the nodes it gives
+    `PoseInformation`, with one beam in the middle of each sector representing all beams of the
+    sector.
 
-    The cost grows with nodes x directions x cells of a beam; where beams are so long that it pays
-    (`method`), with the logarithm of their length (`jaxplore.information.doubling`).
+    The cost is proportional to nodes x directions x cells per beam. For very long beams another
+    method, whose cost grows with the logarithm of their length, is faster
+    (`jaxplore.information.doubling`).
 
     Args:
-        lidar: the sensor, a lidar or a camera; its range and its beams' spacing matter here, its
-            field of view when the field is looked up. It is taken to look straight ahead over flat
-            ground: hills, and what is below or above a camera's view, are not accounted for.
+        lidar: sensor, a lidar or a camera. Its range and beam spacing are used here, its field of
+            view when the field is looked up. The view is taken as level over flat ground: hills and
+            the vertical view of a camera are ignored.
         resolution: side of a map cell [m].
-        num_directions: D, directions evaluated; each stands for the beams of its sector.
-        stride: cells between nodes of the field.
-        noise: of the range [m]; None for none.
+        num_directions: number of directions, D; each represents the beams of its sector.
+        stride: number of cells between nodes of the field.
+        noise: range noise [m]; None for no noise.
         no_return: whether a beam that meets nothing counts.
         near_weight: whether near cells are shared among beams.
-        method: "scan", "doubling" (without noise, with no return), or None for the faster one.
+        method: "scan", "doubling" (only without noise and with no return counted), or None for the
+            faster one.
 
     Raises:
-        ValueError: a number that is not positive, an unknown method, doubling with noise or without
-            no return.
+        ValueError: a number that is not positive, an unknown method, doubling with noise or with
+            `no_return` False.
     """
 
     table: BeamTable
@@ -90,6 +93,7 @@ class FieldSensor(eqx.Module):
             raise ValueError(
                 "method is 'doubling'; accepted with noise or without no_return: 'scan'"
             )
+        # One beam in the middle of each sector stands for all beams of the sensor within it.
         angles = (np.arange(count) + 0.5) * (2.0 * np.pi / count)
         length = lidar.max_range / resolution
         spacing = lidar.beam_spacing if near_weight and lidar.num_beams > 1 else None
@@ -99,6 +103,7 @@ class FieldSensor(eqx.Module):
             method is None and is_simple and is_faster(length, stride, spacing)
         ):
             self.doubling = Doubling(angles, length, stride, share=share, spacing=spacing)
+            # The table of single cells is then unused: keep it small.
             angles, length = np.asarray(self.doubling.angles), 1.0
         self.table = BeamTable(
             angles,
@@ -116,7 +121,7 @@ class FieldSensor(eqx.Module):
 
     @property
     def stride(self) -> int:
-        """Cells between nodes."""
+        """Number of cells between nodes."""
         return self.table.stride
 
     def field(
@@ -125,13 +130,13 @@ class FieldSensor(eqx.Module):
         sensor: CellSensor,
         interest: GridValues | None = None,
     ) -> InformationField:
-        """Return the information field of a whole map.
+        """Compute the information field of a whole map.
 
         Args:
-            belief: the map; of the resolution that this was made for.
-            sensor: what a measurement does to a cell.
-            interest: (H, W) what a look into each cell is worth on top, if a beam passes it [nat]:
-                what is looked for may be there, see `IdlenessMap`.
+            belief: occupancy grid, of the resolution given at construction.
+            sensor: update of a cell by a measurement.
+            interest: additional information (H, W) of observing each cell that a beam passes [nat],
+                for example of search or patrol; see `IdlenessMap`.
         """
         shape = self._lattice(belief)
         frame = self._frame(belief)
@@ -150,18 +155,18 @@ class FieldSensor(eqx.Module):
         position: Position,
         shape: tuple[int, int],
     ) -> InformationField:
-        """Return the field of a window around a position: as much as a local planner needs.
+        """Compute the information field of a window around a position, for a local planner.
 
-        Its cost does not depend on the size of the map. Nodes off the map have no information.
+        The cost does not depend on the size of the map. Nodes off the map have no information.
 
         Args:
-            belief: the map; of the resolution that this was made for.
-            sensor: what a measurement does to a cell.
-            position: world (x, y) [m]; the node at (rows // 2, columns // 2) is in its cell.
+            belief: occupancy grid, of the resolution given at construction.
+            sensor: update of a cell by a measurement.
+            position: world position (x, y) [m]; node (rows // 2, columns // 2) is in its cell.
             shape: rows and columns of nodes; static.
 
         Raises:
-            ValueError: a window without nodes; a sensor that doubles, which needs whole maps.
+            ValueError: a window without nodes; the method "doubling", which needs whole maps.
         """
         rows, columns = (_checks.positive_int("shape", count) for count in shape)
         if self.doubling is not None:
@@ -178,16 +183,16 @@ class FieldSensor(eqx.Module):
     def update(
         self, field: InformationField, belief: OccupancyGrid, sensor: CellSensor
     ) -> InformationField:
-        """Return `field(belief, sensor)`, computing anew only what can have changed.
+        """Return `field(belief, sensor)`, recomputing only what can have changed.
 
-        A beam's value depends on the cells it crosses. Tiles of nodes are evaluated again in those
-        directions in which some beam of theirs reaches a block with a changed cell; the result is
-        the same to the bit.
+        The information of a beam depends on the cells that it crosses. A tile of nodes is evaluated
+        again in the directions in which one of its beams reaches a block with a changed cell. The
+        result equals that of `field` to the bit.
 
         Args:
-            field: of an earlier map, `field.source`, with the same sensor.
-            belief: the map now.
-            sensor: what a measurement does to a cell.
+            field: field of an earlier map, `field.source`, computed with the same sensor.
+            belief: present occupancy grid.
+            sensor: update of a cell by a measurement.
 
         Raises:
             ValueError: a field that is not of this whole map, such as a window.
@@ -201,6 +206,7 @@ class FieldSensor(eqx.Module):
             return self.field(belief, sensor)
         tiles = tuple(-(-count // TILE) for count in shape)
         changed = self._changed_blocks(field.source != belief.probability, tiles)
+        # A tile is touched if any block within the reach of its beams has changed.
         size = self.nearby.shape[0]
         touched = jax.lax.reduce_window(
             changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
@@ -211,6 +217,8 @@ class FieldSensor(eqx.Module):
 
         def renew(number: Array, values: Values) -> Values:
             tile = jnp.stack([order[number] // tiles[1], order[number] % tiles[1]])
+            # A direction is stale if one of its beams reaches a changed block: a sum of products
+            # over blocks is a fast way to take `any`.
             blocks = jax.lax.dynamic_slice(changed, tuple(tile * BLOCKS), (size, size))
             is_stale = jnp.tensordot(blocks.astype(jnp.float32), self.nearby, 2) > 0.0
             return self._renew(maps, self._first, tile * TILE, (TILE, TILE), is_stale, values)
@@ -228,13 +236,13 @@ class FieldSensor(eqx.Module):
 
     @property
     def _first(self) -> Array:
-        """Where the cell of node (0, 0) is in the maps of a whole belief."""
+        """Cell (row, column) of node (0, 0) in the padded maps of a whole grid."""
         return jnp.full(2, self.table.reach + self.stride // 2, jnp.int32)
 
     def _maps(
         self, belief: OccupancyGrid, sensor: CellSensor, interest: GridValues | None = None
     ) -> CellMaps:
-        """Return the maps of a whole belief, with margins as wide as beams are long."""
+        """Return the channels of a whole grid, with margins as wide as the beams are long."""
         reach = self.table.reach
         rows, columns = (
             (reach, reach + (count + 1) * self.stride - size)
@@ -243,7 +251,7 @@ class FieldSensor(eqx.Module):
         return self.table.maps(belief.probability, None, sensor, (rows, columns), interest)
 
     def _all(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Values:
-        """Evaluate a whole lattice, in strips of about equal height."""
+        """Evaluate a whole lattice, in strips of roughly equal height."""
         directions = self.table.num_directions
         start = Values(jnp.zeros((directions, *shape)), jnp.zeros((directions + 1, *shape)))
         every = jnp.ones(directions, jnp.bool_)
@@ -266,16 +274,17 @@ class FieldSensor(eqx.Module):
         is_stale: Bool[Array, " D"],
         values: Values,
     ) -> Values:
-        """Evaluate the nodes of a tile in the directions that are stale.
+        """Evaluate the nodes of a tile in the stale directions.
 
-        A tile that would stand out is moved in: what it has in common with its neighbour comes out
-        the same again.
+        A tile that would extend beyond the lattice is moved inwards. Nodes that it then shares with
+        its neighbour are recomputed with the same result.
         """
         rows, columns = values.sectors.shape[1:]
         size = min(size[0], rows), min(size[1], columns)
         node = jnp.minimum(node, jnp.asarray([rows - size[0], columns - size[1]]))
         corner = first + self.stride * node.astype(jnp.int32)
         is_open = self.table.is_open(maps, corner, size)
+        # The stale directions come first, so that a loop over their number visits just them.
         order = jnp.argsort(~is_stale)
 
         def evaluate(number: Array, sectors: Array) -> Array:
@@ -290,7 +299,7 @@ class FieldSensor(eqx.Module):
     def _changed_blocks(
         self, is_changed: Array, tiles: tuple[int, ...]
     ) -> Bool[Array, "rows columns"]:
-        """Say which blocks of cells hold a changed one, margins for `nearby` included."""
+        """Return the mask of the blocks with a changed cell, padded by the reach of `nearby`."""
         side = TILE * self.stride // BLOCKS
         margin = (self.nearby.shape[0] - BLOCKS) // 2
         padding = [
@@ -313,7 +322,7 @@ class FieldSensor(eqx.Module):
 
 
 def _add_up(sectors: Array, cumulative: Array, node: Array, size: tuple[int, int]) -> Array:
-    """Renew the sums over directions of a tile."""
+    """Recompute the cumulative sums over directions for the nodes of a tile."""
     row, column = node
 
     def add(first: Array, count: int, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -335,10 +344,13 @@ def _add_up(sectors: Array, cumulative: Array, node: Array, size: tuple[int, int
 
 
 def _nearby(offset: np.ndarray, stride: int) -> np.ndarray:
-    """Say in which directions a beam of a tile's nodes can reach each block around the tile.
+    """Return the directions in which beams from a tile's nodes reach each block around the tile.
 
-    Returns (n, n, D), n blocks with the tile's own in the middle.
+    Returns:
+        Mask (n, n, D) over blocks and directions, with the tile's own blocks in the middle.
     """
+    # For each offset of a beam, its end cells over all nodes of the tile form a rectangle, which
+    # covers a rectangle of blocks.
     side = TILE * stride // BLOCKS
     margin = -(-int(np.abs(offset).max() + stride) // side)
     reached = np.zeros((BLOCKS + 2 * margin, BLOCKS + 2 * margin, len(offset)), bool)

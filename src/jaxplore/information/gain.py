@@ -1,4 +1,4 @@
-"""What one measurement of one cell is worth."""
+"""Compute the information gained by one measurement of one cell."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
 class IdealSensor(eqx.Module):
-    """A sensor that leaves no doubt: one look makes a cell certainly occupied or certainly free.
+    """Ideal sensor: one measurement makes a cell certainly occupied or certainly free.
 
-    The limit of the inverse sensor model for odds of infinity and zero. The gains are
-    `-ln o` and `-ln (1 - o)`, on average the cell's entropy, and for a noise-free beam FSMI becomes
-    the exact Shannon mutual information between map and measurement.
+    It is the limit of the inverse sensor model for odds of infinity and zero. The gains are
+    `-ln o` and `-ln (1 - o)`, whose expectation is the entropy of the cell. For a noise-free beam
+    FSMI becomes the exact Shannon mutual information between map and measurement.
     """
 
 
@@ -24,13 +24,15 @@ CellSensor = InverseSensorModel | IdealSensor
 
 
 def settled(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
-    """Return the probabilities with which beams are expected to meet something: see
-    `InverseSensorModel.settled`."""
+    """Return the probabilities with which beams are expected to end in cells.
+
+    See `InverseSensorModel.settled`; an ideal sensor leaves them unchanged.
+    """
     return probability if isinstance(sensor, IdealSensor) else sensor.settled(probability)
 
 
 class CellGains(NamedTuple):
-    """What a cell gains [nat] if it is measured `occupied` and if a beam passes it, `free`."""
+    """Information gained in a cell [nat]: `occupied` if it is measured so, `free` if passed."""
 
     occupied: Float[Array, "*N"]
     free: Float[Array, "*N"]
@@ -39,20 +41,26 @@ class CellGains(NamedTuple):
 def update_gain(
     probability: Float[Array, "*N"], log_odds_change: Float[Array, "..."], model: InverseSensorModel
 ) -> Float[Array, "*N"]:
-    """Return the information in one update of a cell, `KL(posterior || prior)` [nat].
+    """Return the information gained by one update of a cell, `KL(posterior || prior)` [nat].
 
     Without the clamp this is `f(d, r) = ln((r + 1) / (r + 1/d)) - ln(d) / (r d + 1)` of Zhang,
     Henderson, Sze and Karaman, "FSMI", IJRR 2020, eq. 10, with `d = exp(log_odds_change)` and
-    `r = p / (1 - p)` written there as the odds of being free. Through the clamp it is what the map
-    really gains: nothing once a cell is saturated, nor where walls stay.
+    `r = p / (1 - p)`, written there as the odds of being free. With the clamp it is the gain of the
+    map itself: 0 for a saturated cell, and 0 for an occupied cell that the model keeps occupied.
 
-    Settled cells of a decisive model gain nothing: what is certain is not learned. A range whose
-    noise puts the end of a beam in front of a known wall would otherwise be news.
+    Settled cells of a decisive model gain nothing, because they count as certain. Otherwise a noisy
+    reading in front of a known wall would count as information.
+
+    Args:
+        probability: probability of occupancy (*N).
+        log_odds_change: log-odds that the measurement adds.
+        model: inverse sensor model.
     """
     before = model.log_odds(probability)
     after = jnp.clip(before + log_odds_change, model.minimum, model.maximum)
-    # KL of two Bernoulli variables from their log-odds: no logarithm of a difference. It is the
-    # same for the complements; with the prior's log-odds below 0 nothing large cancels.
+    # KL divergence of two Bernoulli variables, computed from their log-odds without the logarithm
+    # of a difference. It is symmetric under complements, so flip to a prior with log-odds below 0,
+    # for which no large terms cancel.
     is_likely = before > 0.0
     after = jnp.where(is_likely, -after, after)
     before = jnp.where(is_likely, -before, before)
@@ -63,10 +71,10 @@ def update_gain(
 
 
 def cell_gains(probability: Float[Array, "*N"], sensor: CellSensor) -> CellGains:
-    """Return what each cell gains from either measurement [nat].
+    """Return the information that each cell gains from either measurement [nat].
 
-    Where a measurement is impossible (free in a cell of probability 1) an ideal sensor's gain is
-    given as 0, not infinite.
+    For an impossible measurement, such as free in a cell of probability 1, the gain of an ideal
+    sensor is set to 0 instead of infinity.
     """
     if isinstance(sensor, IdealSensor):
         return CellGains(
@@ -80,10 +88,10 @@ def cell_gains(probability: Float[Array, "*N"], sensor: CellSensor) -> CellGains
 
 
 def expected_gain(probability: Float[Array, "*N"], sensor: CellSensor) -> Float[Array, "*N"]:
-    """Return what a beam that reaches a cell gains there on average, noise-free [nat].
+    """Return the expected information that a noise-free beam gains in a cell it reaches [nat].
 
     `b = p f(occupied) + (1 - p) f(free)`: with probability p the beam ends in the cell, otherwise
-    it passes through. For an ideal sensor it is the cell's entropy.
+    it passes. For an ideal sensor b is the entropy of the cell.
     """
     gains = cell_gains(probability, sensor)
     return probability * gains.occupied + (1.0 - probability) * gains.free

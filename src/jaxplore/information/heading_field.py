@@ -1,4 +1,4 @@
-"""A value for every position and heading, on a lattice."""
+"""Interpolate a scalar over position and heading from values on a lattice."""
 
 import math
 
@@ -13,14 +13,14 @@ from jaxplore.maps.frame import GridFrame
 
 
 class HeadingField(eqx.Module):
-    """A scalar over positions and headings, read by trilinear interpolation in O(1).
+    """Scalar field over position and heading, read by trilinear interpolation in O(1).
 
-    Exact at its nodes, 0 outside, which begins right behind the outermost ones; differentiable.
+    It is exact at the nodes, 0 beyond the outermost nodes, and differentiable.
 
     Args:
-        values: (H, W, N) node values; node (row, column) is the centre of that cell of `frame`, and
+        values: node values (H, W, N); node (row, column) is the centre of that cell of `frame`, and
             heading n is `n 2 pi / N` from the lattice's x axis.
-        frame: where the lattice is.
+        frame: pose and node spacing of the lattice.
     """
 
     values: Float[Array, "H W N"]
@@ -31,12 +31,14 @@ class HeadingField(eqx.Module):
         height, width, count = self.values.shape
         around = stencil((height, width), self.frame.to_grid(position), 0.0)
         is_finite = jnp.isfinite(heading)
+        # Converting NaN to an index is undefined, so a heading that is not finite is replaced here
+        # and masked at the end.
         angle = jnp.where(is_finite, heading, 0.0) - self.frame.origin[2]
         turn = angle * (count / (2.0 * math.pi))
         floor = jnp.floor(turn)
         share = turn - floor
         first = jnp.mod(floor.astype(jnp.int32), count)
-        # Headings are next to each other: a node's two come with one line of the cache.
+        # The headings of a node are adjacent in memory: both come with one cache line.
         flat = self.values.reshape(-1, 1)
         before, after = (
             gather(flat, around.of_each(count, heading), 0.0)
@@ -46,14 +48,14 @@ class HeadingField(eqx.Module):
 
     @property
     def headings(self) -> Float[Array, " N"]:
-        """The headings of the nodes, in the world [rad]."""
+        """World headings of the nodes [rad]."""
         count = self.values.shape[-1]
         steps = jnp.arange(count, dtype=jnp.float32)
         return self.frame.origin[2] + steps * (2.0 * math.pi / count)
 
     @property
     def best(self) -> ScalarField:
-        """The greatest value over the headings, by position; 0 outside the nodes."""
+        """Field of the maximum over headings; 0 beyond the outermost nodes."""
         return ScalarField(self.values.max(axis=-1), self.frame, jnp.zeros(()), 0.0)
 
     @property

@@ -1,4 +1,4 @@
-"""The information field around a robot: coarse, for any sensor model, for a few headings."""
+"""Compute a coarse information field around the robot, for a few headings."""
 
 import equinox as eqx
 import jax
@@ -17,28 +17,29 @@ from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 LANES = 8
-"""Values in a vector register."""
+"""Number of values in a vector register."""
 
 
 class LocalFieldSensor(eqx.Module):
-    """The information of a scan on a lattice around the robot, for equally spaced yaws.
+    """Evaluates the expected information of a scan on a lattice around the robot, by heading.
 
-    The potential field of informative MPPI: with the defaults 10 m x 10 m at 0.5 m, 20 x 20 nodes
-    and 8 yaws. Every node and heading has the value of the `PoseInformation` it is made from, for
-    any noise and inverse sensor model. `field(...)` is the field by heading, (20, 20, 8); its
-    `.best` is the potential, the greatest over yaw, (20, 20); its `.origin` is where node (0, 0)
-    is.
+    It is the potential field of informative MPPI. The defaults give 10 m x 10 m at 0.5 m, so
+    20 x 20 nodes, with 8 headings. The value at each node and heading is that of the given
+    `PoseInformation`, with any noise and inverse sensor model. `field(...)` is the field by
+    heading, (20, 20, 8). Its `.best` is the potential (20, 20), the maximum over headings, and its
+    `.origin` is the position of node (0, 0).
 
-    Beams of all headings in one direction are evaluated once, for all nodes together
-    (`jaxplore.information.beam_table`). For that the nodes are at cell centres: the spacing is
-    rounded to whole cells, and the node in the middle, (n / 2, n / 2), is in the robot's cell.
+    Beams with a common direction are evaluated once for all headings and nodes
+    (`jaxplore.information.beam_table`). Therefore the nodes are at cell centres: the spacing is
+    rounded to whole cells, and the middle node, (n / 2, n / 2), is in the robot's cell.
 
     Args:
-        pose: what a scan is worth: beams, field of view, range, noise, sensor model.
+        pose: information of a scan from a pose, with beams, field of view, range, noise and sensor
+            model.
         resolution: side of a map cell [m].
         extent: half the side of the lattice [m].
-        spacing: between nodes [m].
-        num_headings: N.
+        spacing: distance between nodes [m].
+        num_headings: number of headings, N.
 
     Raises:
         ValueError: a number that is not positive, an extent below the spacing.
@@ -65,7 +66,8 @@ class LocalFieldSensor(eqx.Module):
         count = _checks.positive_int("num_headings", num_headings)
         yaws = 2.0 * np.pi / count * np.arange(count)
         beams = yaws[:, None] + np.asarray(pose.lidar.beam_angles, float)
-        # Headings share beams: what two directions differ by less than a microradian is rounding.
+        # Headings share beams: directions that differ by less than a microradian, which is
+        # rounding, are merged.
         turned = np.mod(beams.reshape(-1) + 1e-6, 2.0 * np.pi)
         order = np.argsort(turned)
         is_new = np.diff(turned[order], prepend=-1.0) > 1e-6
@@ -82,6 +84,7 @@ class LocalFieldSensor(eqx.Module):
             resolution=resolution,
             no_return=pose.no_return,
         )
+        # The field by heading is then one matrix product: which beams belong to which heading.
         membership = np.zeros((count, len(first)), np.float32)
         np.add.at(membership, (np.repeat(np.arange(count), beams.shape[1]), which), 1.0)
         self.beams_of_heading = jnp.asarray(membership)
@@ -90,22 +93,22 @@ class LocalFieldSensor(eqx.Module):
         self.spacing = self.table.stride * resolution
 
     def empty(self) -> HeadingField:
-        """Return a field like that of `field`, without any information."""
+        """Return a field of the same shape as `field` returns, with zero information."""
         headings = self.beams_of_heading.shape[0]
         values = jnp.zeros((self.num_nodes, self.num_nodes, headings))
         return HeadingField(values, GridFrame(self.spacing))
 
     def field(self, grid: OccupancyGrid, position: Position) -> HeadingField:
-        """Return the field around a position.
+        """Compute the field around a position.
 
-        Nodes off the map or in cells known to be occupied have no information.
+        Nodes off the map or in occupied cells have no information.
 
         Args:
-            grid: what is known; of the resolution that this was made for.
-            position: world (x, y) [m].
+            grid: occupancy grid, of the resolution given at construction.
+            position: world position (x, y) of the robot [m].
         """
         stride, count = self.table.stride, self.num_nodes
-        # Rows of whole vector registers: what is too much costs less than a remainder.
+        # Round rows up to whole vector registers: extra nodes cost less than a remainder loop.
         shape = (count, -(-count // LANES) * LANES)
         is_finite = jnp.isfinite(position).all()
         here = grid.frame.to_cell(jnp.where(is_finite, position, 0.0))

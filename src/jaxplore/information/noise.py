@@ -1,10 +1,12 @@
-"""Range noise: in which cell a beam that ends in cell j is measured to end.
+"""Model range noise: the distribution of readings over the cells of a beam.
 
-    G_kj = P(measured in cell k | first hit in cell j)
+    G_kj = P(reading in cell k | first hit in cell j)
 
-Zhang, Henderson, Sze and Karaman, "FSMI", IJRR 2020, eq. 22 (Gaussian), section V (banded) and
-section VI (uniform). A reading that noise puts before the first cell or behind the last one says
-nothing about a cell and is discarded, as in their Theorem 1: columns of G add up to at most 1.
+A reading before the first or behind the last cell concerns no cell and is discarded, so the columns
+of G add up to at most 1.
+
+Source: Zhang, Henderson, Sze and Karaman, "FSMI", IJRR 2020, eq. 22 (Gaussian), section V (banded),
+section VI (uniform), Theorem 1 (discarded readings).
 """
 
 import abc
@@ -23,7 +25,7 @@ from jaxplore._types import Scalar, Vector
 
 
 class RangeNoise(eqx.Module):
-    """How readings scatter over the cells of a beam."""
+    """Distribution of readings over the cells of a beam; abstract."""
 
     @abc.abstractmethod
     def measured(
@@ -32,26 +34,26 @@ class RangeNoise(eqx.Module):
         """Return the probability of a reading in each cell, `sum_j G_kj P(e_j)`.
 
         Args:
-            hit: (n,) probability that the beam's first hit is in each cell.
-            edges: (n + 1,) distances at which the cells begin and end.
-            cell_size: side of a grid cell in the unit of `edges`, None if the cells are not those
-                of a grid; static. It bounds the number of cells in a band.
+            hit: probability (n,) that the beam's first hit is in each cell.
+            edges: distances (n + 1,) at which the cells begin and end.
+            cell_size: side of a grid cell in the unit of `edges`, or None if the cells are not grid
+                cells; static. It bounds the number of cells in a band.
         """
 
 
 class GaussianNoise(RangeNoise):
-    """Gaussian noise about the middle of the cell that was hit, exact for cells of any length.
+    """Gaussian noise about the middle of the cell that was hit, exact for cells of any length:
 
         G_kj = Phi((l_{k+1} - mu_j) / std) - Phi((l_k - mu_j) / std)
 
-    With `truncation` only cells count some part of which is at most so many standard deviations
-    from mu_j (banded FSMI): O(n) instead of O(n^2) where the cells are those of a grid, and of the
-    readings 4 sigma lose less than 1e-4.
+    With `truncation`, only cells within this many standard deviations of mu_j count (banded FSMI).
+    For grid cells this takes O(n) instead of O(n^2); at 4 standard deviations less than 1e-4 of the
+    readings are lost.
 
     Args:
         std: standard deviation, in the unit of the beam's edges [m].
-        truncation: in standard deviations; None for none. The width of the band is static and
-            follows from `std` as it is given here.
+        truncation: reach of the noise in standard deviations; None for no truncation. The width of
+            the band is static: it follows from the `std` given here.
 
     Raises:
         ValueError: a value that is not positive, a truncation with a traced `std`.
@@ -77,11 +79,11 @@ class GaussianNoise(RangeNoise):
         n = hit.shape[0]
         width = n
         if self.reach is not None and cell_size is not None:
-            # Of a length d a ray lies in at most sqrt(2) d + 3 cells.
+            # A ray of length d lies in at most sqrt(2) d + 3 cells.
             width = math.ceil(math.sqrt(2.0) * (self.reach / cell_size + 0.75)) + 2
         if width >= n:
             return hit @ self._share(jnp.broadcast_to(edges, (n, n + 1)), middle[:, None])
-        # By distance in cells: row j holds cells j - width ... j + width.
+        # Store the band by offset, row j for cells j - width ... j + width, and sum its diagonals.
         near = jnp.arange(n)[:, None] + jnp.arange(-width, width + 2)
         share = self._share(edges[jnp.clip(near, 0, n)], middle[:, None])
         spread = jnp.pad(hit[:, None] * share, ((width, width), (0, 0)))
@@ -91,7 +93,8 @@ class GaussianNoise(RangeNoise):
         return total
 
     def _share(self, edges: Array, centre: Array) -> Array:
-        """Share of the readings about `centre` between each two edges; 0 out of reach."""
+        """Return the probability of a reading between neighbouring edges, for a hit at `centre`;
+        0 beyond the reach."""
         distance = edges - centre
         until = 0.5 * jax.scipy.special.erf(distance / (self.std * math.sqrt(2.0)))
         share = jnp.maximum(until[:, 1:] - until[:, :-1], 0.0)
@@ -102,12 +105,12 @@ class GaussianNoise(RangeNoise):
 
 
 class ToeplitzNoise(RangeNoise):
-    """Noise that depends on the number of cells between hit and reading only: `G_kj = g(k - j)`.
+    """Noise that depends only on the number of cells between hit and reading: `G_kj = g(k - j)`.
 
-    So it is for any noise when all cells are equally long. One sliding sum, no matrix.
+    This holds for any noise if all cells are equally long. It is one sliding sum without a matrix.
 
     Args:
-        weights: g for -h ... h cells, an odd number of values, each >= 0, adding up to at most 1.
+        weights: values of g for -h ... h cells: an odd number of values >= 0 with a sum <= 1.
 
     Raises:
         ValueError: an even number of weights, a negative one, a sum above 1.
@@ -130,17 +133,17 @@ class ToeplitzNoise(RangeNoise):
     def gaussian(
         cls, std: float, cell_size: float = 1.0, truncation: float = 4.0
     ) -> "ToeplitzNoise":
-        """Return Gaussian noise for cells of one length.
+        """Build Gaussian noise for cells of equal length.
 
         Args:
-            std: standard deviation.
-            cell_size: length of a cell, in the same unit.
-            truncation: standard deviations up to which cells count.
+            std: standard deviation of the noise.
+            cell_size: length of a cell, in the unit of `std`.
+            truncation: reach of the noise in standard deviations.
         """
         std = _checks.number("std", std, above=0.0)
         cell_size = _checks.number("cell_size", cell_size, above=0.0)
         reach = _checks.number("truncation", truncation, above=0.0) * std
-        # As in the band above: cells that begin within reach of the middle of the one that was hit.
+        # As for `GaussianNoise`, cells count that begin within reach of the middle of the hit cell.
         width = math.ceil(reach / cell_size + 0.5) - 1
 
         def until(cells: float) -> float:
@@ -161,13 +164,13 @@ class ToeplitzNoise(RangeNoise):
 
 
 class UniformNoise(RangeNoise):
-    """Noise uniform over the cell that was hit and `half_width` on either side: Uniform-FSMI.
+    """Noise that is uniform over the hit cell and `half_width` cells on either side: Uniform-FSMI.
 
-    `G_kj = 1 / (2 h + 1)` for `|k - j| <= h`, by prefix sums, O(1) per cell whatever h. With
+    `G_kj = 1 / (2 h + 1)` for `|k - j| <= h`. Prefix sums make it O(1) per cell for any h. With
     h = 0 there is no noise.
 
     Args:
-        half_width: h [cells]; static.
+        half_width: number of cells on either side, h; static.
 
     Raises:
         ValueError: a width that is not a whole number >= 0.
@@ -184,6 +187,7 @@ class UniformNoise(RangeNoise):
         """Return the probability of a reading in each cell."""
         if self.half_width == 0:
             return hit
+        # Differences of prefix sums give the sliding sum; padding lets it run beyond both ends.
         n, width = hit.shape[0], self.half_width
         until = jnp.pad(jnp.cumsum(jnp.pad(hit, width)), (1, 0))
         return (until[2 * width + 1 :] - until[:n]) / (2 * width + 1)

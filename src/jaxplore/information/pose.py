@@ -1,4 +1,4 @@
-"""What a scan taken at a pose is worth, beam by beam."""
+"""Compute the expected information of a scan from a pose by ray casting."""
 
 from typing import NamedTuple
 
@@ -20,10 +20,10 @@ from jaxplore.sensing.lidar import Lidar
 
 
 class PoseView(NamedTuple):
-    """What each cell contributes to a scan's information.
+    """Contribution of each cell to the expected information of a scan.
 
-    `cell` (B, N, 2) is (row, column) of the cells that each beam crosses, nearest first, and
-    `value` (B, N) what they contribute [nat]; 0 where a cell does not count.
+    `cell` (B, N, 2) is (row, column) of the cells that each beam crosses, nearest first. `value`
+    (B, N) is their contribution [nat], 0 for a cell that does not count.
     """
 
     cell: Int[Array, "B N 2"]
@@ -31,26 +31,28 @@ class PoseView(NamedTuple):
 
 
 class PoseInformation(eqx.Module):
-    """Expected information of a scan from any pose [nat], cast ray by ray.
+    """Expected information of a scan from any pose [nat], by ray casting.
 
         I(x, yaw) = sum over beams b, cells k of w(r_bk) v_bk
 
-    with v what a cell contributes to its beam (`jaxplore.information.beam`), over the cells that a
-    beam leaves within its range, by exact traversal. Near the sensor many beams cross one cell,
-    which learns from a scan only once: a beam's share of a cell at distance r, the middle of what
-    it crosses of the cell, is the arc between beams, `w = min(1, r dtheta)` (r in cells). Without
-    that 360 beams count four times what a scan brings.
+    v is the contribution of a cell to its beam (`jaxplore.information.beam`). The sum is over the
+    cells that a beam leaves within its range, found by exact traversal.
 
-    Off the map cells absorb: a beam ends there and learns nothing. A pose off the map, in a cell
-    known to be occupied or not finite has no information.
+    Near the sensor many beams cross one cell, but a scan updates the cell only once. Therefore a
+    beam gets the share `w = min(1, r dtheta)` of a cell, the arc between beams, where r is the
+    distance in cells to the middle of the beam's section in the cell. Without it, 360 beams count
+    four times the information of a scan.
 
-    For many poses of one map `FieldSensor` gives the same, noise-free, far faster.
+    Cells off the map absorb beams: a beam ends there and learns nothing. A pose that is off the
+    map, in an occupied cell or not finite has no information.
+
+    For many poses on one map, `FieldSensor` computes the same without noise far faster.
 
     Args:
-        lidar: the beams: their number, range and field of view. Its noise is not read.
-        sensor: what a measurement does to a cell; the map's own model with its clamp keeps known
-            corridors from looking informative. `InverseSensorModel()` when absent.
-        noise: of the range [m]; None for none.
+        lidar: sensor whose number of beams, range and field of view are used; its noise is not.
+        sensor: update of a cell by a measurement, `InverseSensorModel()` by default. The clamp of
+            the map's own model keeps known corridors from appearing informative.
+        noise: range noise [m]; None for no noise.
         no_return: whether a beam that meets nothing counts; static.
         near_weight: whether near cells are shared among beams; static.
     """
@@ -79,12 +81,12 @@ class PoseInformation(eqx.Module):
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]
     ) -> Float[Array, "*N"]:
-        """Return the information of a scan from one pose or of one scan from each of N [nat].
+        """Return the information of a scan from one pose, or from each of N poses [nat].
 
         Args:
-            grid: what is known.
-            position: (2,) or (N, 2), world (x, y) [m].
-            heading: () or (N,), world yaw [rad].
+            grid: occupancy grid of the robot.
+            position: world position (x, y), (2,) or (N, 2) [m].
+            heading: world yaw, () or (N,) [rad].
 
         Raises:
             ValueError: other shapes.
@@ -96,7 +98,13 @@ class PoseInformation(eqx.Module):
         return over_poses(one, position, heading)
 
     def view(self, grid: OccupancyGrid, position: Position, heading: Scalar) -> PoseView:
-        """Return what each cell along each beam contributes to the information of a scan."""
+        """Return the contribution of each cell along each beam to the information of a scan.
+
+        Args:
+            grid: occupancy grid of the robot.
+            position: world position (x, y) of the sensor [m].
+            heading: world yaw of the sensor [rad].
+        """
         resolution = grid.resolution
         length = self.lidar.max_range / resolution
         is_finite = jnp.isfinite(position).all() & jnp.isfinite(heading)
@@ -110,6 +118,7 @@ class PoseInformation(eqx.Module):
             cells = traverse(start, angle, length)
             if self.noise is not None:
                 cells = _only_crossed(cells)
+            # A cell that the beam does not leave within its range cannot be measured as passed.
             in_range = cells.exit <= length
             is_cell = in_range & cells.is_crossed
             found = settled(grid.at_cell(cells.cell), self.sensor)
@@ -117,7 +126,8 @@ class PoseInformation(eqx.Module):
             counts = is_cell & grid.contains(cells.cell) & is_open
             gains = cell_gains(probability, self.sensor)
             gains = CellGains(*(jnp.where(counts, gain, 0.0) for gain in gains))
-            # Materialised: fused into what reads them, their logarithms were three times slower.
+            # The barrier keeps XLA from fusing the logarithms into each of their uses, which was
+            # three times slower.
             gains = jax.lax.optimization_barrier(gains)  # type: ignore[no-untyped-call]
             edges = jnp.append(cells.entry, cells.exit[-1]) * resolution
             value = contributions(
@@ -132,9 +142,9 @@ class PoseInformation(eqx.Module):
 
 
 def _only_crossed(cells: RayCells) -> RayCells:
-    """Move the cells that are only touched behind the others, where they have no length.
+    """Move cells that the ray only touches to the end, with length zero.
 
-    Noise that counts cells must not count them.
+    `UniformNoise` and `ToeplitzNoise` count cells, and must not count these.
     """
     order = jnp.argsort(~cells.is_crossed)
     cell, entry, exit_, is_crossed = (part[order] for part in cells)

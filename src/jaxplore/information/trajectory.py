@@ -1,4 +1,4 @@
-"""What the scans along a trajectory are worth together, when their views overlap."""
+"""Compute the expected information of scans along a trajectory with overlapping views."""
 
 import math
 
@@ -20,36 +20,39 @@ METHODS = ("direct", "discount", "filtered", "temporal", "occlusion")
 class TrajectoryInformation(eqx.Module):
     """Expected information of scans from poses along a trajectory [nat].
 
-    With I_i the information of the scan from pose i alone (`PoseInformation`), M_i the cells of the
-    map within its range and field of view, whatever is in between, and n_i(c) how many earlier
-    poses have cell c in theirs, the trajectory is worth the sum over poses of
+    I_i is the information of the scan from pose i alone (`PoseInformation`). M_i is the set of map
+    cells within its range and field of view, regardless of occlusion. n_i(c) is the number of
+    earlier poses whose set contains cell c. The information of the trajectory is the sum over poses
+    of
 
         direct      I_i
         discount    I_i exp(-decay * mean of n_i(c) over c in M_i)
         filtered    I_i * share of the cells of M_i with n_i(c) = 0: each counts at its first view
         temporal    I_i * discount^t,  t the step of pose i
-        occlusion   sum over cells c of (v_i(c) - best of v_j(c), j < i)_+
+        occlusion   sum over cells c of (v_i(c) - max of v_j(c), j < i)_+
 
-    with v_i(c) what cell c contributes to I_i, beams added up. So "occlusion" is
-    `sum_c max_i v_i(c)`: every cell counts once, through the best probability with which any pose
-    reaches it. It knows that a cell behind a wall has not been seen, which the plain fields of view
-    of the other methods do not, and is a lower bound of what the scans bring together (theory 1.3).
+    with v_i(c) the contribution of cell c to I_i, summed over beams. So "occlusion" is
+    `sum_c max_i v_i(c)`: each cell counts once, for the pose that is most likely to observe it. It
+    accounts for occlusion, which the plain fields of view of the other methods do not, and is a
+    lower bound of the joint information of the scans (theory 1.3).
 
-    No method exceeds "direct". "filtered" and "occlusion" equal it where views do not overlap.
+    No method exceeds "direct". "filtered" and "occlusion" equal it if the views do not overlap.
 
-    "discount" and "filtered" are methods 3 and 2 of the quadrotor design notes, "temporal" that of
-    the ground-vehicle notes. Only cells within the range of a pose are looked at: a mask is as
-    large as the range, whatever the size of the map.
+    Memory per pose depends on the range of the sensor, not on the size of the map.
+
+    Sources: "discount" and "filtered" are methods 3 and 2 of the quadrotor design notes, "temporal"
+    is the method of the ground-vehicle design notes.
 
     Args:
-        pose: what one scan is worth.
-        method: one of the five names; static.
-        every: evaluate every n-th pose of the trajectory, the first one first; static.
-        decay: of "discount", per earlier view.
-        discount: of "temporal", per step of the trajectory.
+        pose: information of one scan.
+        method: name of the method, one of the five; static.
+        every: stride over the poses, starting with the first; static.
+        decay: decay per earlier view, of "discount".
+        discount: discount per step of the trajectory, of "temporal".
 
     Raises:
-        ValueError: an unknown method, a rate below 1, a negative decay, a discount outside (0, 1].
+        ValueError: an unknown method, a stride below 1, a negative decay, a discount outside
+            (0, 1].
     """
 
     pose: PoseInformation
@@ -81,7 +84,7 @@ class TrajectoryInformation(eqx.Module):
         positions: Float[Array, "T 2"],
         headings: Float[Array, " T"] | None = None,
     ) -> Scalar:
-        """Return what the whole trajectory is worth [nat]: the sum of `per_pose`."""
+        """Return the information of the whole trajectory [nat], the sum of `per_pose`."""
         return self.per_pose(grid, positions, headings).sum()
 
     def per_pose(
@@ -90,12 +93,12 @@ class TrajectoryInformation(eqx.Module):
         positions: Float[Array, "T 2"],
         headings: Float[Array, " T"] | None = None,
     ) -> Float[Array, " N"]:
-        """Return what each pose that is evaluated adds [nat], N = ceil(T / every).
+        """Return the information that each evaluated pose adds [nat], N = ceil(T / every).
 
         Args:
-            grid: what is known.
-            positions: world (x, y) [m], in the order of travel.
-            headings: world yaw of each [rad]; along the path when absent.
+            grid: occupancy grid of the robot.
+            positions: world positions (T, 2) as (x, y) [m], in the order of travel.
+            headings: world yaws (T,) [rad]; by default the direction of travel.
 
         Raises:
             ValueError: no positions, other shapes.
@@ -120,17 +123,19 @@ class TrajectoryInformation(eqx.Module):
         return values * (jnp.exp(-self.decay * before) if self.method == "discount" else is_first)
 
     def _new_cells(self, grid: OccupancyGrid, positions: Array, headings: Array) -> Array:
+        """Return the information that each pose adds by the method "occlusion"."""
         window = _Window(grid, self.pose.lidar.max_range)
         views = jax.vmap(lambda at, yaw: self.pose.view(grid, at, yaw))(positions, headings)
 
         first = jax.vmap(window.first)(positions)
         seen = jax.vmap(window.gather)(first, views.cell, views.value)
 
+        # Keep the best contribution of each cell so far. A pose adds what exceeds it.
         def add(best: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
             first, contribution = given
             known = window.read(best, first)
             better = jnp.maximum(known, contribution)
-            # By columns first: that vectorises.
+            # Sum over rows first: XLA vectorises that order.
             return window.write(best, better, first), (better - known).sum(axis=0).sum()
 
         _, gains = jax.lax.scan(add, window.empty(), (first, seen))
@@ -139,8 +144,8 @@ class TrajectoryInformation(eqx.Module):
     def _overlap(
         self, grid: OccupancyGrid, positions: Array, headings: Array
     ) -> tuple[Array, Array]:
-        """Return the mean number of earlier views of each pose's cells, and the share of cells that
-        have none."""
+        """Return the mean number of earlier views of the cells in each view, and the share of its
+        cells without an earlier view."""
         window = _Window(grid, self.pose.lidar.max_range)
 
         first = jax.vmap(window.first)(positions)
@@ -153,7 +158,7 @@ class TrajectoryInformation(eqx.Module):
         def add(views: Array, given: tuple[Array, Array]) -> tuple[Array, tuple[Array, Array]]:
             first, mask = given
             before = window.read(views, first)
-            # Whole numbers: their sums need no order, so they vectorise.
+            # Integer sums can be reordered, so XLA vectorises them.
             earlier, fresh = jnp.where(mask, before, 0).sum(), (mask & (before == 0)).sum()
             seen = before + mask.astype(before.dtype)
             return window.write(views, seen, first), (earlier, fresh)
@@ -161,14 +166,14 @@ class TrajectoryInformation(eqx.Module):
         _, (earlier, fresh) = jax.lax.scan(add, window.empty(jnp.int32), (first, masks))
         cells = masks.sum(axis=(1, 2))
         count = jnp.maximum(cells, 1).astype(jnp.float32)
-        # A view between the centres of cells, which has none, overlaps with nothing.
+        # A view that contains no cell centre overlaps with nothing.
         is_first = jnp.where(cells > 0, fresh.astype(jnp.float32) / count, 1.0)
         return earlier.astype(jnp.float32) / count, is_first
 
     def _in_view(
         self, grid: OccupancyGrid, window: "_Window", first: Array, position: Array, heading: Array
     ) -> Bool[Array, "n n"]:
-        """Say which cells of a window are on the map, in range and in the field of view."""
+        """Return the mask of the window's cells on the map, in range and in the field of view."""
         start = grid.frame.to_grid(position)
         steps = jnp.arange(window.size) - window.reach
         rows, columns = first[0] + steps, first[1] + steps
@@ -179,7 +184,7 @@ class TrajectoryInformation(eqx.Module):
         square = down * down + right * right
         angle = heading - grid.frame.origin[2]
         ahead = right * jnp.cos(angle) + down * jnp.sin(angle)
-        # Without angles or roots: is `ahead >= distance * cos(half the field of view)`?
+        # Test `ahead >= distance * cos(half the field of view)` on squares, without roots or arcs.
         edge = math.cos(0.5 * self.pose.lidar.field_of_view)
         is_narrower = ahead * ahead >= square * (edge * edge)
         is_ahead = ahead >= 0.0
@@ -194,7 +199,7 @@ class TrajectoryInformation(eqx.Module):
 
 
 class _Window:
-    """Squares of cells around poses, as large as a sensor's range, on a map with such a margin."""
+    """Square windows of cells around poses, of the sensor's range, on a map padded by the range."""
 
     def __init__(self, grid: OccupancyGrid, max_range: float) -> None:
         self.grid = grid
@@ -206,12 +211,12 @@ class _Window:
         return jnp.zeros((height + 2 * self.reach, width + 2 * self.reach), dtype)
 
     def first(self, position: Position) -> Int[Array, "2"]:
-        """Return the cell in the middle of a window; that of a pose off the map is on its edge."""
+        """Return the middle cell of a window, clipped to the map."""
         cell = self.grid.frame.to_cell(jnp.where(jnp.isfinite(position), position, 0.0))
         return jnp.clip(cell, 0, jnp.asarray(self.grid.shape, jnp.int32) - 1)
 
     def gather(self, first: Array, cell: Array, value: Array) -> Array:
-        """Add up what was said about each cell of a window."""
+        """Sum the values of equal cells over a window; cells outside of it are dropped."""
         local = cell + self.reach - first
         inside = ((local >= 0) & (local < self.size)).all(axis=-1)
         index = jnp.where(inside, local[..., 0] * self.size + local[..., 1], self.size**2)
@@ -227,13 +232,13 @@ class _Window:
 
 
 def path_headings(positions: Float[Array, "T 2"]) -> Float[Array, " T"]:
-    """Return the headings of a robot that looks where it goes [rad].
+    """Return the direction of travel at each position [rad].
 
-    From each position to the next one, and the last one as the one before. Where it stands still it
-    keeps its heading; 0 if it never moves.
+    It points from each position to the next; the last position gets the heading of the one before.
+    A robot that stands still keeps its heading. The headings are 0 if it never moves.
 
     Args:
-        positions: (x, y) [m], in the order of travel.
+        positions: positions (T, 2) as (x, y) [m], in the order of travel.
     """
     if positions.shape[0] == 1:
         return jnp.zeros(1)
@@ -245,6 +250,7 @@ def path_headings(positions: Float[Array, "T 2"]) -> Float[Array, " T"]:
         heading = jnp.where(given[0], given[1], last)
         return heading, heading
 
+    # Before its first move the robot has the heading of that move.
     first = jnp.where(moves.any(), angle[jnp.argmax(moves)], 0.0)
     _, headings = jax.lax.scan(keep, first, (moves, angle))
     return jnp.append(headings, headings[-1])

@@ -1,1 +1,1 @@
-"""Occupancy grids, ROS map files, clearance, generated worlds."""
+"""Maps: occupancy grids, terrain, worlds, map files and generated maps."""

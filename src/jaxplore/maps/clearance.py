@@ -1,4 +1,4 @@
-"""Distance to the nearest cell that may not be entered, cheap enough for every control step."""
+"""Compute the distance to the nearest blocked cell, cheaply enough for every control step."""
 
 import math
 
@@ -12,24 +12,26 @@ from jaxplore.maps.frame import GridFrame
 
 
 def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) -> ScalarField:
-    """Return the distance from each cell's centre to the nearest blocked cell [m].
+    """Return the field of distances from each cell's centre to the nearest blocked cell [m].
 
-    The Euclidean distance between cell centres less half a cell, so to the face of the nearest
-    blocked cell along an axis, at least 0 and at most `max_distance`. Off the map everything is
-    blocked. Exact within the bound: the squared distance separates,
+    The distance is the Euclidean distance between cell centres minus half a cell, which along an
+    axis is the distance to the face of the nearest blocked cell. It is clipped to
+    [0, max_distance]. Off the map everything is blocked. Within the bound it is exact, because the
+    squared distance separates into two one-dimensional minima (Saito and Toriwaki 1994):
 
         d^2(r, c) = min_j [(c - j)^2 + min_i ((r - i)^2 + [i, j is not blocked] * inf)]
 
-    (Saito and Toriwaki 1994), and under a bound of R cells each minimum is over 2R + 1 shifts of
-    the whole map, whatever is on it: no data-dependent loop, the same cost each time.
+    With a bound of R cells each minimum is over 2R + 1 shifts of the whole map. So there is no
+    data-dependent loop, and the cost does not depend on the map's content.
 
     Args:
-        blocked: (H, W) cells that may not be entered.
-        frame: where the cells are.
-        max_distance: bound of the distance [m]; static.
+        blocked: mask (H, W) of the cells that may not be entered.
+        frame: pose and cell size of the map.
+        max_distance: upper bound of the distance [m]; static.
     """
     reach = max(1, math.ceil(max_distance / frame.resolution + 0.5))
     far = float((reach + 1) ** 2)
+    # Start with a value beyond the bound instead of infinity, which would spoil the sums.
     squared = jnp.where(blocked, 0.0, far)
     for axis in (0, 1):
         squared = _least_over_shifts(squared, reach, axis)
@@ -41,9 +43,10 @@ def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) ->
 
 def _least_over_shifts(squared: Array, reach: int, axis: int) -> Array:
     """Return `min over |k| <= reach of squared[shifted by k] + k^2` along an axis."""
+    # Padding with 0 makes everything off the map blocked.
     pad = [(0, 0), (0, 0)]
     pad[axis] = (reach, reach)
-    padded = jnp.pad(squared, pad)  # 0: off the map is blocked
+    padded = jnp.pad(squared, pad)
 
     def closer(index: Array, least: Array) -> Array:
         shifted = jax.lax.dynamic_slice_in_dim(padded, index, squared.shape[axis], axis)

@@ -1,4 +1,4 @@
-"""Values on the nodes of a regular lattice, looked up in between."""
+"""Interpolate values that are stored at the nodes of a regular lattice."""
 
 from typing import NamedTuple
 
@@ -12,11 +12,11 @@ from jaxplore.maps.frame import GridFrame
 
 
 class Stencil(NamedTuple):
-    """The four nodes around a point: `nodes` of the flattened lattice, `weight` adding up to 1, and
-    whether the point is on the lattice at all.
+    """The four nodes around a point and their bilinear weights.
 
-    Numbers and not vectors of four: a look-up is mapped over thousands of points, where to take a
-    vector apart is a transposition.
+    `nodes` are indices into the flattened lattice, `weight` adds up to 1, and `is_inside` tells
+    whether the point is on the lattice. They are tuples of scalars instead of vectors of four:
+    mapped over thousands of points, unpacking a vector would be a transposition.
     """
 
     nodes: tuple[Count, Count, Count, Count]
@@ -24,31 +24,33 @@ class Stencil(NamedTuple):
     is_inside: Flag
 
     def of_each(self, count: int, index: Count) -> "Stencil":
-        """Return the stencil of the `index`-th of `count` values that a node has side by side."""
+        """Return the stencil of value `index` on a lattice that stores `count` values per node."""
         a, b, c, d = (node * count + index for node in self.nodes)
         return self._replace(nodes=(a, b, c, d))
 
 
 def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5) -> Stencil:
-    """Return the bilinear weights of the nodes around a point.
+    """Return the nodes around a point and their bilinear weights.
 
-    Node (row, column) is at the middle of its cell, at grid coordinates
-    `(row + 1/2, column + 1/2)`. Up to `margin` beyond the outermost nodes the edge value holds,
-    farther out is outside, and so is a coordinate that is not finite.
+    Node (row, column) is at the centre of its cell, at grid coordinates
+    `(row + 1/2, column + 1/2)`. Up to `margin` beyond the outermost nodes the value of the edge is
+    used. A point farther out is outside, and so is a point with a coordinate that is not finite.
 
     Args:
         shape: rows and columns of the lattice.
-        grid: (row, column) [cells].
-        margin: [cells]; at 1/2 the lattice covers its cells, at 0 it ends with its nodes.
+        grid: grid coordinates (row, column) of the point [cells].
+        margin: width of the border beyond the outermost nodes that still counts as inside [cells];
+            with 1/2 the lattice covers its cells, with 0 it ends at its nodes.
     """
     height, width = shape
     row, column = jnp.unstack(grid - 0.5)
-    # Positions of nodes come rounded: an outermost node is on the lattice.
+    # Tolerate rounding: the position of an outermost node must count as inside.
     slack = margin + 1e-4
     inside = (row >= -slack) & (row <= height - 1 + slack)
     inside &= (column >= -slack) & (column <= width - 1 + slack)
     row = jnp.clip(jnp.where(inside, row, 0.0), 0.0, height - 1.0)
     column = jnp.clip(jnp.where(inside, column, 0.0), 0.0, width - 1.0)
+    # On the last node take the interval before it, and on an axis of one node the node itself.
     first_row = jnp.minimum(row.astype(jnp.int32), max(height - 2, 0))
     first_column = jnp.minimum(column.astype(jnp.int32), max(width - 2, 0))
     down, right = min(1, height - 1) * width, min(1, width - 1)
@@ -65,16 +67,17 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
 def gather(
     values: Float[Array, "*S"], around: Stencil, outside: Scalar | float, channel: Count | int = 0
 ) -> Scalar:
-    """Return the interpolated value of one channel.
+    """Return the interpolated value of one channel at a point.
 
     Args:
-        values: (H, W) or (C, H, W) node values.
-        around: from `stencil`.
-        outside: what a point off the lattice gets.
-        channel: which of the C channels.
+        values: node values (H, W) or (C, H, W).
+        around: nodes and weights of the point, from `stencil`.
+        outside: value for a point off the lattice.
+        channel: index of the channel, 0 to C - 1.
     """
     height, width = values.shape[-2:]
-    # One flat index: multi-dimensional gathers cost a multiplication and a bounds check each.
+    # Use one flat index: a multi-dimensional gather needs a multiplication and a bounds check per
+    # axis.
     flat, first = values.reshape(-1), channel * (height * width)
     total = jnp.zeros(())
     for node, weight in zip(around.nodes, around.weight, strict=True):
@@ -86,19 +89,26 @@ def gather(
 def bilinear(
     values: Float[Array, "H W"], grid: Float[Array, "2"], outside: Scalar | float
 ) -> Scalar:
-    """Interpolate node values at a point: see `stencil` for the lattice and its edge."""
+    """Return the bilinear interpolation of node values (H, W) at a point; see `stencil`.
+
+    Args:
+        values: node values (H, W).
+        grid: grid coordinates (row, column) of the point [cells].
+        outside: value for a point off the lattice.
+    """
     height, width = values.shape
     return gather(values, stencil((height, width), grid), outside)
 
 
 class ScalarField(eqx.Module):
-    """A scalar on a regular lattice, read by bilinear interpolation in O(1).
+    """Scalar field on a regular lattice, read by bilinear interpolation in O(1).
 
     Args:
-        values: (H, W) node values; node (row, column) is the centre of that cell of `frame`.
-        frame: where the lattice is.
+        values: node values (H, W); node (row, column) is the centre of that cell of `frame`.
+        frame: pose and node spacing of the lattice.
         outside: value off the lattice.
-        margin: how far the lattice goes beyond its outermost nodes [cells]; static.
+        margin: width of the border beyond the outermost nodes that still counts as inside [cells];
+            static.
     """
 
     values: Float[Array, "H W"]

@@ -1,4 +1,4 @@
-"""Where the cells of a grid are in the world."""
+"""Convert between world points, grid coordinates and cells."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,16 +10,16 @@ from jaxplore._types import Pose, Vector
 
 
 class GridFrame(eqx.Module):
-    """A regular grid's pose and cell size.
+    """Pose and cell size of a regular grid.
 
-    A world point is turned into the grid's axes and divided by the resolution; cell `(row, column)`
-    covers `[row, row + 1) x [column, column + 1)` of these *grid coordinates* and its centre is at
-    `(row + 1/2, column + 1/2)`. Cells are found with floor, not truncation, which would map
-    (-1, 0) onto cell 0.
+    *Grid coordinates* (row, column) are a world point in the axes of the grid, divided by the
+    resolution. Cell `(row, column)` covers `[row, row + 1) x [column, column + 1)`, and its centre
+    is at `(row + 1/2, column + 1/2)`. A cell is found by rounding down: truncation would map the
+    interval (-1, 0) onto cell 0.
 
     Args:
-        resolution: side of a cell [m]; static, because the number of cells a beam can cross
-            follows from it.
+        resolution: side of a cell [m]; static, because the number of cells that a beam can cross
+            depends on it.
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
 
     Raises:
@@ -35,17 +35,17 @@ class GridFrame(eqx.Module):
         self.origin = _checks.vector("origin", origin, 3)
 
     def to_grid(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N 2"]:
-        """Turn world points (x, y) [m] into grid coordinates (row, column) [cells]."""
+        """Convert world points (x, y) [m] to grid coordinates (row, column) [cells]."""
         x, y = jnp.unstack(points - self.origin[:2], axis=-1)
         cos, sin = jnp.cos(self.origin[2]), jnp.sin(self.origin[2])
         return jnp.stack([cos * y - sin * x, cos * x + sin * y], axis=-1) / self.resolution
 
     def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
-        """Return the cell (row, column) that holds each world point; it may lie off the map."""
+        """Return the cell (row, column) that contains each world point; it may be off the map."""
         return jnp.floor(self.to_grid(points)).astype(jnp.int32)
 
     def to_world(self, grid: Float[Array, "*N 2"]) -> Float[Array, "*N 2"]:
-        """Turn grid coordinates (row, column) [cells] into world points (x, y) [m]."""
+        """Convert grid coordinates (row, column) [cells] to world points (x, y) [m]."""
         y, x = grid[..., 0] * self.resolution, grid[..., 1] * self.resolution
         cos, sin = jnp.cos(self.origin[2]), jnp.sin(self.origin[2])
         return jnp.stack([cos * x - sin * y, sin * x + cos * y], axis=-1) + self.origin[:2]
@@ -57,11 +57,17 @@ class GridFrame(eqx.Module):
     def coarsen(
         self, stride: int, node: float, first: Int[Array, "2"] | None = None
     ) -> "GridFrame":
-        """Return the frame of a lattice with one node every `stride` cells.
+        """Return the frame of a coarser lattice with one node every `stride` cells.
 
-        Node (i, j), the middle of that cell of the new frame, is at the grid coordinates
-        `first + (i * stride + node, j * stride + node)` of this one; `first` is (0, 0) when absent.
+        Node (i, j), the centre of cell (i, j) of the new frame, is at the grid coordinates
+        `first + (i * stride + node, j * stride + node)` of this frame.
+
+        Args:
+            stride: number of cells between nodes.
+            node: offset of node (0, 0) from the corner of cell `first` [cells].
+            first: cell (row, column) at which the lattice begins; (0, 0) by default.
         """
+        # The new frame's origin is the outer corner of its first cell, half a stride before node 0.
         corner = jnp.full(2, node - stride / 2.0)
         if first is not None:
             corner = corner + first.astype(jnp.float32)

@@ -1,4 +1,4 @@
-"""What a vehicle drives on: how high, steep, rough and passable each cell of a map is."""
+"""Compute slope, roughness and traversability of the ground from its elevation."""
 
 from typing import NamedTuple
 
@@ -15,11 +15,11 @@ from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 
 HIGHEST = 1e6
-"""Greatest elevation and depth accepted [m]: differences and their squares stay finite."""
+"""Greatest absolute elevation that is accepted [m]: squares of differences stay finite."""
 
 
 class GroundSample(NamedTuple):
-    """What the ground is like at points: `elevation` [m], `slope` [m/m], `roughness` [m] and
+    """Layers of the ground at points: `elevation` [m], `slope` [m/m], `roughness` [m] and
     `traversability` in [0, 1], (*N) each."""
 
     elevation: Float[Array, "*N"]
@@ -29,31 +29,33 @@ class GroundSample(NamedTuple):
 
 
 class Ground(eqx.Module):
-    """What a vehicle drives on. The layers are known: scans do not change them.
+    """Elevation, slope, roughness and traversability of the ground. Scans do not change them.
 
-    With z the elevation and n the cells' side,
+    With z the elevation and n the side of a cell,
 
         slope          = |grad z|, central differences over 2 n, one-sided at the edge
-        roughness      = root mean square distance, along z, of the 3 x 3 cells around from the
-                         plane that fits them best (least squares)
+        roughness      = root mean square vertical distance of the 3 x 3 cells around from their
+                         least-squares plane
         traversability = (1 - slope / max_slope)_+ * (1 - roughness / max_roughness)_+
 
-    Slope and roughness are exact for a plane: beyond the edge the elevation goes on in a straight
-    line, and along an axis of one cell it is level. Off the map all four layers are 0: nobody can
+    Slope and roughness are exact for a plane: the elevation is extrapolated linearly beyond the
+    edge, and is level along an axis of one cell. Off the map all four layers are 0, so nothing can
     drive there.
 
-    Everything but the resolution is an array leaf, so another elevation does not recompile what is
-    compiled for one of its size. In a trace nothing can be refused: there a cell whose elevation
-    is not a number within 1000 km has elevation 0 and cannot be entered.
+    Everything but the resolution is an array leaf, so another elevation of the same size does not
+    recompile. Traced code cannot raise: there a cell whose elevation is NaN or beyond 1000 km gets
+    elevation 0 and traversability 0.
 
     Args:
-        elevation: (H, W) of each cell [m]; row 0, column 0 is at the origin, as in `OccupancyGrid`.
+        elevation: elevation (H, W) of each cell [m]; row 0, column 0 is at the origin, as in
+            `OccupancyGrid`.
         resolution: side of a cell [m].
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) in the world [m, m, rad].
         max_slope: slope at which the traversability is 0 [m/m].
-        max_roughness: roughness at which it is 0 [m]; roughness does not matter when absent.
+        max_roughness: roughness at which the traversability is 0 [m]; by default roughness is
+            ignored.
         threshold: traversability below which a cell may not be entered, in [0, 1].
-        traversability: (H, W) in [0, 1], instead of the one computed.
+        traversability: traversability (H, W) in [0, 1] that replaces the computed one.
 
     Raises:
         ValueError: an elevation that is empty, not two-dimensional or not within 1000 km, a
@@ -70,7 +72,7 @@ class Ground(eqx.Module):
     max_slope: Scalar
     max_roughness: Scalar | None
     is_given: bool = eqx.field(static=True)
-    """Whether the traversability was given, and not computed."""
+    """Whether the traversability was given instead of computed."""
 
     def __init__(
         self,
@@ -90,6 +92,7 @@ class Ground(eqx.Module):
             self.max_roughness = _checks.scalar("max_roughness", max_roughness, above=0.0)
         self.threshold = _checks.scalar("threshold", threshold, at_least=0.0, at_most=1.0)
         given = _elevation(elevation)
+        # Only traced elevations can fail this test; others have been checked.
         is_known = jnp.abs(given) <= HIGHEST
         self.elevation = jnp.where(is_known, given, 0.0)
         self.slope, self.roughness = _relief(self.elevation, self.frame.resolution)
@@ -115,20 +118,22 @@ class Ground(eqx.Module):
 
     @property
     def is_traversable(self) -> GridMask:
-        """Cells that may be entered: the traversability is at least the threshold."""
+        """Mask (H, W) of the cells that may be entered: traversability >= threshold."""
         return self.traversability >= self.threshold
 
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
-        """Say whether each cell (row, column) is on the map."""
+        """Return whether each cell (row, column) is on the map."""
         height, width = self.shape
         row, column = cell[..., 0], cell[..., 1]
         return (row >= 0) & (row < height) & (column >= 0) & (column < width)
 
     def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
-        """Return the cell (row, column) that holds each world point (x, y) [m]; it may lie off the
-        map, and a point that is not finite does."""
+        """Return the cell (row, column) that contains each world point (x, y) [m].
+
+        The cell may be off the map; that of a point that is not finite is.
+        """
         grid = self.frame.to_grid(points)
-        # What a NaN becomes as a whole number is up to the machine.
+        # Converting NaN to an integer is undefined: it depends on the machine.
         return jnp.floor(jnp.where(jnp.isfinite(grid), grid, -1.0)).astype(jnp.int32)
 
     def elevation_at_cell(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
@@ -136,7 +141,7 @@ class Ground(eqx.Module):
         return self._look_up(self.elevation, cell)
 
     def at(self, points: Float[Array, "*N 2"]) -> GroundSample:
-        """Return the layers of the cell that holds each world point (x, y) [m], 0 off the map."""
+        """Return the layers of the cell with each world point (x, y) [m]; 0 off the map."""
         cell = self.to_cell(points)
         return GroundSample(
             elevation=self._look_up(self.elevation, cell),
@@ -147,22 +152,22 @@ class Ground(eqx.Module):
 
     @property
     def elevation_field(self) -> ScalarField:
-        """Elevation between the cells' centres [m], bilinear; 0 off the map."""
+        """Elevation [m], interpolated bilinearly between cell centres; 0 off the map."""
         return self._field(self.elevation)
 
     @property
     def slope_field(self) -> ScalarField:
-        """Slope between the cells' centres [m/m], bilinear; 0 off the map."""
+        """Slope [m/m], interpolated bilinearly between cell centres; 0 off the map."""
         return self._field(self.slope)
 
     @property
     def roughness_field(self) -> ScalarField:
-        """Roughness between the cells' centres [m], bilinear; 0 off the map."""
+        """Roughness [m], interpolated bilinearly between cell centres; 0 off the map."""
         return self._field(self.roughness)
 
     @property
     def traversability_field(self) -> ScalarField:
-        """Traversability between the cells' centres, bilinear; 0 off the map."""
+        """Traversability, interpolated bilinearly between cell centres; 0 off the map."""
         return self._field(self.traversability)
 
     def _field(self, layer: GridValues) -> ScalarField:
@@ -170,6 +175,7 @@ class Ground(eqx.Module):
 
     def _look_up(self, layer: GridValues, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
         height, width = self.shape
+        # Clip first: an index out of bounds would be clamped or wrapped silently.
         row = jnp.clip(cell[..., 0], 0, height - 1)
         column = jnp.clip(cell[..., 1], 0, width - 1)
         return jnp.where(self.contains(cell), layer[row, column], 0.0)
@@ -178,7 +184,7 @@ class Ground(eqx.Module):
 @jax.jit
 def _relief(elevation: GridValues, resolution: Scalar | float) -> tuple[GridValues, GridValues]:
     """Return the slope [m/m] and the roughness [m] of each cell."""
-    # An odd reflection by one cell is the straight line on; an axis of one cell stays level.
+    # An odd reflection by one cell extrapolates linearly; an axis of one cell stays level.
     padded: Array = elevation
     for axis, size in enumerate(elevation.shape):
         width = [(1, 1) if axis == other else (0, 0) for other in range(2)]
@@ -187,10 +193,10 @@ def _relief(elevation: GridValues, resolution: Scalar | float) -> tuple[GridValu
             if size > 1
             else jnp.pad(padded, width, mode="edge")
         )
-    # Along each axis, three cells are a sum (1, 1, 1), a difference (-1, 0, 1) and a bend
-    # (1, -2, 1), which are orthogonal. So are their nine products over 3 x 3 cells, and the plane
-    # takes three of them; the other six, over their lengths, are its residual. Sums of squared
-    # residuals would cancel where the ground is high; differences of neighbours do not.
+    # The filters sum (1, 1, 1), difference (-1, 0, 1) and bend (1, -2, 1) are an orthogonal basis
+    # of three cells, and their nine products one of 3 x 3 cells. A plane is spanned by three of the
+    # products; the other six, divided by their norms, are the residual. Fitting the plane and
+    # subtracting it would lose digits where the ground is high; differences of neighbours do not.
     difference, bend = _difference(padded, 0), _bend(padded, 0)
     by_row, by_column = _inner(difference, 1), _inner(_difference(padded, 1), 0)
     slope = _root(by_row**2 + by_column**2) / (2.0 * resolution)
@@ -220,12 +226,12 @@ def _inner(values: Array, axis: int) -> Array:
 
 
 def _from(values: Array, axis: int, first: int) -> Array:
-    """Return the values from `first` on, two fewer than there are along the axis."""
+    """Return the values from `first` on along an axis, two fewer than the array has."""
     return jax.lax.slice_in_dim(values, first, first + values.shape[axis] - 2, axis=axis)
 
 
 def _root(squared: GridValues) -> GridValues:
-    """Return the square root, with a derivative of 0 at 0."""
+    """Return the square root, with a gradient of 0 at 0."""
     is_zero = squared <= 0.0
     return jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, squared)))
 

@@ -1,4 +1,4 @@
-"""The occupancy grid: one probability per cell, and where the cells are in the world."""
+"""Represent an occupancy grid: a probability for each cell, and the pose of the grid."""
 
 from os import PathLike
 
@@ -17,21 +17,23 @@ from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
 
 FREE_THRESHOLD = 0.25
-"""Below this probability a cell is known to be free (nav2's default `free_thresh`)."""
+"""A cell with a lower probability is free (nav2's default `free_thresh`)."""
 OCCUPIED_THRESHOLD = 0.65
-"""Above this probability a cell is known to be occupied (ROS's default `occupied_thresh`)."""
+"""A cell with a higher probability is occupied (ROS's default `occupied_thresh`)."""
 OUTSIDE = 1.0
-"""Probability off the map: nobody can drive there and nothing can be learned there."""
+"""Probability off the map: nothing can drive there, and there is nothing to learn."""
 
 
 class OccupancyGrid(eqx.Module):
-    """Probability of being occupied for each cell of a regular grid.
+    """Probability of occupancy for each cell of a regular grid.
 
-    Row 0, column 0 is the cell at the origin; columns run along the grid's x axis and rows along
-    its y axis. Off the map the probability is 1, wherever a point is looked up.
+    Row 0, column 0 is the cell at the origin. Columns run along the grid's x axis and rows along
+    its y axis. Off the map the probability is 1. A cell is free below 0.25, occupied above 0.65 and
+    unknown in between.
 
     Args:
-        probability: (H, W) in [0, 1]; 0.5 is unknown.
+        probability: probability of occupancy (H, W) in [0, 1]; 0.5 for a cell that was never
+            measured.
         resolution: side of a cell [m].
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) in the world [m, m, rad].
 
@@ -55,7 +57,7 @@ class OccupancyGrid(eqx.Module):
 
     @classmethod
     def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":
-        """Return a grid of which nothing is known yet: 0.5 everywhere."""
+        """Return a grid in which every cell is unknown: 0.5 everywhere."""
         return cls(jnp.full(shape, 0.5, jnp.float32), frame.resolution, frame.origin)
 
     @classmethod
@@ -64,7 +66,7 @@ class OccupancyGrid(eqx.Module):
         return cls(*ros.read_map(path))
 
     def to_ros(self, path: str | PathLike[str], *, mode: str = "trinary") -> None:
-        """Write a ROS `map_server` map: the YAML at `path`, the image beside it."""
+        """Write a ROS `map_server` map (see `jaxplore.maps.files.ros.write_map`)."""
         ros.write_map(
             path,
             np.asarray(self.probability),
@@ -74,7 +76,7 @@ class OccupancyGrid(eqx.Module):
         )
 
     def resample(self, resolution: float) -> "OccupancyGrid":
-        """Return the same map at another resolution [m], without losing a wall.
+        """Return the same map at another resolution [m]; no wall gets lost.
 
         See `jaxplore.maps.resample.resample`.
         """
@@ -94,22 +96,25 @@ class OccupancyGrid(eqx.Module):
 
     @property
     def is_free(self) -> GridMask:
-        """Cells known to be free."""
+        """Mask (H, W) of the free cells."""
         return self.probability < FREE_THRESHOLD
 
     @property
     def is_occupied(self) -> GridMask:
-        """Cells known to be occupied."""
+        """Mask (H, W) of the occupied cells."""
         return self.probability > OCCUPIED_THRESHOLD
 
     def with_prior(self, prior: Scalar) -> "OccupancyGrid":
-        """Return the grid with the probability `prior` where nothing is known, 0.5 within 1e-3."""
+        """Return the grid with the probability `prior` in cells that were never measured.
+
+        These are the cells whose probability is 0.5 to within 1e-3.
+        """
         is_unknown = jnp.abs(self.probability - 0.5) < 1e-3
         probability = jnp.where(is_unknown, prior, self.probability)
         return OccupancyGrid(probability, self.resolution, self.frame.origin)
 
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
-        """Say whether each cell (row, column) is on the map."""
+        """Return whether each cell (row, column) is on the map."""
         height, width = self.shape
         row, column = cell[..., 0], cell[..., 1]
         return (row >= 0) & (row < height) & (column >= 0) & (column < width)
@@ -122,13 +127,13 @@ class OccupancyGrid(eqx.Module):
         return jnp.where(self.contains(cell), self.probability[row, column], OUTSIDE)
 
     def at(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
-        """Return the probability of the cell that holds each world point (x, y) [m]."""
+        """Return the probability of the cell that contains each world point (x, y) [m]."""
         return self.at_cell(self.frame.to_cell(points))
 
     def interpolate(self, position: Position) -> Scalar:
         """Return the bilinear interpolation of the probability at a world point (x, y) [m].
 
-        Exact at cell centres; 1 off the map.
+        It is exact at cell centres, and 1 off the map.
         """
         return bilinear(self.probability, self.frame.to_grid(position), jnp.float32(OUTSIDE))
 

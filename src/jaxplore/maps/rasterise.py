@@ -1,7 +1,7 @@
-"""Which cells of a grid a shape covers, in double precision: for worlds that are built, not traced.
+"""Rasterise shapes on a grid, in double precision; not for traced code.
 
-A solid thing never vanishes: where no centre of a cell lies in a shape, the cell that holds its
-middle is marked, if it is on the map.
+No obstacle gets lost: if a shape contains no cell centre, the cell that contains the middle of the
+shape is marked, provided that it is on the map.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,9 @@ from jaxplore._types import Rows, Vector
 from jaxplore.maps.frame import GridFrame
 
 TOLERANCE = 1e-9
-"""How far beyond a boundary a centre still counts as on it [m]: 3.5 x 0.1 is not 0.35 in binary."""
+"""Distance beyond a boundary at which a centre still counts as on it [m].
+
+Rounding makes it necessary: 3.5 x 0.1 is not 0.35 in binary."""
 
 Mask = NDArray[np.bool_]
 Points = NDArray[np.float64]
@@ -22,25 +24,25 @@ Window = tuple[slice, slice]
 
 
 def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach: float) -> Mask:
-    """Return the cells whose centre is at most `reach` from a segment.
+    """Return the cells whose centre is within a distance `reach` of a segment.
 
         min over t in [0, 1] of |c - a - t (b - a)| <= reach
 
-    With a reach of half a cell or more a segment leaves no gaps: in each column it crosses (row,
-    if it is steep) the nearest centre is at most half a cell away. A segment with no centre in
+    With a reach of at least half a cell a segment has no gaps: in each column that it crosses (row,
+    if it is steep), the nearest centre is at most half a cell away. A segment with no centre within
     reach marks the cell of its midpoint.
 
     Args:
-        segments: (N, 4) as (x1, y1, x2, y2) in the world [m]; N may be 0.
-        frame: where the cells are.
+        segments: end points (N, 4) as (x1, y1, x2, y2) in the world [m]; N may be 0.
+        frame: pose and cell size of the map.
         shape: rows and columns of the map.
-        reach: half the thickness [m].
+        reach: half the thickness of the segments [m].
 
     Returns:
-        (H, W) true where some segment is.
+        Mask (H, W) of the cells that some segment covers.
 
     Raises:
-        ValueError: not four finite numbers in each row, a reach that is negative.
+        ValueError: a row that is not four finite numbers, a negative reach.
     """
     reach = _checks.number("reach", reach, at_least=0.0)
     mask = np.zeros(shape, bool)
@@ -50,6 +52,7 @@ def segment_mask(segments: Rows, frame: GridFrame, shape: tuple[int, int], reach
             np.minimum(a, b) - reach, np.maximum(a, b) + reach, mask, frame
         )
         along = b - a
+        # A segment of length zero is a point: keep the division finite.
         squared = max(float(along @ along), np.finfo(np.float64).tiny)
         share = np.clip((centres - a) @ along / squared, 0.0, 1.0)
         gap = centres - (a + share[..., None] * along)
@@ -63,22 +66,22 @@ def rectangle_mask(
 ) -> Mask:
     """Return the cells whose centre is in a rectangle, `[x_min, x_max) x [y_min, y_max)`.
 
-    Rectangles lie along the axes of the world, and two that share an edge share no cell, as in
-    `jaxplore.Zones.from_rectangles`. A side shorter than a cell counts as one cell long, both ends
-    included, about the same middle: a thin wall has no gaps, and no cell is added on a grid
-    without yaw where a centre is inside already.
+    Rectangles are aligned with the axes of the world. Two that share an edge share no cell, as in
+    `jaxplore.Zones.from_rectangles`. A solid side shorter than a cell is lengthened to one cell
+    about the same middle, with both ends included, so that a thin wall has no gaps. On a grid
+    without yaw this adds no cell where a centre is inside already.
 
     Args:
-        rectangles: (N, 4) as (x_min, y_min, x_max, y_max) in the world [m]; N may be 0.
-        frame: where the cells are.
+        rectangles: rectangles (N, 4) as (x_min, y_min, x_max, y_max) in the world [m]; N may be 0.
+        frame: pose and cell size of the map.
         shape: rows and columns of the map.
-        is_solid: without it only centres count, and what is too small has no cells.
+        is_solid: whether rectangles that contain no cell centre still mark a cell.
 
     Returns:
-        (H, W) true where some rectangle is.
+        Mask (H, W) of the cells that some rectangle covers.
 
     Raises:
-        ValueError: not four finite numbers in each row, a minimum that is not below its maximum.
+        ValueError: a row that is not four finite numbers, a minimum that is not below its maximum.
     """
     mask = np.zeros(shape, bool)
     rows = _rows(
@@ -91,7 +94,7 @@ def rectangle_mask(
     half = frame.resolution / 2
     for low, high in rows.reshape(-1, 2, 2):
         middle = (low + high) / 2
-        # The margin keeps a side of exactly one cell, give or take rounding, half-open.
+        # The margin keeps a side of exactly one cell, up to rounding, half-open.
         is_thin = is_solid & (high - low < frame.resolution - 4 * TOLERANCE)
         first = np.where(is_thin, middle - half, low) - TOLERANCE
         last = np.where(is_thin, middle + half + TOLERANCE, high - TOLERANCE)
@@ -107,18 +110,18 @@ def rectangle_mask(
 def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
     """Return the cells whose centre is in a disc, `|c - (x, y)| <= radius`.
 
-    A disc without the centre of a cell marks the cell of its own centre.
+    A disc that contains no cell centre marks the cell of its own centre.
 
     Args:
-        discs: (N, 3) as (x, y, radius) in the world [m]; N may be 0.
-        frame: where the cells are.
+        discs: discs (N, 3) as (x, y, radius) in the world [m]; N may be 0.
+        frame: pose and cell size of the map.
         shape: rows and columns of the map.
 
     Returns:
-        (H, W) true where some disc is.
+        Mask (H, W) of the cells that some disc covers.
 
     Raises:
-        ValueError: not three finite numbers in each row, a radius that is not positive.
+        ValueError: a row that is not three finite numbers, a radius that is not positive.
     """
     mask = np.zeros(shape, bool)
     accepted = "(N, 3) finite numbers (x, y, radius), radius > 0"
@@ -132,10 +135,10 @@ def disc_mask(discs: Rows, frame: GridFrame, shape: tuple[int, int]) -> Mask:
 
 
 def cell_at(point: Vector, frame: GridFrame) -> tuple[int, int]:
-    """Return the cell (row, column) that holds a world point (x, y) [m]; it may lie off the map.
+    """Return the cell (row, column) that contains a world point (x, y) [m]; it may be off the map.
 
-    As `GridFrame.to_cell`, in double precision; a point within rounding of an edge belongs to the
-    cell above it.
+    It is `GridFrame.to_cell` in double precision. A point within rounding of an edge belongs to the
+    cell with the greater index.
     """
     cell = np.floor(_to_grid(np.asarray(point, np.float64), frame) + TOLERANCE)
     return int(cell[0]), int(cell[1])
@@ -174,7 +177,8 @@ def _to_grid(points: Points, frame: GridFrame) -> Points:
 
 
 def _cells_near(low: Points, high: Points, mask: Mask, frame: GridFrame) -> tuple[Window, Points]:
-    """Return the cells of the map around a box of the world, and their centres (x, y) [m]."""
+    """Return the window of map cells around a box in the world, and their centres (x, y) [m]."""
+    # The grid may have a yaw: take the bounding box of the corners in grid coordinates.
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     grid = _to_grid(corners, frame)
     first = np.clip(np.floor(grid.min(axis=0)) - 1, 0, mask.shape).astype(int)
@@ -186,6 +190,7 @@ def _cells_near(low: Points, high: Points, mask: Mask, frame: GridFrame) -> tupl
 
 
 def _mark(mask: Mask, window: Window, inside: Mask, middle: Points, frame: GridFrame) -> None:
+    """Mark the cells inside a shape, or the cell of its middle if there are none."""
     mask[window] |= inside
     if not inside.any():
         row, column = cell_at(middle, frame)

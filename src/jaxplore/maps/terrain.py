@@ -1,4 +1,4 @@
-"""The terrain map: what is in the way and what the ground is like, on one grid."""
+"""Combine occupancy and ground layers on one grid: the terrain map."""
 
 import os
 from pathlib import Path
@@ -14,22 +14,20 @@ from numpy.typing import NDArray
 
 from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Vector
-from jaxplore.maps.files import _terrain_file
-from jaxplore.maps.files._files import name_of, replace_files
+from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
+from jaxplore.maps.files.untrusted import printable_path, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
+from jaxplore.maps.resample import SLIVER
 
 UNKNOWN = 0.5
-"""Probability of a cell of which nothing is known; a robot drives only below it."""
-
-# Overlaps below this, in old cells, come from rounding: 0.15 m is not 3 x 0.05 m in binary.
-_SLIVER = 1e-6
+"""Probability of a cell that was never measured; a robot drives only where it is lower."""
 
 
 class TerrainSample(NamedTuple):
-    """What a terrain map holds at points, (*N) each: `occupancy` in [0, 1], its `entropy` [nat],
+    """Layers of a terrain map at points, (*N) each: `occupancy` in [0, 1], its `entropy` [nat],
     `elevation` [m], `slope` [m/m], `roughness` [m], `traversability` in [0, 1], `is_drivable`."""
 
     occupancy: Float[Array, "*N"]
@@ -44,13 +42,13 @@ class TerrainSample(NamedTuple):
 class TerrainMap(eqx.Module):
     """Occupancy, entropy, elevation, traversability and roughness on one grid.
 
-    Scans change what is known of obstacles, and `with_grid` takes that in; the ground is known and
-    stays. A cell is drivable if it is likelier free than occupied and the ground lets a vehicle in:
-    `p < 0.5` and `traversability >= threshold`.
+    Scans change the occupancy, which `with_grid` replaces; the ground stays as it is. A cell is
+    drivable if it is more likely free than occupied and the ground is traversable: `p < 0.5` and
+    `traversability >= threshold`.
 
     Args:
-        grid: probability of being occupied.
-        ground: what there is to drive on.
+        grid: occupancy grid.
+        ground: elevation and traversability of the same cells.
 
     Raises:
         ValueError: grids that differ in shape, resolution or origin.
@@ -62,6 +60,7 @@ class TerrainMap(eqx.Module):
     def __init__(self, grid: OccupancyGrid, ground: Ground) -> None:
         _check_same("shape", ground.shape, grid.shape)
         _check_same("resolution", ground.resolution, grid.resolution)
+        # Shapes and resolutions are static, but origins may be traced and cannot be compared then.
         origins = (ground.frame.origin, grid.frame.origin)
         if not _checks.is_traced(*origins):
             _check_same("origin", *(tuple(np.asarray(origin).tolist()) for origin in origins))
@@ -77,14 +76,14 @@ class TerrainMap(eqx.Module):
         origin: Vector = (0.0, 0.0, 0.0),
         **ground_options: Any,
     ) -> "TerrainMap":
-        """Make a map of arrays.
+        """Build a terrain map from arrays.
 
         Args:
-            occupancy: (H, W) probability in [0, 1]; 0.5 is unknown.
-            elevation: (H, W) [m].
+            occupancy: probability of occupancy (H, W) in [0, 1]; 0.5 is unknown.
+            elevation: elevation (H, W) [m].
             resolution: side of a cell [m].
             origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
-            ground_options: of `Ground`, by keyword.
+            ground_options: keyword arguments of `Ground`.
 
         Raises:
             ValueError: what `OccupancyGrid` or `Ground` refuses, shapes that differ.
@@ -103,19 +102,20 @@ class TerrainMap(eqx.Module):
         elevation_scale: float = 5.0,
         **ground_options: Any,
     ) -> "TerrainMap":
-        """Make a map of two grey images of one size: PGM, PNG or BMP, of 8 or 16 bits.
+        """Build a terrain map from two grey images of one size: PGM, PNG or BMP, 8 or 16 bits.
 
-        Black is free and white is occupied, and in between the probability is linear; a
-        transparent pixel is unknown. Black is at 0 m and white at `elevation_scale`. The bottom
-        row of an image is row 0 of the map, as in ROS maps (where black is occupied).
+        In the occupancy image black is free, white is occupied, the probability is linear in
+        between, and a transparent pixel is unknown. In the height image black is 0 m and white is
+        `elevation_scale`. The bottom row of an image is row 0 of the map, as in ROS maps (in which,
+        however, black is occupied).
 
         Args:
             occupancy_image: path of the image of the obstacles.
-            height_image: path of the image of the elevation; it has no transparent pixels.
+            height_image: path of the image of the elevation; it must not have transparent pixels.
             resolution: side of a cell [m].
             origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
             elevation_scale: elevation of white [m].
-            ground_options: of `Ground`, by keyword.
+            ground_options: keyword arguments of `Ground`.
 
         Raises:
             ValueError: an image that is missing or malformed, images of different sizes, an
@@ -137,9 +137,9 @@ class TerrainMap(eqx.Module):
         elevation_scale: float = 5.0,
         **ground_options: Any,
     ) -> "TerrainMap":
-        """Make a map of a ROS `map_server` map and a grey image of the elevation of its size.
+        """Build a terrain map from a ROS `map_server` map and a grey elevation image of its size.
 
-        See `OccupancyGrid.from_ros` and, for `height_image`, `from_images`.
+        See `OccupancyGrid.from_ros` for the map, and `from_images` for `height_image`.
         """
         grid = OccupancyGrid.from_ros(map_yaml)
         elevation = _heights(Path(height_image), elevation_scale, grid.shape)
@@ -147,37 +147,37 @@ class TerrainMap(eqx.Module):
 
     @property
     def occupancy(self) -> GridValues:
-        """Probability of being occupied."""
+        """Probability of occupancy (H, W)."""
         return self.grid.probability
 
     @property
     def entropy(self) -> GridValues:
-        """Entropy of the occupancy [nat]."""
+        """Entropy of the occupancy (H, W) [nat]."""
         return self.grid.entropy
 
     @property
     def elevation(self) -> GridValues:
-        """Elevation [m]."""
+        """Elevation (H, W) [m]."""
         return self.ground.elevation
 
     @property
     def slope(self) -> GridValues:
-        """Slope [m/m]."""
+        """Slope (H, W) [m/m]."""
         return self.ground.slope
 
     @property
     def roughness(self) -> GridValues:
-        """Roughness [m]."""
+        """Roughness (H, W) [m]."""
         return self.ground.roughness
 
     @property
     def traversability(self) -> GridValues:
-        """Traversability in [0, 1]."""
+        """Traversability (H, W) in [0, 1]."""
         return self.ground.traversability
 
     @property
     def frame(self) -> GridFrame:
-        """Where the cells are."""
+        """Pose and cell size of the map."""
         return self.grid.frame
 
     @property
@@ -192,13 +192,13 @@ class TerrainMap(eqx.Module):
 
     @property
     def is_drivable(self) -> GridMask:
-        """Cells that are likelier free than occupied and may be entered."""
+        """Mask (H, W) of the cells that are more likely free than occupied and traversable."""
         return (self.grid.probability < UNKNOWN) & self.ground.is_traversable
 
     def at(self, points: Float[Array, "*N 2"]) -> TerrainSample:
-        """Return what the cell that holds each world point (x, y) [m] is like.
+        """Return the layers at the cell that contains each world point (x, y) [m].
 
-        Off the map it is occupied, with no entropy, and everything else is 0.
+        Off the map the occupancy is 1 and everything else is 0.
         """
         cell = self.ground.to_cell(points)
         p = jnp.where(self.ground.contains(cell), self.grid.at_cell(cell), OUTSIDE)
@@ -214,8 +214,7 @@ class TerrainMap(eqx.Module):
         )
 
     def with_grid(self, grid: OccupancyGrid) -> "TerrainMap":
-        """Return the map with what is known of obstacles now: occupancy and entropy change, the
-        ground stays.
+        """Return the map with another occupancy grid and the same ground.
 
         Raises:
             ValueError: a grid of another shape, resolution or origin.
@@ -225,13 +224,16 @@ class TerrainMap(eqx.Module):
     def resample(self, resolution: float) -> "TerrainMap":
         """Return the same map at another resolution [m].
 
-        The occupancy is as cautious as `OccupancyGrid.resample`. The elevation of a new cell is
-        the mean of m x m samples spread evenly over the part of it that is on the old map, each
-        interpolated linearly between the old cells' centres, with m the old cells along its side,
-        rounded up: the mean of the old cells if it covers whole ones, and the value at its centre
-        if it is smaller. A plane stays one, but for a last row or column that reaches beyond the
-        old map. Slope and roughness are those of the new elevation, and so is the traversability;
-        one that was given becomes the least of the old cells that the new one overlaps.
+        The occupancy is resampled by `OccupancyGrid.resample`. The elevation of a new cell is the
+        mean of m x m samples, spread evenly over the part of the cell that is on the old map and
+        interpolated linearly between the old cell centres. m is the number of old cells along the
+        side of a new one, rounded up. So a new cell that covers whole old cells gets their mean,
+        and a smaller one the value at its centre. A plane stays a plane, except in a last row or
+        column that reaches beyond the old map.
+
+        Slope, roughness and traversability are computed from the new elevation. A traversability
+        that was given is resampled instead: a new cell gets the minimum of the old cells that it
+        overlaps.
 
         Raises:
             ValueError: see `OccupancyGrid.resample`.
@@ -257,20 +259,20 @@ class TerrainMap(eqx.Module):
         return TerrainMap(grid, ground)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the map as one file, whole or not at all; `load` returns it to the bit.
+        """Write the map to one file, completely or not at all; `load` restores every bit.
 
-        It holds plain arrays, no pickles, and is read back before it takes its name.
+        The file holds plain arrays and no pickles. It is read back before it gets its name.
 
         Args:
-            path: ends in .npz.
+            path: path of the file; it must end in .npz.
 
         Raises:
             ValueError: another ending, or a map that could not be read back.
             OSError: the file cannot be written.
         """
         path = Path(path)
-        data = _terrain_file.pack(path, _arrays_of(self))
-        _terrain_file.unpack(path, data, _terrain_of)
+        data = terrain_file.pack(path, _named_arrays(self))
+        terrain_file.unpack(path, data, _build_terrain)
         replace_files([(path, data)])
 
     @staticmethod
@@ -282,7 +284,7 @@ class TerrainMap(eqx.Module):
                 value that is not accepted; one line that names it.
         """
         path = Path(path)
-        return _terrain_file.unpack(path, _terrain_file.read(path), _terrain_of)
+        return terrain_file.unpack(path, terrain_file.read(path), _build_terrain)
 
 
 def _check_same(name: str, ground: object, grid: object) -> None:
@@ -291,9 +293,9 @@ def _check_same(name: str, ground: object, grid: object) -> None:
 
 
 def _heights(path: Path, scale: float, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return the elevation in an image [m], row 0 at the bottom."""
+    """Read the elevation (H, W) from an image [m], row 0 at the bottom."""
     scale = _checks.number("elevation_scale", scale, above=0.0, at_most=HIGHEST)
-    where = f"image {name_of(path)}"
+    where = f"image {printable_path(path)}"
     greys = read_greys(path)
     if greys.level.shape != shape:
         found, wanted = (f"{width} x {height}" for height, width in (greys.level.shape, shape))
@@ -304,8 +306,8 @@ def _heights(path: Path, scale: float, shape: tuple[int, ...]) -> NDArray[np.flo
 
 
 def _edges(size: int, new_size: int, ratio: float) -> tuple[NDArray[np.float64], ...]:
-    """Return where each new cell begins and ends on an axis of old cells [old cells]."""
-    # A new cell beyond the whole axis covers all of it; this also keeps inf out of the products.
+    """Return the coordinates at which each new cell begins and ends [old cells]."""
+    # A new cell larger than the whole axis covers all of it. The bound also avoids infinity here.
     edges = np.minimum(np.arange(new_size + 1) * min(ratio, float(size)), float(size))
     return edges[:-1], edges[1:]
 
@@ -313,13 +315,15 @@ def _edges(size: int, new_size: int, ratio: float) -> tuple[NDArray[np.float64],
 def _mean(
     values: NDArray[np.float64], new_size: int, ratio: float, axis: int
 ) -> NDArray[np.float64]:
+    """Average the linearly interpolated values over each new cell along an axis."""
     size = values.shape[axis]
     if size == 1:
         return np.repeat(values, new_size, axis)
-    number = min(size, max(1, int(np.ceil(min(ratio, float(size)) - _SLIVER))))
+    number = min(size, max(1, int(np.ceil(min(ratio, float(size)) - SLIVER))))
     begin, end = _edges(size, new_size, ratio)
     share = (np.arange(number) + 0.5) / number
-    # Centres of old cells are at whole numbers; half a cell beyond the outermost is the edge.
+    # Shift by half a cell, so that the centres of old cells are at whole numbers. Samples beyond
+    # the outermost centres are extrapolated.
     at = (begin[:, None] + (end - begin)[:, None] * share).ravel() - 0.5
     first = np.clip(np.floor(at).astype(np.intp), 0, size - 2)
     along = np.moveaxis(values, axis, 0)
@@ -332,11 +336,12 @@ def _mean(
 def _least(
     values: NDArray[np.floating], new_size: int, ratio: float, axis: int
 ) -> NDArray[np.floating]:
+    """Return the minimum of the old cells that each new cell overlaps along an axis."""
     size = values.shape[axis]
     begin, end = _edges(size, new_size, ratio)
-    first = np.clip(np.floor(begin + _SLIVER).astype(np.intp), 0, size - 1)
-    stop = np.clip(np.ceil(end - _SLIVER).astype(np.intp), first + 1, size)
-    # `reduceat` wants its bounds inside: one more cell makes `size` one of them.
+    first = np.clip(np.floor(begin + SLIVER).astype(np.intp), 0, size - 1)
+    stop = np.clip(np.ceil(end - SLIVER).astype(np.intp), first + 1, size)
+    # `reduceat` accepts only indices below the size: pad by one cell, so that `size` is one.
     padding = [(0, 1) if axis == other else (0, 0) for other in range(values.ndim)]
     padded = np.pad(values, padding, constant_values=1.0)
     bounds = np.stack([first, stop], axis=-1).ravel()
@@ -344,7 +349,7 @@ def _least(
     return np.take(both, np.arange(0, 2 * new_size, 2), axis=axis)
 
 
-def _arrays_of(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
+def _named_arrays(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
     ground = terrain.ground
     found = {
         "probability": terrain.occupancy,
@@ -362,7 +367,7 @@ def _arrays_of(terrain: TerrainMap) -> dict[str, NDArray[Any]]:
     return {name: np.asarray(value) for name, value in found.items() if value is not None}
 
 
-def _terrain_of(arrays: dict[str, NDArray[Any]]) -> TerrainMap:
+def _build_terrain(arrays: dict[str, NDArray[Any]]) -> TerrainMap:
     for name in ("slope", "roughness"):
         if not ((arrays[name] >= 0.0) & np.isfinite(arrays[name])).all():
             raise ValueError(f"{name} has values that are negative or not finite")
@@ -377,8 +382,8 @@ def _terrain_of(arrays: dict[str, NDArray[Any]]) -> TerrainMap:
         threshold=arrays["threshold"],
         traversability=traversability if arrays["is_given"] else None,
     )
-    # What follows from the elevation may differ in its last bit where it was compiled by another
-    # program or for another machine: what was saved holds.
+    # Recomputed layers may differ in the last bit on another machine or in another program: restore
+    # the saved ones.
     ground = eqx.tree_at(
         lambda layers: (layers.slope, layers.roughness, layers.traversability),
         ground,

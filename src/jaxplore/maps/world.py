@@ -1,4 +1,4 @@
-"""A world in a file: what is there, and what of it the robot knows beforehand."""
+"""Describe a world: the true map, and the part of it that the robot knows beforehand."""
 
 import math
 import os
@@ -11,50 +11,47 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore.maps.files import _files
-from jaxplore.maps.files._entries import (
+from jaxplore.maps.files import untrusted
+from jaxplore.maps.files.world_entries import (
     CHECKS,
-    EXTRAS,
-    MOVER,
-    OTHERS,
+    MOVER_ENTRIES,
+    OPTIONAL_LISTS,
     SHAPES,
+    WORLD_ENTRIES,
     Row,
     checked,
     refuse_unknown,
     touches_solid,
 )
-from jaxplore.maps.files._entries import MovingObstacle as MovingObstacle
+from jaxplore.maps.files.world_entries import MovingObstacle as MovingObstacle
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.hills import hill_elevation, is_on_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
-from jaxplore.maps.resample import CELL_LIMIT
+from jaxplore.maps.resample import CELL_LIMIT, SLIVER
 
 FREE_PROBABILITY = 0.01
-"""Probability of a cell in which nothing is (quadrotor design notes)."""
+"""Probability of a free cell (quadrotor design notes)."""
 UNKNOWN_PROBABILITY = 0.5
 """Prior probability of a cell in a zone."""
 SOLID_PROBABILITY = 0.99
-"""Probability of a cell in which something solid is (quadrotor design notes)."""
-
-# Sizes that exceed a whole number of cells by less, in cells, do so from rounding.
-_SLIVER = 1e-6
+"""Probability of a solid cell (quadrotor design notes)."""
 
 
 @dataclass(frozen=True)
 class Shapes:
-    """Solid things.
+    """Solid obstacles: walls, rectangles and discs.
 
     Args:
-        walls: segments (x1, y1, x2, y2) [m], as thick as the world's `wall_reach` says.
-        rectangles: (x_min, y_min, x_max, y_max) [m].
-        discs: (x, y, radius) [m].
+        walls: segments (x1, y1, x2, y2) [m], whose half thickness is the world's `wall_reach`.
+        rectangles: rectangles (x_min, y_min, x_max, y_max) [m].
+        discs: discs (x, y, radius) [m].
 
     Raises:
-        ValueError: an entry with another count of numbers, a number that is not finite, a wall of
-            no length, a rectangle with a minimum that is not below its maximum, a radius that is
-            not positive.
+        ValueError: an entry with a wrong count of numbers, a number that is not finite, a wall of
+            length 0, a rectangle with a minimum that is not below its maximum, a radius that is not
+            positive.
     """
 
     walls: tuple[Row, ...] = ()
@@ -68,28 +65,28 @@ class Shapes:
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """A true world and the robot's prior knowledge of it: two maps with the same cells.
+    """True world and the robot's prior knowledge of it, as two maps with the same cells.
 
-    What is known beforehand is solid in both. A zone is unknown in the prior. What is hidden is
-    solid in the true world and absent from the prior, which calls its cells free (unknown in a
-    zone). A cell belongs to a shape if its centre does; see `jaxplore.maps.rasterise`, which also
-    says how what is smaller than a cell is kept.
+    Known obstacles are solid in both maps. Zones are unknown in the prior. Hidden obstacles are
+    solid in the true world only; in the prior their cells are free, or unknown inside a zone. A
+    cell belongs to a shape if its centre does; `jaxplore.maps.rasterise` explains how shapes
+    smaller than a cell are kept.
 
     Args:
-        size: width (x) and height (y) of the map [m]; where they are no whole number of cells, the
+        size: width (x) and height (y) of the map [m]; if they are not a whole number of cells, the
             last row and column reach beyond.
-        start: pose (x, y, yaw) [m, m, rad].
-        goal: (x, y) or (x, y, z) [m]; may be absent. The z is as the robot takes it.
+        start: start pose (x, y, yaw) of the robot [m, m, rad].
+        goal: goal (x, y) or (x, y, z) [m], or None. The sign of z follows the robot's model.
         origin: lower corner (x, y) of the map [m].
         resolution: side of a cell [m].
         wall_reach: half the thickness of a wall [m].
-        known: solid things that are known beforehand.
-        zones: rectangles (x_min, y_min, x_max, y_max) [m], unknown beforehand.
-        hidden: solid things that are not known beforehand.
-        hills: (x, y, height, radius) [m], whose sum is the elevation; a negative height is a pit.
-            See `jaxplore.maps.hills.hill_elevation`.
-        targets: points (x, y) [m] that are to be seen.
-        movers: discs on closed paths; neither of the two maps has them.
+        known: obstacles that are known beforehand.
+        zones: rectangles (x_min, y_min, x_max, y_max) [m] that are unknown beforehand.
+        hidden: obstacles that are not known beforehand.
+        hills: hills (x, y, height, radius) [m], whose sum is the elevation; a negative height is a
+            pit. See `jaxplore.maps.hills.hill_elevation`.
+        targets: points (x, y) [m] that the robot has to see.
+        movers: moving obstacles, discs on closed paths; they are in neither of the two maps.
 
     Raises:
         ValueError: one line that names the entry, such as `hidden.walls[2]`: numbers that are not
@@ -98,8 +95,8 @@ class World:
             a cell on the map, a zone that leaves the map or holds no centre of a cell, a start,
             goal, target or point of a path that is off the map or in a cell that is solid in the
             true world, a hill whose radius is not positive or reaches no centre of a cell,
-            heights of more than 1000 km in all, a mover that `MovingObstacle` refuses or whose disc
-            touches a solid cell of the true world on its way (it may reach beyond the map).
+            heights that add up to more than 1000 km, a mover that `MovingObstacle` refuses or whose
+            disc touches a solid cell of the true world on its way (it may reach beyond the map).
     """
 
     size: tuple[float, float]
@@ -116,7 +113,8 @@ class World:
     movers: tuple[MovingObstacle, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in OTHERS:
+        # The class is frozen, so checked values are written with `object.__setattr__`.
+        for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
         self._check_cells()
         self._check_zones()
@@ -132,23 +130,24 @@ class World:
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any]) -> "World":
-        """Return the world that entries describe, which are named as in the class.
+        """Build a world from a mapping whose keys are the arguments of the class.
 
-        `walls`, `rectangles` and `discs` stand at the top for what is known beforehand, and under
-        `hidden` for what is not. A mover is a mapping with `path`, `speed` and `radius`. `size` and
-        `start` must be given.
+        `walls`, `rectangles` and `discs` at the top level are the known obstacles, those under
+        `hidden` the hidden ones. A mover is a mapping with `path`, `speed` and `radius`. `size` and
+        `start` are required.
 
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
         """
-        refuse_unknown("", entries, (*OTHERS, *SHAPES, "hidden"))
+        refuse_unknown("", entries, (*WORLD_ENTRIES, *SHAPES, "hidden"))
         for key in ("size", "start"):
             if key not in entries:
                 raise ValueError(f"{key} is missing; accepted: a world with size and start")
         hidden = entries.get("hidden", {})
         if not isinstance(hidden, Mapping):
             raise ValueError(
-                f"hidden is {_files.show(hidden)}; accepted: a mapping with {', '.join(SHAPES)}"
+                f"hidden is {untrusted.short_repr(hidden)}; accepted: a mapping with "
+                + ", ".join(SHAPES)
             )
         refuse_unknown("hidden: ", hidden, SHAPES)
         try:
@@ -156,7 +155,7 @@ class World:
         except ValueError as error:
             raise ValueError(f"hidden.{error}") from None
         known = Shapes(**checked(entries, SHAPES))
-        return cls(known=known, hidden=hidden_shapes, **checked(entries, OTHERS))
+        return cls(known=known, hidden=hidden_shapes, **checked(entries, WORLD_ENTRIES))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
@@ -166,14 +165,14 @@ class World:
             ValueError: a file that is missing, unreadable, too large or no YAML mapping, and what
                 `from_dict` raises; one line that names the file.
         """
-        entries = _files.read_yaml(Path(path))
+        entries = untrusted.read_yaml(Path(path))
         try:
             return cls.from_dict(entries)
         except ValueError as error:
-            raise ValueError(f"{_files.name_of(Path(path))}: {error}") from None
+            raise ValueError(f"{untrusted.printable_path(Path(path))}: {error}") from None
 
     def to_dict(self) -> dict[str, object]:
-        """Return the entries from which `from_dict` makes this world again."""
+        """Return a mapping from which `from_dict` builds this world again."""
         entries: dict[str, object] = {
             "origin": list(self.origin),
             "size": list(self.size),
@@ -186,41 +185,41 @@ class World:
         }
         if self.goal is not None:
             entries["goal"] = list(self.goal)
-        # Not written where there is none, so that a file says only what its world has.
-        extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in EXTRAS}
+        # Empty lists are left out, so that a file lists only what its world has.
+        extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in OPTIONAL_LISTS}
         return entries | {kind: rows for kind, rows in extras.items() if rows}
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
-        """Write a world file that `from_yaml` reads as this world, whole or not at all.
+        """Write a world file for `from_yaml`, completely or not at all.
 
         Raises:
-            ValueError: a world that takes more YAML than is read.
-            OSError: the file cannot be written; an earlier one is untouched.
+            ValueError: a world that takes more YAML than `from_yaml` reads.
+            OSError: the file cannot be written; an earlier file stays untouched.
         """
         text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None, width=2**31)
-        if len(text) > _files.YAML_LIMIT:
+        if len(text) > untrusted.YAML_LIMIT:
             raise ValueError(
-                f"the world takes {len(text)} bytes; accepted: at most {_files.YAML_LIMIT} of YAML"
+                f"the world takes {len(text)} bytes; "
+                f"accepted: at most {untrusted.YAML_LIMIT} of YAML"
             )
-        _files.replace_files([(Path(path), text.encode())])
+        untrusted.replace_files([(Path(path), text.encode())])
 
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the map."""
-        width, height = (max(1, math.ceil(side / self.resolution - _SLIVER)) for side in self.size)
+        width, height = (max(1, math.ceil(side / self.resolution - SLIVER)) for side in self.size)
         return height, width
 
     def truth(self) -> OccupancyGrid:
-        """Return the true world: 0.99 in what is known and what is hidden, 0.01 elsewhere."""
+        """Return the true map: 0.99 in known and hidden obstacles, 0.01 elsewhere."""
         return self._painted(
             (self._solid(self.known) | self._solid(self.hidden), SOLID_PROBABILITY)
         )
 
     def prior(self) -> OccupancyGrid:
-        """Return what the robot knows at the start.
+        """Return the robot's map at the start.
 
-        0.01 where nothing is, over it 0.5 in zones, over that 0.99 in what is known beforehand;
-        nothing of what is hidden.
+        It is 0.99 in known obstacles, else 0.5 in zones, else 0.01. Hidden obstacles are absent.
         """
         return self._painted(
             (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
@@ -228,7 +227,11 @@ class World:
         )
 
     def ground(self, **options: Any) -> Ground | None:
-        """Return what there is to drive on, with the options of `Ground`; none without hills."""
+        """Return the ground, or None for a world without hills.
+
+        Args:
+            options: keyword arguments of `Ground`.
+        """
         if not self.hills:
             return None
         elevation = hill_elevation(self.hills, self.shape, self.resolution, self.origin)
@@ -247,7 +250,7 @@ class World:
         return mask
 
     def _cells(self, kind: str, rows: tuple[Row, ...]) -> NDArray[np.bool_]:
-        # Relative to the lower corner: a frame keeps its origin in single precision.
+        # Work relative to the lower corner, because a frame keeps its origin in single precision.
         frame, shape, corner = GridFrame(self.resolution), self.shape, np.array(self.origin)
         if kind == "discs":
             return disc_mask([(*(row[:2] - corner).tolist(), row[2]) for row in rows], frame, shape)
@@ -264,7 +267,7 @@ class World:
                 f"{self.size[0]} m x {self.size[1]} m"
             )
         has_walls = self.known.walls or self.hidden.walls
-        # From half a cell on, every column that a wall crosses has a centre within reach.
+        # With at least half a cell, every column that a wall crosses has a centre within reach.
         if has_walls and self.wall_reach + TOLERANCE < self.resolution / 2:
             raise ValueError(
                 f"wall_reach is {self.wall_reach}; accepted: at least {self.resolution / 2}, half "
@@ -287,7 +290,7 @@ class World:
                 )
 
     def _checked_solid(self) -> NDArray[np.bool_]:
-        """Return the solid cells of the true world, to which every shape must add one."""
+        """Return the solid cells of the true world; raise if a shape covers no cell."""
         solid = np.zeros(self.shape, bool)
         for prefix, shapes in (("", self.known), ("hidden.", self.hidden)):
             for kind in SHAPES:
@@ -307,6 +310,7 @@ class World:
             raise ValueError(
                 f"{name} is {list(place)}; accepted: a point on the map, {self._extent()}"
             )
+        # A point within rounding of the far edge belongs to the cell beyond: clip it to the map.
         row, column = cell_at((x, y), GridFrame(self.resolution))
         if solid[min(row, solid.shape[0] - 1), min(column, solid.shape[1] - 1)]:
             raise ValueError(
@@ -326,6 +330,7 @@ class World:
         for index, point in enumerate(mover.path):
             self._check_place(f"{name}[{index}]", point, solid)
         local = np.array(mover.path) - self.origin
+        # The path is closed, so the last segment leads back to the first point.
         for index, ends in enumerate(np.stack([local, np.roll(local, -1, axis=0)], axis=1)):
             if touches_solid(solid, ends, mover.radius, self.resolution):
                 following = (index + 1) % len(mover.path)
@@ -341,19 +346,19 @@ class World:
 
 
 def is_world_file(path: str | os.PathLike[str]) -> bool:
-    """Say whether a YAML file is a world's, not a ROS map's: it has a size and no image."""
+    """Return whether a YAML file describes a world, not a ROS map: it has a size and no image."""
     try:
-        entries = _files.read_yaml(Path(path))
+        entries = untrusted.read_yaml(Path(path))
     except ValueError:
         return False
     return "size" in entries and "image" not in entries
 
 
 def three_zones() -> World:
-    """Return the environment of the quadrotor design notes: seven walls, three unknown zones.
+    """Build the world of the quadrotor design notes: seven walls and three unknown zones.
 
-    14 m x 12 m from (-1, -1), and a goal 2 m above the ground (z down). The start is outside the
-    zones, 1 m from the nearest wall.
+    It measures 14 m x 12 m from (-1, -1), with a goal 2 m above the ground (z down). The start is
+    outside the zones, 1 m from the nearest wall.
     """
     return World(
         origin=(-1.0, -1.0),
@@ -382,5 +387,5 @@ def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
 def _plain(entry: Row | MovingObstacle) -> object:
     if isinstance(entry, MovingObstacle):
         path = [list(point) for point in entry.path]
-        return dict(zip(MOVER, (path, entry.speed, entry.radius), strict=True))
+        return dict(zip(MOVER_ENTRIES, (path, entry.speed, entry.radius), strict=True))
     return list(entry)

@@ -1,1 +1,1 @@
-"""Sensors: simulated scans, and what they do to a belief."""
+"""Sensors: simulated scans, and map updates from scans."""

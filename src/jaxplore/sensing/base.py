@@ -1,4 +1,4 @@
-"""What a sensor is: scans of a world, what a scan says of each cell, and the belief after it."""
+"""Define range sensors: simulated scans, and the update of an occupancy grid by a scan."""
 
 import abc
 import math
@@ -19,17 +19,17 @@ from jaxplore.sensing.fan import disc_distance, fan, first_entry
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 ONE_HIT_IN = 3
-"""So many of the beams that hit or pass a cell may be for one hit to find it occupied."""
+"""A cell is measured occupied if at least one of this many beams that hit or pass it hits it."""
 ROUNDING = 1e-6
-"""Directions this close to the edge of the field of view are in it [rad]."""
+"""Tolerance of distances [m], and of bearings at the edge of the field of view [rad]."""
 
 
 class Scan(NamedTuple):
-    """One scan: `ranges` (B,) [m], and which beams came back (B,).
+    """One scan: `ranges` (B,) [m], and a mask `is_return` (B,) of the beams that returned.
 
-    A beam that met nothing within the sensor's range has `is_return` False and the maximum range.
-    One that ended at something that moves has its range and `is_return` False: what is before it is
-    free, and where it ended there is nothing for the map.
+    A beam that met nothing within the sensor's range has the maximum range and no return. A beam
+    that ended at a moving obstacle has its range and no return: the cells before it are free, and
+    the cell in which it ended must not be marked in the map.
     """
 
     ranges: Float[Array, " B"]
@@ -37,26 +37,26 @@ class Scan(NamedTuple):
 
 
 class Sighting(NamedTuple):
-    """What a scan says of each cell: how many beams hit it and how many passed it, (H, W) each."""
+    """Number of beams of a scan that hit and that passed each cell, (H, W) each."""
 
     hits: Int[Array, "H W"]
     passes: Int[Array, "H W"]
 
     @property
     def is_seen(self) -> GridMask:
-        """Cells of which the scan says anything."""
+        """Mask (H, W) of the cells that some beam hit or passed."""
         return (self.hits + self.passes) > 0
 
 
 class Sensor(eqx.Module):
-    """A fan of beams from the robot's centre that measure ranges; abstract.
+    """Fan of beams from the robot's centre that measure ranges; abstract.
 
     A beam is a vertical slice of the view: a line for a lidar, a column of pixels for a camera. A
-    sensor says what stops its beams, which cells they show, and what of a reading may be believed
-    where the ground is known; everything else is here.
+    subclass defines what stops its beams, which cells are visible, and which measurements are
+    consistent with the known ground.
 
-    Where a `Ground` is given, its layers are those of the map's cells: same shape, resolution and
-    origin. The sensor is `height` above the ground of the robot's cell, and does not tilt with it.
+    A `Ground` must have the shape, resolution and origin of the map. The sensor is `height` above
+    the ground of the robot's cell, and does not tilt with the ground.
     """
 
     num_beams: eqx.AbstractVar[int]
@@ -73,12 +73,14 @@ class Sensor(eqx.Module):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
-        """Say which cells send a beam back, and which end it, back or not.
+        """Return the masks of the cells that return a beam and of those that end it.
+
+        A cell can end a beam without a return.
 
         Args:
-            cells: the cells of each beam.
-            solid: which of them are solid.
-            rise: their ground's height above the sensor [m]; None where no ground is given.
+            cells: cells of each beam.
+            solid: mask of the solid cells.
+            rise: height of each cell's ground above the sensor [m]; None without a ground.
             resolution: side of a cell [m].
         """
 
@@ -90,7 +92,7 @@ class Sensor(eqx.Module):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> Bool[Array, "B N"]:
-        """Say which cells each beam shows, by the same arguments."""
+        """Return the mask of the cells that are visible to each beam; arguments as in `_stops`."""
 
     @abc.abstractmethod
     def _believed(
@@ -102,7 +104,16 @@ class Sensor(eqx.Module):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
-        """Return the hits and passes that the known ground allows; `reading` is in cells."""
+        """Return the hits and passes that are consistent with the known ground.
+
+        Args:
+            cells: cells of each beam.
+            is_hit: mask of the cells in which a reading lies.
+            is_passed: mask of the cells before a reading.
+            reading: range of each beam [cells].
+            rise: height of each cell's ground above the sensor [m]; None without a ground.
+            resolution: side of a cell [m].
+        """
 
     @property
     def is_full_circle(self) -> bool:
@@ -118,6 +129,7 @@ class Sensor(eqx.Module):
     @property
     def beam_angles(self) -> np.ndarray:
         """Direction of each beam (B,) relative to the heading [rad]."""
+        # A single beam has no edges to lie on: it points along the heading.
         if self.num_beams == 1:
             return np.zeros(1, np.float32)
         first = -math.pi if self.is_full_circle else -self.field_of_view / 2.0
@@ -132,22 +144,22 @@ class Sensor(eqx.Module):
         ground: Ground | None = None,
         movers: Float[Array, "M 3"] | None = None,
     ) -> Scan:
-        """Measure a world from a pose (x, y, yaw) [m, m, rad].
+        """Simulate a scan of a world.
 
-        A beam ends where it enters the first cell that is not known to be free, off the map
-        included: a world's unknown cells are as solid as its walls, since nothing says what would
-        be behind. Exact cell traversal; Gaussian noise on what comes back.
+        A beam ends where it enters the first cell that is not free, or leaves the map. Unknown
+        cells of a world are solid, because nothing tells what is behind them. Cells are traversed
+        exactly, and returned ranges have Gaussian noise.
 
         Args:
-            world: the truth.
-            pose: of the robot.
-            key: for the noise.
-            ground: the ground of the world; level and far below when absent, for a lidar, and at
-                elevation 0 for a camera.
-            movers: discs that stand in the world now, as high as it takes: x, y, radius (M, 3) [m].
-                A beam ends at the nearest if it is nearer than everything else, at 0 inside one,
-                and is no return: what moves is for a tracker, not for the map. A radius of 0 is no
-                disc.
+            world: true map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+            key: random key of the noise.
+            ground: ground of the world. By default it is level: at elevation 0 for a camera, and
+                far below for a lidar.
+            movers: moving obstacles, discs (M, 3) as (x, y, radius) [m], taller than the view. A
+                beam that meets one before anything else ends there, at range 0 inside it, without a
+                return: moving obstacles are for a tracker, not for the map. A disc of radius 0 is
+                ignored.
 
         Raises:
             ValueError: a ground of another shape or resolution than the world.
@@ -157,6 +169,8 @@ class Sensor(eqx.Module):
         rise = self._rise(cells, pose, world, ground)
         stops, ends = self._stops(cells, solid, rise, world.resolution)
         first = first_entry(cells, stops, world.resolution)
+        # Moving obstacles hide what is behind them, but are themselves hidden by whatever ends a
+        # beam before, which for a camera includes ground that gives no return.
         is_mover = None
         if movers is not None:
             angles = pose[2] + jnp.asarray(self.beam_angles)
@@ -172,17 +186,23 @@ class Sensor(eqx.Module):
     def sight(
         self, grid: OccupancyGrid, scan: Scan, pose: Pose, ground: Ground | None = None
     ) -> Sighting:
-        """Return how many beams of a scan hit and passed each cell of a grid.
+        """Count the beams of a scan that hit and that passed each cell of a grid.
 
-        A cell that a beam shows and leaves before its reading (or before the maximum range, where
-        nothing came back) was passed; the cell that holds the reading was hit. A reading lies on
-        the face of its cell, and noise would put half of them into the cell in front, so the cell
-        is taken `min(2 sigma, resolution / 2)` behind the reading. Of a cell that the beam is in
-        for less than `min(sigma, resolution / 2)` it says nothing: noise decides whether it ended
-        there or behind. Without this the corners of obstacles, which beams only graze, wear away:
-        with noise of half a cell 3 % of the cells of walls were taken for free, now one in 5000.
+        A visible cell that the beam leaves before its reading was passed; without a return, the
+        reading is the maximum range. The cell that contains the reading was hit. A reading lies on
+        the face of an obstacle, so noise would put half of the readings into the cell in front.
+        Therefore the hit cell is taken `min(2 sigma, resolution / 2)` behind the reading.
 
-        Only the grid's frame and shape are read. The robot knows the ground, as far as it is given.
+        A cell in which the beam is for less than `min(sigma, resolution / 2)` is ignored, because
+        noise decides whether the beam ended there or behind. Otherwise beams that graze the corners
+        of obstacles erode them: with noise of half a cell, 3 % of the cells of walls became free;
+        with this rule it is one in 5000.
+
+        Args:
+            grid: grid whose frame and shape are used; its probabilities are not read.
+            scan: measured scan.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+            ground: ground that the robot knows, or None.
 
         Raises:
             ValueError: a ground of another shape or resolution than the grid.
@@ -190,6 +210,7 @@ class Sensor(eqx.Module):
         resolution = grid.resolution
         cells = self._cells(grid, pose)
         rise = self._rise(cells, pose, grid, ground)
+        # The small constant keeps a noise-free reading from rounding into the cell in front.
         margin = jnp.minimum(2.0 * self.range_noise, 0.5 * resolution) / resolution + 1e-3
         reading = (scan.ranges / resolution)[:, None]
         is_return = scan.is_return[:, None]
@@ -203,7 +224,8 @@ class Sensor(eqx.Module):
         seen = cells.is_crossed & (is_hit | is_passed)
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
         index = jnp.where(seen & grid.contains(cells.cell), index, height * width)
-        # One scatter counts both: passes in the low half of the word, hits in the high half.
+        # One scatter counts both: passes in the low half of the word, hits in the high half. Cells
+        # that do not count are scattered to an index out of bounds, which is dropped.
         count = (
             jnp.zeros(height * width, jnp.int32)
             .at[index.reshape(-1)]
@@ -220,12 +242,19 @@ class Sensor(eqx.Module):
         model: InverseSensorModel,
         ground: Ground | None = None,
     ) -> OccupancyGrid:
-        """Return the belief after a scan from a pose: `updated` with what `sight` says.
+        """Return the occupancy grid after a scan: `sight`, then `update_grid`.
+
+        Args:
+            belief: occupancy grid before the scan.
+            scan: measured scan.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+            model: inverse sensor model.
+            ground: ground that the robot knows, or None.
 
         Raises:
             ValueError: a ground of another shape or resolution than the belief.
         """
-        return updated(belief, self.sight(belief, scan, pose, ground), model)
+        return update_grid(belief, self.sight(belief, scan, pose, ground), model)
 
     def sees(
         self,
@@ -234,11 +263,18 @@ class Sensor(eqx.Module):
         points: Float[Array, "P 2"],
         ground: Ground | None = None,
     ) -> Bool[Array, " P"]:
-        """Say whether the cell of each point (x, y) [m] can be seen from a pose in a world.
+        """Return whether the cell of each point is visible from a pose.
 
-        Exact: along the ray to the point itself, not through the fan of beams. The point must lie
-        in the field of view, within the range and on the map, and nothing nearer on that ray may
-        hide its cell. A solid cell that stops the ray is seen. No noise, and nothing that moves.
+        The test casts one exact ray to each point instead of using the fan of beams. The point must
+        be in the field of view, within the range and on the map, and no nearer cell on the ray may
+        occlude its cell. The solid cell that stops the ray is visible. Noise and moving obstacles
+        are ignored.
+
+        Args:
+            world: true map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+            points: points (P, 2) as (x, y) [m].
+            ground: ground of the world, as in `scan`.
 
         Raises:
             ValueError: a ground of another shape or resolution than the world.
@@ -246,16 +282,18 @@ class Sensor(eqx.Module):
         offset = points - pose[:2]
         distance = jnp.sqrt((offset**2).sum(axis=-1))
         is_here = distance < ROUNDING
-        # atan2 has no value where the sensor stands, nor has the bearing.
+        # At the sensor's own position neither atan2 nor the bearing is defined.
         x = jnp.where(is_here, 1.0, offset[:, 0])
         angle = jnp.arctan2(offset[:, 1], x)
+        # Wrap the bearing to (-pi, pi].
         turn = angle - pose[2]
         bearing = jnp.arctan2(jnp.sin(turn), jnp.cos(turn))
         in_view = is_here | (jnp.abs(bearing) <= 0.5 * self.field_of_view + ROUNDING)
         cells = fan(world, pose[:2], angle - world.frame.origin[2], self.max_range)
         target = world.frame.to_cell(points)
         depth = (distance / world.resolution)[:, None]
-        # A point on a line between two cells may round into the one that its ray does not enter.
+        # A point on the line between two cells may be rounded into the one that its ray does not
+        # enter. Then take the cell that the ray is in at the point's distance.
         is_target = (cells.cell == target[:, None]).all(axis=-1)
         holds = (cells.entry <= depth) & (depth < cells.exit)
         is_target = jnp.where(is_target.any(axis=-1, keepdims=True), is_target, holds)
@@ -272,7 +310,7 @@ class Sensor(eqx.Module):
     def _rise(
         self, cells: RayCells, pose: Pose, grid: OccupancyGrid, ground: Ground | None
     ) -> Float[Array, "B N"] | None:
-        """Height of each cell's ground above the sensor [m]."""
+        """Return the height of each cell's ground above the sensor [m], or None without ground."""
         if ground is None:
             return None
         if ground.shape != grid.shape or ground.frame.resolution != grid.resolution:
@@ -280,16 +318,24 @@ class Sensor(eqx.Module):
                 f"ground has {ground.shape} cells of {ground.frame.resolution:g} m; accepted: "
                 f"those of the map, {grid.shape} of {grid.resolution:g} m"
             )
+        # The sensor moves with the ground under the robot, so heights are relative to its cell.
         own = ground.elevation_at_cell(grid.frame.to_cell(pose[:2]))
         return ground.elevation_at_cell(cells.cell) - (own + self.height)
 
 
-def updated(belief: OccupancyGrid, sighting: Sighting, model: InverseSensorModel) -> OccupancyGrid:
-    """Return the belief after a sighting: the inverse sensor model, cell by cell.
+def update_grid(
+    belief: OccupancyGrid, sighting: Sighting, model: InverseSensorModel
+) -> OccupancyGrid:
+    """Apply the inverse sensor model to each cell that a scan hit or passed.
 
-    Each cell is updated once per scan however many beams cross it: as occupied if at least a third
-    of those that hit or passed it hit it. A wall keeps its cells though some beams graze them, and
-    one reading in fifty that noise cuts short does not close a passage beside it.
+    Each cell is updated once per scan, however many beams cross it. It is updated as occupied if at
+    least a third of these beams hit it, else as free. So a wall survives beams that graze it, and
+    the one reading in fifty that noise cuts short does not close a passage beside the beam.
+
+    Args:
+        belief: occupancy grid before the scan.
+        sighting: hits and passes of the scan, from `Sensor.sight`.
+        model: inverse sensor model.
     """
     hits, passes = sighting
     is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)

@@ -1,4 +1,4 @@
-"""A forward depth camera: it sees the ground and what stands on it, as far as hills let it."""
+"""Simulate a forward depth camera that sees the ground and obstacles, with occlusion by hills."""
 
 import math
 
@@ -15,39 +15,39 @@ from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
 
 STEEPEST = 1.57
-"""Greatest angle of the view's edges from the horizontal [rad]: single precision can tell it from
-a right angle, and its tangent is finite."""
+"""Greatest angle between an edge of the view and the horizontal [rad]: in single precision it
+differs from a right angle, so its tangent is finite."""
 
 
 class Camera(Sensor):
-    """A depth camera that looks ahead, `num_beams` columns of pixels wide.
+    """Forward depth camera, `num_beams` columns of pixels wide.
 
-    It stands `height` above the ground of the robot's cell. Along a column's ray, the ground of a
-    cell appears at
+    It is `height` above the ground of the robot's cell. Along the ray of a column, the ground of a
+    cell appears at the angle a with
 
         tan a = (elevation of the cell - z of the camera) / d
 
-    with d the distance to the middle of the ray's stretch in the cell. Pixels of a column are
-    continuous, so with the view's edges a- = tilt - vertical_view / 2 and a+ = tilt +
-    vertical_view / 2, and the horizon h the greatest a of all nearer cells:
+    where d is the distance to the middle of the ray's section in the cell. The pixels of a column
+    are treated as continuous. With the edges of the view a- = tilt - vertical_view / 2 and
+    a+ = tilt + vertical_view / 2, and the horizon h, the greatest a of all nearer cells,
 
-        a free cell is seen    where  a- <= a <= a+  and  a >= h
-        a solid cell is seen   where  max(a, h) < a+
+        a free cell is visible    if  a- <= a <= a+  and  a >= h
+        a solid cell is visible   if  max(a, h) < a+
 
-    Solid cells are taller than the view, and hide all that is behind them; so does ground that
-    rises above a+. Without a `Ground` it is level at elevation 0: seen from height / tan(-a-) on,
-    1.9 m with the defaults.
+    Solid cells are taller than the view and occlude everything behind them; so does ground that
+    rises above a+. Without a `Ground` the ground is level at elevation 0 and visible from the
+    distance height / tan(-a-) on, 1.9 m with the defaults.
 
-    A column comes back from the first solid cell that is seen, at its face; the ground does not
-    return, but `sight` knows where it was seen, and only there are cells passed.
+    A column returns from the face of the first visible solid cell. The ground gives no return, but
+    `sight` counts a cell as passed only if its ground was visible.
 
     Args:
-        num_beams: columns, B, evenly spaced in angle.
-        max_range: reach [m]; static, as the number of cells that a ray crosses.
-        field_of_view: horizontal, in (0, 2 pi] [rad], centred on the heading.
-        vertical_view: from the view's lower to its upper edge [rad].
-        height: above the ground on which the robot stands [m].
-        tilt: of the view's middle, negative downwards [rad].
+        num_beams: number of columns, B, evenly spaced in angle.
+        max_range: greatest range [m]; static, like the number of cells that a ray crosses.
+        field_of_view: horizontal field of view, in (0, 2 pi] [rad], centred on the heading.
+        vertical_view: angle between the lower and the upper edge of the view [rad].
+        height: height above the ground on which the robot stands [m].
+        tilt: pitch of the middle of the view, negative downwards [rad].
         range_noise: standard deviation of a returned range [m].
 
     Raises:
@@ -81,6 +81,7 @@ class Camera(Sensor):
         view = _checks.scalar("vertical_view", vertical_view, above=0.0, below=2.0 * STEEPEST)
         self.vertical_view = view
         self.height = _checks.scalar("height", height, above=0.0)
+        # Both edges of the view must stay below the steepest angle.
         most = STEEPEST - (0.0 if _checks.is_traced(view) else 0.5 * float(view))
         self.tilt = _checks.scalar("tilt", tilt, at_least=-most, at_most=most)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
@@ -92,6 +93,7 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        # Ground that fills the view ends a column without a return.
         _, wall = self._visible(cells, solid, rise, resolution)
         return solid & wall, solid | (cells.is_crossed & ~wall)
 
@@ -114,6 +116,8 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        # What is solid is not known here: visibility follows from the ground alone, and obstacles
+        # in front are accounted for by the reading.
         ground, wall = self._visible(cells, jnp.zeros_like(is_hit), rise, resolution)
         return is_hit & wall, is_passed & ground
 
@@ -124,12 +128,15 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
-        """Say of each cell whether its ground is seen if it is free, and itself if it is solid."""
+        """Return for each cell whether its ground is visible if the cell is free, and whether the
+        cell is visible if it is solid."""
         half = 0.5 * self.vertical_view
         bottom = jnp.tan(jnp.clip(self.tilt - half, -STEEPEST, STEEPEST))
         top = jnp.tan(jnp.clip(self.tilt + half, -STEEPEST, STEEPEST))
         middle = jnp.maximum(0.5 * (cells.entry + cells.exit), TOUCH) * resolution
         ground = (-self.height if rise is None else rise) / middle
+        # The horizon of a cell is the running maximum over all nearer cells; solid cells are
+        # infinitely high, and cells that the ray only touches do not count.
         crest = jnp.where(solid, jnp.inf, jnp.where(cells.is_crossed, ground, -jnp.inf))
         nearer = jax.lax.cummax(crest, axis=1)[:, :-1]
         horizon = jnp.pad(nearer, ((0, 0), (1, 0)), constant_values=-jnp.inf)

@@ -1,4 +1,4 @@
-"""The rays of a sensor: the cells that they cross, and how far it is to the first of something."""
+"""Cast the rays of a sensor through a grid, and through moving discs."""
 
 import jax
 import jax.numpy as jnp
@@ -13,13 +13,13 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 def fan(
     grid: OccupancyGrid, position: Position, angles: Float[Array, " B"], max_range: float
 ) -> RayCells:
-    """Return the cells that rays cross, nearest first: (B, N) of everything in `RayCells`.
+    """Return the cells that rays cross, nearest first: `RayCells` with a leading axis B.
 
     Args:
-        grid: whose cells.
-        position: start of the rays (x, y) in the world [m].
-        angles: directions in the grid's frame [rad].
-        max_range: static; at least the cells entered within it are returned [m].
+        grid: occupancy grid that is traversed; its probabilities are not read.
+        position: start (x, y) of the rays in the world [m].
+        angles: directions (B,) in the grid's frame [rad].
+        max_range: length of the rays [m]; static. All cells entered within it are returned.
     """
     start = grid.frame.to_grid(position)
     length = max_range / grid.resolution
@@ -29,10 +29,13 @@ def fan(
 def first_entry(
     cells: RayCells, is_wanted: Bool[Array, "*B N"], unit: float = 1.0
 ) -> Float[Array, "*B"]:
-    """Return where each ray enters the first cell that is wanted, infinity where it enters none.
+    """Return the distance at which each ray enters its first wanted cell, or infinity.
 
-    `unit` is what a cell's side is in the unit of the answer: 1 for cells, the resolution for
-    metres.
+    Args:
+        cells: cells of each ray, nearest first.
+        is_wanted: mask (..., N) of the wanted cells.
+        unit: length of a cell's side in the unit of the result: 1 for cells, the resolution for
+            metres.
     """
     return jnp.where(is_wanted, cells.entry * unit, jnp.inf).min(axis=-1)
 
@@ -40,20 +43,20 @@ def first_entry(
 def disc_distance(
     position: Position, angles: Float[Array, " B"], discs: Float[Array, "M 3"]
 ) -> Float[Array, " B"]:
-    """Return how far it is along each ray to the first of some discs [m].
+    """Return the distance along each ray to the first of M discs [m].
 
-    With c the centre as seen from the start, u the ray's direction and r the radius, the ray enters
-    the disc after
+    With c the centre of a disc relative to the start, u the direction of the ray and r the radius,
+    the ray enters the disc at the distance
 
         c . u - sqrt(r^2 - (c x u)^2)
 
-    It is 0 inside a disc and infinite where the ray meets none. A disc whose radius is not above 0,
-    or that is not finite, is none.
+    The result is 0 inside a disc, and infinite if the ray meets no disc. A disc with a radius <= 0
+    or with a value that is not finite is ignored.
 
     Args:
-        position: start of the rays (x, y) [m].
-        angles: directions (B,) [rad].
-        discs: x, y and radius (M, 3) [m]; M may be 0.
+        position: start (x, y) of the rays [m].
+        angles: directions (B,) of the rays [rad].
+        discs: discs (M, 3) as (x, y, radius) [m]; M may be 0.
     """
     x, y, radius = (
         column[:, None]
@@ -62,6 +65,8 @@ def disc_distance(
     cos, sin = jnp.cos(angles), jnp.sin(angles)
     along = x * cos + y * sin
     square = radius**2 - (x * sin - y * cos) ** 2
+    # Rays that miss a disc have no square root: guard its argument as well as the result, because
+    # the gradient of `where` evaluates both.
     is_crossed = (radius > 0.0) & (square > 0.0)
     half = jnp.sqrt(jnp.where(is_crossed, square, 1.0))
     is_met = is_crossed & (along + half > 0.0) & jnp.isfinite(along)

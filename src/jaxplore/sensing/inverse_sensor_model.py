@@ -1,4 +1,4 @@
-"""The inverse sensor model: what one measurement of a cell does to its probability."""
+"""Update the occupancy of a cell by a measurement: the inverse sensor model."""
 
 import math
 
@@ -14,31 +14,35 @@ from jaxplore._types import Scalar
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 
 ODDS_OCCUPIED, ODDS_FREE = math.exp(0.85), math.exp(-0.4)
-"""Factors on a cell's odds that are customary with FSMI."""
+"""Factors on the odds of a cell that the FSMI literature uses."""
 UNCLAMPED = 100.0
-"""Log-odds that no probability in single precision reaches: a clamp there is none."""
+"""Log-odds beyond those of every probability in single precision: a clamp there has no effect."""
 
 
 class InverseSensorModel(eqx.Module):
-    """Log-odds update with clamping (Moravec and Elfes 1985; clamping as in Hornung et al.,
-    "OctoMap", Autonomous Robots 2013, eq. 4):
+    """Log-odds update with clamping:
 
-        l <- clip(l + occupied, minimum, maximum)     the cell was measured occupied
-        l <- clip(l + free, minimum, maximum)         the beam passed through the cell
+        l <- clip(l + occupied, minimum, maximum)     if the cell was measured occupied
+        l <- clip(l + free, minimum, maximum)         if a beam passed through the cell
 
-    The information engine scores with this very update, so that what it promises is what the map
-    will gain.
+    Expected information is computed with the same update, so that it predicts the information that
+    the map really gains.
 
-    The defaults suit a lidar: one look makes a cell known, and the clamp at p = 0.001 keeps known
-    corridors from leaking information into every long beam (at p = 0.1 a beam "sees" 10 cells).
+    The defaults suit a lidar. One measurement makes a cell free or occupied. The clamp at p = 0.001
+    keeps the cells of known corridors from adding up to information along every long beam: at
+    p = 0.1 a beam is expected to end after 10 free cells.
+
+    Sources: Moravec and Elfes 1985; clamping as in Hornung et al., "OctoMap", Autonomous Robots
+    2013, eq. 4.
 
     Args:
-        occupied: added when a cell is measured occupied, > 0.
-        free: added when a beam passes through a cell, < 0.
-        minimum: least log-odds a cell can have, < 0.
-        maximum: greatest log-odds a cell can have, > 0.
-        is_decisive: whether one look settles a cell: then walls are not changed by beams that pass
-            through them, and a cell at the clamp is certain to the information engine; static.
+        occupied: log-odds added when a cell is measured occupied, > 0.
+        free: log-odds added when a beam passes through a cell, < 0.
+        minimum: lower clamp of the log-odds, < 0.
+        maximum: upper clamp of the log-odds, > 0.
+        is_decisive: whether one measurement settles a cell; static. Then occupied cells stay
+            occupied when a beam passes through them, and a cell at a clamp counts as certain in
+            expected information.
 
     Raises:
         ValueError: a value with the wrong sign or not finite.
@@ -72,14 +76,14 @@ class InverseSensorModel(eqx.Module):
         free: ArrayLike = ODDS_FREE,
         clamp: tuple[ArrayLike, ArrayLike] | None = None,
     ) -> "InverseSensorModel":
-        """Return a model from the factors by which a measurement multiplies a cell's odds.
+        """Build a model from the factors by which a measurement multiplies the odds of a cell.
 
         The defaults are those of the FSMI literature, log-odds of 0.85 and -0.4, without a clamp.
 
         Args:
-            occupied: factor when the cell is measured occupied, > 1.
-            free: factor when a beam passes through the cell, in (0, 1).
-            clamp: least and greatest log-odds; None for no clamp.
+            occupied: factor if the cell is measured occupied, > 1.
+            free: factor if a beam passes through the cell, in (0, 1).
+            clamp: lower and upper clamp of the log-odds; None for no clamp.
 
         Raises:
             ValueError: odds on the wrong side of 1, a clamp that does not enclose 0.
@@ -93,13 +97,12 @@ class InverseSensorModel(eqx.Module):
     def line_of_sight(
         cls, free: ArrayLike = 0.01, occupied: ArrayLike = 0.99
     ) -> "InverseSensorModel":
-        """Return a model for which one look settles a cell: seen free it gets one probability, hit
-        the other, and walls stay.
+        """Build a decisive model: one measurement settles a cell, and occupied cells stay occupied.
 
-        The update of the quadrotor design notes, as log-odds: the steps are as long as the clamp is
-        wide. A settled cell is certain to the information engine: taken at its word, p = 0.01 makes
-        one cell in a hundred of a known hall a surprise, and a long view of it worth more than an
-        unknown corner.
+        This is the update of the quadrotor design notes in log-odds; each update is as large as the
+        range of the clamp. A settled cell counts as certain in expected information. Otherwise
+        p = 0.01 would predict that one cell in a hundred of a known hall is occupied, and a long
+        view of the hall would be worth more than an unknown corner.
 
         Args:
             free: probability of a cell that a beam has passed, in (0, 0.5).
@@ -110,11 +113,13 @@ class InverseSensorModel(eqx.Module):
         """
         low = jax.scipy.special.logit(_checks.scalar("free", free, above=0.0, below=0.5))
         high = jax.scipy.special.logit(_checks.scalar("occupied", occupied, above=0.5, below=1.0))
+        # A step as large as the range of the clamp takes any cell from one clamp to the other.
         return cls(high - low, low - high, low, high, is_decisive=True)
 
     def log_odds(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
-        """Return `ln(p / (1 - p))` within the clamp, also for p = 0 and p = 1."""
-        # Guarded where the slope is infinite, which the clip's zero would make NaN.
+        """Return the log-odds `ln(p / (1 - p))`, clipped to the clamp; p may be 0 or 1."""
+        # At p = 0 and 1 the slope is infinite, and times the zero slope of the clip it would be
+        # NaN.
         is_certain = (probability <= 0.0) | (probability >= 1.0)
         inner = jax.scipy.special.logit(jnp.where(is_certain, 0.5, probability))
         certain = jnp.where(probability <= 0.0, self.minimum, self.maximum)
@@ -123,20 +128,28 @@ class InverseSensorModel(eqx.Module):
     def update(
         self, probability: Float[Array, "*N"], log_odds_change: Float[Array, "..."]
     ) -> Float[Array, "*N"]:
-        """Return the probability after a change of the log-odds; cells with no change keep it."""
+        """Return the probability after a change of the log-odds.
+
+        A cell whose change is 0 keeps its probability to the bit.
+        """
         log_odds = self.log_odds(probability) + log_odds_change
         updated = jax.nn.sigmoid(jnp.clip(log_odds, self.minimum, self.maximum))
+        # Converting to log-odds and back would change the last bits of unmeasured cells, and clip
+        # those beyond the clamp.
         is_kept = (log_odds_change == 0.0) | self.stays(probability, log_odds_change)
         return jnp.where(is_kept, probability, updated)
 
     def settled(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
-        """Return the probabilities as the information engine takes them: 0 and 1 at the clamp of a
-        model that is decisive, as they are otherwise."""
+        """Return the probabilities that expected information is computed with.
+
+        For a decisive model, cells at the clamp become exactly 0 or 1. Other probabilities are
+        unchanged.
+        """
         is_settled, is_wall = self.is_settled(probability), probability > 0.5
         return jnp.where(is_settled, jnp.where(is_wall, 1.0, 0.0), probability)
 
     def is_settled(self, probability: Float[Array, "*N"]) -> Bool[Array, "*N"]:
-        """Say which cells are at the clamp of a model that is decisive."""
+        """Return the mask of the cells at the clamp; none for a model that is not decisive."""
         if not self.is_decisive:
             return jnp.zeros_like(probability, bool)
         log_odds = self.log_odds(probability)
@@ -145,7 +158,7 @@ class InverseSensorModel(eqx.Module):
     def stays(
         self, probability: Float[Array, "*N"], log_odds_change: Float[Array, "..."]
     ) -> Bool[Array, "*N"]:
-        """Say which cells are walls that a change towards free does not change."""
+        """Return the mask of the occupied cells that a change towards free leaves occupied."""
         if not self.is_decisive:
             return jnp.zeros_like(probability, bool)
         return (log_odds_change < 0.0) & (probability > OCCUPIED_THRESHOLD)

@@ -1,4 +1,4 @@
-"""A planar lidar: level beams all around, or over a sector."""
+"""Simulate a planar lidar with level beams over a circle or a sector."""
 
 import math
 
@@ -14,29 +14,29 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.fan import first_entry
 
 NEAR_GROUND = 3.0
-"""A reading this many standard deviations before higher ground, or less, is taken for the ground.
-At two of them one reading in fifty would be taken for an obstacle, and a hill has many cells."""
+"""Standard deviations before higher ground within which a reading is taken for the ground. With
+two, one reading in fifty would count as an obstacle, and a hill covers many cells."""
 
 
 class Lidar(Sensor):
-    """A planar lidar at the robot's centre.
+    """Planar lidar at the robot's centre.
 
     On a `Ground` its beams are level, at
 
         z = elevation of the robot's cell + height
 
-    A beam also ends where it enters a cell whose elevation is above z, and comes back from there.
-    The robot knows its ground: in `sight` such a cell, and all behind it, is neither hit nor
-    passed, and a reading 3 sigma before it or less is no obstacle. So hills are not marked.
+    A beam also returns from the first cell whose elevation is above z. The robot knows the ground:
+    in `sight`, that cell and all cells behind it are neither hit nor passed, and a reading at most
+    3 sigma before it is not taken for an obstacle. So hills are not marked as obstacles.
 
     Args:
-        num_beams: beams per scan, B.
-        max_range: reach of a beam [m]; static, as the number of cells that it crosses.
-        field_of_view: in (0, 2 pi] [rad], centred on the heading. Over a full circle the beams are
-            2 pi / B apart and none comes twice; over less, the first and last lie on the edges.
+        num_beams: number of beams per scan, B.
+        max_range: greatest range [m]; static, like the number of cells that a beam crosses.
+        field_of_view: field of view, in (0, 2 pi] [rad], centred on the heading. Over a full circle
+            the beams are 2 pi / B apart; over a sector the first and the last are on its edges.
         range_noise: standard deviation of a returned range [m].
-        height: of the beams above the ground on which the robot stands [m]; matters where a ground
-            is given.
+        height: height of the beams above the ground on which the robot stands [m]; used only with a
+            ground.
 
     Raises:
         ValueError: no beams, a range or a height that is not positive, a field of view outside
@@ -98,6 +98,7 @@ class Lidar(Sensor):
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
         if rise is None:
             return is_hit, is_passed
+        # A reading just before higher ground is the ground itself, seen through the noise.
         slope = first_entry(cells, _is_higher(cells, rise))[:, None]
         is_before = cells.entry < slope
         near = NEAR_GROUND * self.range_noise / resolution + 1e-3

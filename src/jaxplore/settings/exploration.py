@@ -7,17 +7,45 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.ackermann import Ackermann
+from jaxplore.dynamics.differential_drive import DifferentialDrive
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.maps.generators.office import office
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.terrain import TerrainMap
+from jaxplore.planning.portfolio.contextual import Contextual
+from jaxplore.planning.portfolio.safe_fusion import SafeFusion
+from jaxplore.planning.portfolio.voting import WeightedVote
+from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.ground_vehicle import ground_portfolio
+from jaxplore.planning.presets.quadrotor import (
+    FieldNumbers,
+    Flight,
+    informative_mppi,
+    zone_choice,
+)
+from jaxplore.sensing.camera import Camera
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings.defaults import differences_of, in_degrees, setting
 from jaxplore.settings.sections import (
     Count,
+    Fraction,
     Negative,
     NonNegative,
-    Parameters,
+    Number,
     Positive,
+    Probability,
+    RunSettings,
     Section,
     Share,
+    Steering,
     validated,
 )
 from jaxplore.settings.sections import read_settings as read_settings
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 Architecture = Literal[
     "explorer",
@@ -56,264 +84,266 @@ ZONES = "zones"
 SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 """Scenarios of the ground vehicles' design notes: settings with a world, in `scenarios/`."""
 
-FLIGHT: dict[str, Any] = {
-    "robot": {"model": "quadrotor", "radius": 0.3, "max_speed": 2.0},
-    "lidar": {
-        "num_beams": 24,
-        "max_range": 4.0,
-        "field_of_view_degrees": 90.0,
-        "range_noise": 0.0,
-    },
-    "sensor_model": {"kind": "line_of_sight"},
-    "fields": {"min_information": 3.0, "occupancy_prior": 0.5},
-    "rates": {"sensing": 50.0},
-}
-"""What differs by default for architectures that are not in `GROUND`: a quadrotor with a camera."""
+ParameterisationName = Literal["direct", "smooth", "knots"]
+ViewDegrees = Annotated[float, Field(gt=0, lt=180)]
 
 
 class OfficeSettings(Section):
-    """The generated office: seed of its plan, size and cells [m]."""
+    """The generated office: see `jaxplore.office`."""
 
-    seed: Annotated[int, Field(ge=0)] = 0
-    width: Positive = 20.0
-    height: Positive = 14.0
+    seed: Number = setting(office, "seed")
+    width: Positive = setting(office, "width")
+    height: Positive = setting(office, "height")
 
 
 class RobotSettings(Section):
-    """The robot: model, bounds [m/s, rad/s, m/s^2, rad/s^2], drag [1/s] and radius [m].
+    """The robot: a model and its bounds.
 
-    A car (`ackermann`) has a wheelbase, a length and a width [m] instead of a radius, and steering
-    [rad, rad/s]. A quadrotor has a radius, a speed limit that is a cost, and a mass [kg].
+    Each model takes the settings that it knows. The defaults are those of `DifferentialDrive` where
+    several models take one. The limit of a quadrotor's speed is a cost.
+
+    Args:
+        model: of the robot.
+        length: of a car, which has no radius [m].
+        width: of a car [m].
     """
 
     model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
         "differential_drive"
     )
-    max_speed: Positive = 1.0
-    max_turn_rate: Positive = 2.0
-    max_acceleration: Positive = 1.0
-    max_angular_acceleration: Positive = 2.0
-    drag: NonNegative = 0.1
-    radius: Positive = 0.2
-    mass: Positive = 1.0
-    wheelbase: Positive = 0.5
+    max_speed: Positive = setting(
+        DifferentialDrive, "max_speed", differs="exploration.robot.max_speed"
+    )
+    max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
+    max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")
+    max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
+    drag: NonNegative = setting(DifferentialDrive, "drag")
+    radius: Positive = setting(DifferentialDrive, "radius")
+    mass: Positive = setting(Quadrotor, "mass")
+    wheelbase: Positive = setting(Ackermann, "wheelbase")
     length: Positive = 0.75
     width: Positive = 0.4
-    max_steering: Annotated[float, Field(gt=0, lt=1.57)] = 0.6
-    max_steering_rate: Positive = 1.0
-    min_speed: float = 0.0
+    max_steering: Steering = setting(Ackermann, "max_steering")
+    max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
+    min_speed: float = setting(Ackermann, "min_speed")
 
 
 class LidarSettings(Section):
-    """The lidar: beams, reach [m], field of view [degrees], noise and height above ground [m]."""
+    """A planar lidar: see `jaxplore.Lidar`."""
 
-    num_beams: Count = 360
-    max_range: Positive = 5.0
-    field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = 360.0
-    range_noise: NonNegative = 0.02
-    height: NonNegative = 0.5
+    num_beams: Count = setting(Lidar, "num_beams")
+    max_range: Positive = setting(Lidar, "max_range", differs="exploration.lidar.max_range")
+    field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = setting(
+        Lidar, "field_of_view", in_degrees
+    )
+    range_noise: NonNegative = setting(
+        Lidar, "range_noise", differs="exploration.lidar.range_noise"
+    )
+    height: NonNegative = setting(Lidar, "height")
 
 
 class CameraSettings(Section):
-    """A forward depth camera: columns, reach [m], views [degrees], noise and height [m], tilt
-    [rad], down is negative."""
+    """A forward depth camera: see `jaxplore.Camera`."""
 
-    num_beams: Count = 61
-    max_range: Positive = 20.0
-    field_of_view_degrees: Annotated[float, Field(gt=0, lt=180)] = 60.0
-    vertical_view_degrees: Annotated[float, Field(gt=0, lt=180)] = 45.0
-    range_noise: NonNegative = 0.0
-    height: Positive = 1.0
-    tilt: float = -0.1
+    num_beams: Count = setting(Camera, "num_beams")
+    max_range: Positive = setting(Camera, "max_range")
+    field_of_view_degrees: ViewDegrees = setting(Camera, "field_of_view", in_degrees)
+    vertical_view_degrees: ViewDegrees = setting(Camera, "vertical_view", in_degrees)
+    range_noise: NonNegative = setting(Camera, "range_noise")
+    height: Positive = setting(Camera, "height")
+    tilt: float = setting(Camera, "tilt")
 
 
 class WatchSettings(Section):
-    """What is looked for beside the map: see `jaxplore.IdlenessMap`. Without a memory nothing
-    that was seen is worth a second look [s]."""
+    """The idleness map, for search and patrol: see `jaxplore.IdlenessMap`."""
 
-    memory: Positive | None = None
-    weight: NonNegative = 1.0
+    memory: Positive | None = setting(IdlenessMap, "memory")
+    weight: NonNegative = setting(IdlenessMap, "weight")
 
 
 class TerrainSettings(Section):
-    """The ground: see `jaxplore.Ground`. A height map is a grey image of the size of the ROS map's,
-    black 0 and white `elevation_scale` [m]."""
+    """The ground: see `jaxplore.Ground`.
+
+    Args:
+        height_map: grey image of the size of the ROS map's; level ground when absent.
+    """
 
     height_map: str | None = None
-    elevation_scale: Positive = 5.0
-    max_slope: Positive = 0.5
-    max_roughness: Positive | None = None
-    threshold: Annotated[float, Field(ge=0, le=1)] = 0.3
+    elevation_scale: Positive = setting(TerrainMap.from_images, "elevation_scale")
+    max_slope: Positive = setting(Ground, "max_slope")
+    max_roughness: Positive | None = setting(Ground, "max_roughness")
+    threshold: Fraction = setting(Ground, "threshold")
 
 
 class SensorModelSettings(Section):
-    """The inverse sensor model: log-odds added by a hit and a pass, and the clamp; or
-    `line_of_sight`, for which one look settles a cell."""
+    """The inverse sensor model: see `jaxplore.InverseSensorModel`.
+
+    Args:
+        kind: `log_odds` has the numbers of this section; `line_of_sight` settles a cell at once.
+    """
 
     kind: Literal["log_odds", "line_of_sight"] = "log_odds"
-    occupied: Positive = 2.0
-    free: Negative = -2.0
-    minimum: Negative = -7.0
-    maximum: Positive = 5.0
+    occupied: Positive = setting(InverseSensorModel, "occupied")
+    free: Negative = setting(InverseSensorModel, "free")
+    minimum: Negative = setting(InverseSensorModel, "minimum")
+    maximum: Positive = setting(InverseSensorModel, "maximum")
 
 
 class FieldSettings(Section):
     """The information and guidance fields: see `jaxplore.Perception`."""
 
-    num_directions: Annotated[int, Field(ge=4)] = 32
-    node_spacing: Positive = 0.2
-    max_clearance: Positive = 1.0
-    margin: NonNegative = 0.05
-    decay_length: Positive = 8.0
-    min_information: Positive = 10.0
-    occupancy_prior: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.1
-    patience: Positive = 3.0
-    memory: Positive = 60.0
+    num_directions: Annotated[int, Field(ge=4)] = setting(Perception, "num_directions")
+    node_spacing: Positive = setting(Perception, "node_spacing")
+    max_clearance: Positive = setting(Perception, "max_clearance")
+    margin: NonNegative = setting(Perception, "margin")
+    decay_length: Positive = setting(Perception, "decay_length")
+    min_information: Positive = setting(Perception, "min_information")
+    occupancy_prior: Probability = setting(Perception, "occupancy_prior")
+    patience: Positive = setting(Perception, "patience")
+    memory: Positive = setting(Perception, "memory")
 
 
 class ControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.explorer`."""
 
-    horizon: Count = 40
-    num_samples: Count = 1000
-    temperature: Positive = 0.3
-    noise_std: tuple[Positive, Positive] | None = None
-    dt: Positive = 0.05
-    clearance: Positive = 0.4
-    obstacle_weight: NonNegative = 1.0
-    information_weight: NonNegative = 2.0
-    guidance_weight: NonNegative = 1.0
-    control_weight: NonNegative = 0.01
+    horizon: Count = setting(explorer, "horizon")
+    num_samples: Count = setting(explorer, "num_samples")
+    temperature: Positive = setting(explorer, "temperature")
+    noise_std: tuple[Positive, Positive] | None = setting(explorer, "noise_std")
+    dt: Positive = setting(explorer, "dt")
+    clearance: Positive = setting(explorer, "clearance")
+    obstacle_weight: NonNegative = setting(explorer, "obstacle_weight")
+    information_weight: NonNegative = setting(explorer, "information_weight")
+    guidance_weight: NonNegative = setting(explorer, "guidance_weight")
+    control_weight: NonNegative = setting(explorer, "control_weight")
 
 
 class PortfolioSettings(Section):
-    """A portfolio for a ground vehicle and its fusion: see `jaxplore.ground_portfolio` and
-    `jaxplore.Contextual`. `weights` of one's own, by member and objective, take the place of
-    `members`. `is_safe` puts the fusion into a `SafeFusion` with that `regret`."""
+    """A portfolio for a ground vehicle and its fusion: see `jaxplore.ground_portfolio`.
 
-    decomposition: Literal["roles", "temporal", "regional"] = "roles"
+    Args:
+        members: names of members of the decomposition; all of them when absent.
+        weights: by member and objective, in place of `members`.
+        fusion: how plans become one.
+        is_safe: whether the fusion is within a `SafeFusion`.
+    """
+
+    decomposition: Literal["roles", "temporal", "regional"] = setting(
+        ground_portfolio, "decomposition"
+    )
     members: tuple[str, ...] | None = None
     weights: dict[str, dict[str, NonNegative]] | None = None
-    common: dict[str, NonNegative] | None = None
+    common: dict[str, NonNegative] | None = setting(ground_portfolio, "common")
     fusion: Literal[
         "weighted-vote", "best-only", "average", "median", "trust-weighted", "contextual"
     ] = "weighted-vote"
     is_safe: bool = True
-    regret: NonNegative | None = None
-    vote_temperature: Positive = 0.1
-    near_goal: Positive = 2.0
-    near_obstacle: Positive = 0.3
-    rich_information: Positive = 0.2
-    hysteresis: NonNegative = 0.2
-    parameterisation: Literal["direct", "smooth", "knots"] = "knots"
-    effort: NonNegative = 0.02
-    horizon: Count = 30
-    num_samples: Count = 1000
-    temperature: Positive = 0.05
-    noise_share: Positive = 0.5
-    dt: Positive = 0.05
-    clearance: Positive = 0.4
-    margin: NonNegative = 0.02
+    regret: NonNegative | None = setting(SafeFusion, "regret")
+    vote_temperature: Positive = setting(WeightedVote, "temperature")
+    near_goal: Positive = setting(Contextual, "near_goal")
+    near_obstacle: Positive = setting(Contextual, "near_obstacle")
+    rich_information: Positive = setting(Contextual, "rich_information")
+    hysteresis: NonNegative = setting(Contextual, "hysteresis")
+    parameterisation: ParameterisationName = setting(ground_portfolio, "parameterisation")
+    effort: NonNegative = setting(ground_portfolio, "effort")
+    horizon: Count = setting(ground_portfolio, "horizon")
+    num_samples: Count = setting(ground_portfolio, "num_samples")
+    temperature: Positive = setting(ground_portfolio, "temperature")
+    noise_share: Positive = setting(ground_portfolio, "noise_share")
+    dt: Positive = setting(ground_portfolio, "dt")
+    clearance: Positive = setting(ground_portfolio, "clearance")
+    margin: NonNegative = setting(ground_portfolio, "margin")
 
 
 class InformativeSettings(Section):
     """Informative MPPI: see `jaxplore.informative_mppi`, `jaxplore.Flight` and
-    `jaxplore.FieldNumbers`. The defaults are the quadrotor design notes' where they have one.
+    `jaxplore.FieldNumbers`."""
 
-    `target_choice` is how `sequential` picks a zone: by what remains of it, or by what the scans on
-    the way there tell, by one of the methods of `jaxplore.TrajectoryInformation`.
-    `distance_weight` is the rule's own where none is given.
-    """
-
-    parameterisation: Literal["direct", "smooth", "knots"] = "direct"
-    horizon: Count = 40
-    num_samples: Count = 1000
-    temperature: Positive = 0.1
-    noise_std: tuple[Positive, ...] | None = None
-    dt: Positive = 0.05
-    clearance: Positive = 0.6
-    bias_fraction: Annotated[float, Field(ge=0, le=1)] = 0.5
-    likelihood_ratio: bool = False
-    field_beams: Count = 12
-    field_range: Positive = 10.0
-    field_noise: NonNegative = 0.1
-    field_spacing: Positive = 0.5
-    field_extent: Positive = 5.0
-    field_headings: Count = 8
-    local_beams: Count = 6
-    local_range: Positive = 2.5
-    local_extent: Positive = 4.0
-    by_heading: bool = False
-    reference_speed: Positive = 2.0
-    reference_steps: Count = 40
+    parameterisation: ParameterisationName = setting(Flight, "parameterisation")
+    horizon: Count = setting(Flight, "horizon")
+    num_samples: Count = setting(Flight, "num_samples")
+    temperature: Positive = setting(Flight, "temperature")
+    noise_std: tuple[Positive, ...] | None = setting(Flight, "noise_std")
+    dt: Positive = setting(Flight, "dt")
+    clearance: Positive = setting(Flight, "clearance")
+    bias_fraction: Fraction = setting(informative_mppi, "bias_fraction")
+    likelihood_ratio: bool = setting(informative_mppi, "likelihood_ratio")
+    field_beams: Count = setting(FieldNumbers, "field_beams")
+    field_range: Positive = setting(FieldNumbers, "field_range")
+    field_noise: NonNegative = setting(FieldNumbers, "field_noise")
+    field_spacing: Positive = setting(FieldNumbers, "field_spacing")
+    field_extent: Positive = setting(FieldNumbers, "field_extent")
+    field_headings: Count = setting(FieldNumbers, "field_headings")
+    local_beams: Count = setting(FieldNumbers, "local_beams")
+    local_range: Positive = setting(FieldNumbers, "local_range")
+    local_extent: Positive = setting(FieldNumbers, "local_extent")
+    by_heading: bool = setting(informative_mppi, "by_heading")
+    reference_speed: Positive = setting(informative_mppi, "reference_speed")
+    reference_steps: Count = setting(informative_mppi, "reference_steps")
     target_choice: Literal[
         "remaining", "direct", "discount", "filtered", "temporal", "occlusion"
-    ] = "remaining"
-    distance_weight: NonNegative | None = None
-    depleted: Share = 0.35
-    goal_when_explored: bool = True
-    reference_weight: NonNegative = 1.0
-    local_weight: NonNegative = 10.0
-    field_weight: NonNegative = 20.0
-    guidance_weight: NonNegative = 10.0
-    goal_weight: NonNegative = 0.2
-    obstacle_weight: NonNegative = 20.0
-    height_weight: NonNegative = 10.0
-    speed_weight: NonNegative = 10.0
-    control_weight: NonNegative = 0.01
+    ] = setting(zone_choice, "method")
+    distance_weight: NonNegative | None = setting(zone_choice, "distance_weight")
+    depleted: Share = setting(zone_choice, "depleted")
+    goal_when_explored: bool = setting(informative_mppi, "goal_when_explored")
+    reference_weight: NonNegative = setting(informative_mppi, "reference_weight")
+    local_weight: NonNegative = setting(informative_mppi, "local_weight")
+    field_weight: NonNegative = setting(informative_mppi, "field_weight")
+    guidance_weight: NonNegative = setting(informative_mppi, "guidance_weight")
+    goal_weight: NonNegative = setting(informative_mppi, "goal_weight")
+    obstacle_weight: NonNegative = setting(Flight, "obstacle_weight")
+    height_weight: NonNegative = setting(Flight, "height_weight")
+    speed_weight: NonNegative = setting(Flight, "speed_weight")
+    control_weight: NonNegative = setting(Flight, "control_weight")
 
 
 class RatesSettings(Section):
-    """How often things happen [Hz]."""
+    """How often things happen: see `jaxplore.ExplorationScenario`."""
 
-    control: Positive = 50.0
-    sensing: Positive = 10.0
-    fields: Positive = 5.0
+    control: Positive = setting(ExplorationScenario, "control_rate")
+    sensing: Positive = setting(ExplorationScenario, "sensing_rate")
+    fields: Positive = setting(ExplorationScenario, "field_rate")
 
 
-class Settings(Section):
-    """A whole run; what is not given has the default shown.
+class Settings(RunSettings):
+    """A run that explores; what is not given has its default.
 
     Args:
         map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; with a
             `world`, a name for it.
         world: the entries of a world, instead of its file.
-        architecture: what decides: the ground robots' `explorer` or `portfolio`, or an explorer to
-            compare with, by its rule for the next target, such as `nearest-frontier` or `wander`;
-            informative MPPI,
-            `two-layer`, `parallel`, or `sequential`, which is two-layer from zone to zone of a
-            world; or a baseline: a random walk, MPPI that only goes to the goal.
-        start: pose (x, y, yaw) [m, m, rad]; office and worlds have one of their own.
+        architecture: of the controller. Of ground robots `explorer` or `portfolio`, or an explorer
+            to compare with, by its rule for the next target, such as `nearest-frontier`. Of
+            quadrotors informative MPPI, `two-layer`, `parallel` or `sequential`, which is two-layer
+            from zone to zone of a world; or a baseline, `random-walk`, or `goal`, which only goes
+            to the goal.
         goal: (x, y) or (x, y, z) to be at in the end [m]; worlds may have one of their own.
-        goal_radius: distance at which it is reached [m]; 1.5 when absent, a portfolio's 0.25.
-        max_unknown: share of unknown cells below which a map with a goal counts as explored; 0.05
-            when absent, a portfolio's 1: it is done when it is there.
-        hover_time: simulated after the end [s].
-        altitude: z to fly at [m]; down is positive.
-        resolution: side of a map cell [m]; a finer map is resampled, a coarser one is kept.
-        seed: of everything random in the run.
         time_limit: simulated time [s].
-        target_coverage: share of the reachable free cells at which exploration is finished; null
-            for never, as on a patrol.
+        office: the generated office, for the map `office`.
+        robot: its model.
+        lidar: its lidar.
         camera: leads if there is one; none when absent.
-        watch: what is looked for beside the map; nothing when absent.
-        parameters: numbers of the controller by path, in place of what the settings come to: see
-            `jaxplore.get_parameters`. A list has a number for each element.
+        watch: the idleness map, for search and patrol; none when absent.
+        terrain: the ground.
+        sensor_model: what a measurement does to a cell.
+        fields: the information and guidance fields.
+        controller: for the architecture `explorer` and the explorers by a rule.
+        portfolio: for the architecture `portfolio`.
+        informative: for the architectures of quadrotors.
+        rates: how often things happen.
     """
 
     map: str
     world: dict[str, Any] | None = None
     architecture: Architecture = "explorer"
-    start: tuple[float, float, float] | None = None
     goal: tuple[float, float] | tuple[float, float, float] | None = None
-    goal_radius: Positive | None = None
-    max_unknown: Annotated[float, Field(ge=0, le=1)] | None = None
-    hover_time: NonNegative = 0.0
-    altitude: float = -2.0
-    resolution: Positive = 0.1
-    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    goal_radius: Positive | None = setting(ExplorationScenario, "goal_radius")
+    max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
+    hover_time: NonNegative = setting(ExplorationScenario, "hover_time")
+    altitude: float = setting(Flight, "altitude")
+    resolution: Positive = setting(office, "resolution")
     time_limit: Positive = 900.0
-    target_coverage: Share | None = 0.99
+    target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
     lidar: LidarSettings = LidarSettings()
@@ -326,7 +356,6 @@ class Settings(Section):
     portfolio: PortfolioSettings = PortfolioSettings()
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
-    parameters: Parameters = Field(default_factory=dict)
 
 
 def scenario_path(name: str) -> Path:
@@ -343,8 +372,8 @@ def is_scenario_file(path: str | os.PathLike[str]) -> bool:
     return "world" in entries
 
 
-def make_settings(entries: dict[str, Any]) -> Settings:
-    """Return checked settings.
+def make_exploration_settings(entries: dict[str, Any]) -> Settings:
+    """Return checked settings of a run that explores.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
@@ -360,7 +389,7 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     if entries.get("architecture", "explorer") in GROUND:
         return entries
-    return merged(FLIGHT, entries)
+    return merged(differences_of("quadrotor"), entries)
 
 
 def merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:

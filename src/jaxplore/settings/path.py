@@ -4,112 +4,147 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from jaxplore.dynamics.ackermann import Ackermann
+from jaxplore.geometry.track import race_track
+from jaxplore.maps.files.path_file import read_path
+from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
+from jaxplore.settings.defaults import setting
 from jaxplore.settings.exploration import RobotSettings
-from jaxplore.settings.sections import Count, NonNegative, Parameters, Positive, Section, validated
+from jaxplore.settings.sections import (
+    Count,
+    NonNegative,
+    Number,
+    Positive,
+    RunSettings,
+    Section,
+    Steering,
+    validated,
+)
+from jaxplore.simulation.following.scenario import PathScenario
+from jaxplore.simulation.following.traffic import Traffic
 
 PATH = "path"
 """In place of a map: the run is along a path."""
 TRACK = "track"
 """The path that is generated instead of read."""
 
-Number = Annotated[int, Field(ge=0)]
 Point = tuple[float, float]
 PathRobot = Literal["ackermann", "bicycle", "differential_drive", "unicycle"]
 
 
 class TrackSettings(Section):
-    """The generated track: seed of its shape, length, half width and least radius [m], bends."""
+    """The generated track: see `jaxplore.race_track`."""
 
-    seed: Number = 0
-    length: Positive = 60.0
-    half_width: Positive = 1.1
-    min_radius: Positive = 1.5
-    num_bends: Annotated[int, Field(ge=2)] = 6
+    seed: Number = setting(race_track, "seed")
+    length: Positive = setting(race_track, "length")
+    half_width: Positive = setting(race_track, "half_width")
+    min_radius: Positive = setting(race_track, "min_radius")
+    num_bends: Annotated[int, Field(ge=2)] = setting(race_track, "num_bends")
 
 
 class PathRobotSettings(RobotSettings):
-    """The robot, by default a car of F1TENTH's size; `bicycle` has a radius and steers at once."""
+    """The robot, by default a race car of F1TENTH's size.
+
+    Args:
+        model: of the robot; a `bicycle` has a radius and steers at once.
+        length: of a car [m].
+        width: of a car [m].
+    """
 
     model: PathRobot = "ackermann"  # type: ignore[assignment]
-    max_speed: Positive = 5.0
-    max_acceleration: Positive = 6.0
-    drag: NonNegative = 0.0
-    wheelbase: Positive = 0.33
+    max_speed: Positive = setting(Ackermann, "max_speed")
+    max_acceleration: Positive = setting(
+        Ackermann, "max_acceleration", differs="path.robot.max_acceleration"
+    )
+    drag: NonNegative = setting(Ackermann, "drag")
+    wheelbase: Positive = setting(Ackermann, "wheelbase", differs="path.robot.wheelbase")
     length: Positive = 0.58
     width: Positive = 0.31
-    max_steering: Annotated[float, Field(gt=0, lt=1.57)] = 0.42
-    max_steering_rate: Positive = 3.2
+    max_steering: Steering = setting(Ackermann, "max_steering", differs="path.robot.max_steering")
+    max_steering_rate: Positive = setting(
+        Ackermann, "max_steering_rate", differs="path.robot.max_steering_rate"
+    )
 
 
 class PathObstacleSettings(Section):
-    """What is in the way. Moving: how many discs along the path, their radius [m], least and
-    greatest speed [m/s], the seed of where they are (the run's when absent). Standing: discs
-    (x, y, radius) and polygons, lists of corners [m]. And how far the robot keeps away: see
-    `jaxplore.ObstacleDistanceCost`; what it knows: see `jaxplore.PathScenario`."""
+    """Obstacles on the path, what the robot knows of them, and how it keeps clear: see
+    `jaxplore.Traffic`, `jaxplore.PathScenario` and `jaxplore.avoidance_cost`.
+
+    Args:
+        number: of discs that move along the path.
+        seed: of where they are; the run's when absent.
+        discs: (x, y, radius) of discs that stand [m].
+        polygons: lists of corners of polygons that stand [m].
+    """
 
     number: Number = 0
-    radius: Positive = 0.2
-    speeds: tuple[float, float] = (0.5, 1.5)
+    radius: Positive = setting(Traffic.random, "radius")
+    speeds: tuple[float, float] = setting(Traffic.random, "rates")
     seed: Number | None = None
     discs: tuple[tuple[float, float, Positive], ...] = ()
     polygons: tuple[tuple[Point, ...], ...] = ()
-    clearance: Positive = 0.5
-    margin: NonNegative = 0.05
-    caution: NonNegative = 1.0
-    weight: NonNegative = 100.0
-    prediction: Literal["constant-turn", "constant-velocity"] = "constant-turn"
-    growth: NonNegative = 0.1
-    turn_growth: NonNegative = 0.1
+    clearance: Positive = setting(avoidance_cost, "clearance")
+    margin: NonNegative = setting(avoidance_cost, "margin")
+    caution: NonNegative = setting(avoidance_cost, "caution")
+    weight: NonNegative = setting(avoidance_cost, "weight")
+    prediction: Literal["constant-turn", "constant-velocity"] = setting(PathScenario, "prediction")
+    growth: NonNegative = setting(PathScenario, "growth")
+    turn_growth: NonNegative = setting(PathScenario, "turn_growth")
 
 
 class ContouringSettings(Section):
-    """Contouring control: see `jaxplore.mpcc`. Noise of the controls is a share of half their
-    range; `max_lateral` and `max_longitudinal` accelerations are free, beyond costs [m/s^2]."""
+    """Contouring control: see `jaxplore.mpcc`.
 
-    horizon: Count = 30
-    num_samples: Count = 512
-    dt: Positive = 0.05
-    temperature: Positive = 30.0
-    contouring_weight: NonNegative = 10.0
-    lag_weight: NonNegative = 50.0
-    progress_weight: NonNegative = 500.0
-    noise_share: Positive = 0.2
-    progress_noise: Positive = 0.5
-    corridor_margin: NonNegative = 0.05
-    max_lateral: Positive = 7.0
-    max_longitudinal: Positive = 7.0
-    comfort_weight: NonNegative = 20.0
+    Args:
+        risk_level: of the conditional value at risk, by which obstacles are weighed over
+            `num_outcomes` of where they may go; the mean, with `caution`, when absent.
+    """
+
+    horizon: Count = setting(mpcc, "horizon")
+    num_samples: Count = setting(mpcc, "num_samples")
+    dt: Positive = setting(mpcc, "dt")
+    temperature: Positive = setting(mpcc, "temperature")
+    contouring_weight: NonNegative = setting(mpcc, "contouring_weight")
+    lag_weight: NonNegative = setting(mpcc, "lag_weight")
+    progress_weight: NonNegative = setting(mpcc, "progress_weight")
+    noise_share: Positive = setting(mpcc, "noise_share")
+    progress_noise: Positive = setting(mpcc, "progress_noise")
+    corridor_margin: NonNegative = setting(mpcc, "corridor_margin")
+    max_lateral: Positive = setting(mpcc, "max_lateral")
+    max_longitudinal: Positive = setting(mpcc, "max_longitudinal")
+    comfort_weight: NonNegative = setting(mpcc, "comfort_weight")
     risk_level: Annotated[float, Field(ge=0, lt=1)] | None = None
-    num_outcomes: Count = 16
+    num_outcomes: Count = setting(mpcc, "num_outcomes")
 
 
-class PathSettings(Section):
-    """Everything that a run along a path depends on.
+class PathSettings(RunSettings):
+    """A run along a path; what is not given has its default.
 
-    `path` is a file (see `jaxplore.read_path`) or track; `half_width` is the room on either side of
-    one that says nothing about it [m]. With a `risk_level`, obstacles are weighed by the
-    conditional value at risk over `num_outcomes` of where they may go. `parameters` are numbers of
-    the controller by path, in place of what the settings come to: see `jaxplore.get_parameters`.
+    Args:
+        path: a file, see `jaxplore.read_path`, or `track`.
+        half_width: room on either side of a path that says nothing about it [m].
+        time_limit: simulated time [s].
+        track: the generated track, for the path `track`.
+        robot: its model.
+        obstacles: what is in the way.
+        controller: contouring control.
     """
 
     path: str = TRACK
-    method: Literal["cubic", "monotone", "akima"] = "cubic"
-    is_closed: bool | None = None
+    method: Literal["cubic", "monotone", "akima"] = setting(read_path, "method")
+    is_closed: bool | None = setting(read_path, "is_closed")
     half_width: Positive | None = None
-    start: tuple[float, float, float] | None = None
-    laps: Count = 1
+    laps: Count = setting(PathScenario, "laps")
     time_limit: Positive = 120.0
-    control_rate: Positive = 50.0
-    seed: Number = 0
+    control_rate: Positive = setting(PathScenario, "control_rate")
     track: TrackSettings = TrackSettings()
     robot: PathRobotSettings = PathRobotSettings()
     obstacles: PathObstacleSettings = PathObstacleSettings()
     controller: ContouringSettings = ContouringSettings()
-    parameters: Parameters = Field(default_factory=dict)
 
 
 def make_path_settings(entries: dict[str, Any]) -> PathSettings:
-    """Return checked settings.
+    """Return checked settings of a run along a path.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.

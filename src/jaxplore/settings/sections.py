@@ -10,8 +10,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Share = Annotated[float, Field(gt=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
+Number = Annotated[int, Field(ge=0)]
+Seed = Annotated[int, Field(ge=0, lt=2**32)]
+Probability = Annotated[float, Field(gt=0, lt=1)]
+Steering = Annotated[float, Field(gt=0, lt=1.57)]
 Parameters = dict[str, float | list[float]]
 """Numbers of a controller by path; a list for an array."""
 
@@ -20,6 +25,21 @@ class Section(BaseModel):
     """Settings that belong together: no unknown names, no infinities."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RunSettings(Section):
+    """Settings of any kind of run.
+
+    Args:
+        start: pose (x, y, yaw) [m, m, rad]; some places have one of their own.
+        seed: of everything random in the run.
+        parameters: numbers of the controller by path, in place of what the settings come to: see
+            `jaxplore.get_parameters`. A list has a number for each element.
+    """
+
+    start: tuple[float, float, float] | None = None
+    seed: Seed = 0
+    parameters: Parameters = Field(default_factory=dict)
 
 
 def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -67,7 +87,9 @@ def _one_line(
     if kind == "extra_forbidden":
         section = settings
         for part in where[:-1]:
-            section = _section(section, str(part))
+            inner = section_of(section.model_fields[str(part)].annotation)
+            assert inner is not None
+            section = inner
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
     if kind == "missing":
         return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
@@ -75,10 +97,9 @@ def _one_line(
     return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
 
 
-def _section(section: type[BaseModel], name: str) -> type[BaseModel]:
-    inner = section.model_fields[name].annotation
-    # Of a section that may be absent, the section.
-    inner = next((part for part in get_args(inner) if part is not type(None)), inner)
-    assert isinstance(inner, type)
-    assert issubclass(inner, BaseModel)
-    return inner
+def section_of(annotation: Any) -> type[BaseModel] | None:
+    """Return the section that a field holds, also one that may be absent; None of other fields."""
+    for each in (annotation, *get_args(annotation)):
+        if isinstance(each, type) and issubclass(each, BaseModel):
+            return each
+    return None

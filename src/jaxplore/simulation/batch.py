@@ -184,7 +184,7 @@ def _begin(stacked: Stacked, keys: PRNGKeyArray, size: int) -> Batch:
 @eqx.filter_jit
 def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
     def one(arrays: tuple[Array, ...], state: LoopState) -> Flag:
-        _, scenario = stacked.tree(arrays)
+        scenario: Scenario = stacked.tree(arrays)[1]
         return scenario.is_unfinished(state.task)
 
     return jax.vmap(one, in_axes=(stacked.axes, 0))(stacked.arrays, states)

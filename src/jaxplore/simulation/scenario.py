@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -142,7 +142,7 @@ class Scenario(eqx.Module):
         """Return the share of the task that is done, from 0 to 1, and a text that says it."""
         return 0.0, ""
 
-    def for_batches(self) -> Self:
+    def for_batches(self) -> "Scenario":
         """Return the scenario in the form that suits many runs side by side."""
         return self
 

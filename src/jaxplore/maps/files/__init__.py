@@ -1,1 +1,1 @@
-"""Map, path and image files, read and written."""
+"""Read and write map, path and image files."""

@@ -1,4 +1,4 @@
-"""Grey images that are not trusted: maps and heights come as pictures."""
+"""Read grey images that are not trusted, for maps and elevations."""
 
 import struct
 import warnings
@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageFile
 
-from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
 
 PIXEL_LIMIT = 64_000_000
-"""Largest image read or written [pixels]."""
+"""Largest image that is read or written [pixels]."""
 
 _FORMATS = ("PPM", "PNG", "BMP")
 _MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
@@ -21,8 +21,10 @@ _ERRORS = (*MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
 
 
 class Greys(NamedTuple):
-    """Pixels as an image has them, top row first: `level / full` is how bright each is, and
-    `opaque` is None without an alpha channel."""
+    """Grey levels of an image, top row first.
+
+    The brightness of a pixel is `level / full`. `opaque` is None for an image without alpha.
+    """
 
     level: NDArray[np.integer]
     full: int
@@ -30,8 +32,8 @@ class Greys(NamedTuple):
 
     @property
     def shade(self) -> NDArray[np.float32]:
-        """How bright each pixel is, (H, W) in [0, 1]: 0 is black."""
-        # A table per grey level: exact in float64, and a large image needs no float64 copy.
+        """Brightness of each pixel, (H, W) in [0, 1]; 0 is black."""
+        # Look up a table of levels: it is computed in float64 without a float64 copy of the image.
         table = (np.arange(self.full + 1) / self.full).astype(np.float32)
         shade: NDArray[np.float32] = table[self.level]
         return shade
@@ -40,23 +42,24 @@ class Greys(NamedTuple):
 def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
     """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG or BMP.
 
-    How bright a pixel is, is the mean of red, green and blue over the greatest value there is.
+    The brightness of a pixel is the mean of red, green and blue, divided by the greatest value of
+    the format.
 
     Args:
-        path: of the file.
-        alpha_is_shade: an alpha channel counts as a fourth colour.
+        path: path of the file.
+        alpha_is_shade: whether the alpha channel counts as a fourth colour, as in nav2.
 
     Raises:
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
-    where, accepted = f"image {name_of(path)}", "a PGM, PNG or BMP image"
+    where, accepted = f"image {printable_path(path)}", "a PGM, PNG or BMP image"
     too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
-    # Pillow warns of large images, which are refused here, and of oddities it gets over.
+    # Pillow warns of large images, which are refused here anyway, and of oddities that it handles.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            if not path.is_file():  # to open a pipe would wait for ever
+            if not path.is_file():  # opening a pipe would block for ever
                 raise ValueError("it is not there or not a file")
             with path.open("rb") as file:
                 image = Image.open(file, formats=_FORMATS)
@@ -66,7 +69,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
         except Image.DecompressionBombError:
             raise ValueError(too_large) from None
         except _ERRORS as error:
-            reason = reason_of(error)
+            reason = error_reason(error)
             raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
     if large:
         raise ValueError(too_large)
@@ -76,6 +79,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
 def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
     maxval = _portable_maxval(image)
     clear = image.info.get("transparency")
+    # Pillow cannot convert 16-bit images without losing bits: read them as they are.
     if image.mode in ("I", "I;16"):
         grey = np.asarray(image)
         levels = _unscaled(65535, maxval)[grey]
@@ -84,6 +88,7 @@ def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
             return Greys(levels, maxval or 65535, opaque)
         return Greys(3 * levels.astype(np.int32) + 65535 * opaque, 4 * 65535, opaque)
     has_alpha = image.has_transparency_data
+    # Grey images are weighted by 3, so that their levels are comparable with sums of three colours.
     if image.mode in ("1", "L", "LA"):
         mode, weight = "LA" if has_alpha else "L", 3
     else:
@@ -101,7 +106,7 @@ def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
 
 
 def _portable_maxval(image: ImageFile.ImageFile) -> int | None:
-    """Return the maxval of a portable map that Pillow is going to stretch to 8 or 16 bits."""
+    """Return the maxval of a portable map, which Pillow stretches to 8 or 16 bits, or None."""
     args = image.tile[0].args if image.tile else None
     if image.format == "PPM" and isinstance(args, tuple) and isinstance(args[1], int):
         return args[1]
@@ -109,6 +114,6 @@ def _portable_maxval(image: ImageFile.ImageFile) -> int | None:
 
 
 def _unscaled(full: int, maxval: int | None) -> NDArray[np.uint16]:
-    # Pillow rounds value / maxval to 8 bits, enough to move a cell across a threshold; the
-    # rounding never merges two values, so it can be undone.
+    # Pillow rounds value / maxval to 8 bits, which can move a cell across a threshold. The rounding
+    # never merges two values, so this table undoes it.
     return np.rint(np.arange(full + 1) * ((maxval or full) / full)).astype(np.uint16)

@@ -1,4 +1,4 @@
-"""The files of a map, to be sent where this disk is not."""
+"""Pack the files of a map, to send them to another machine."""
 
 import io
 import os
@@ -6,17 +6,17 @@ from pathlib import Path
 
 import yaml
 
-from jaxplore.maps.files._files import read_yaml
+from jaxplore.maps.files.untrusted import read_yaml
 
 PACKED = "map.yaml"
-"""Name of the YAML file in a packed map."""
+"""File name of the YAML in a packed map."""
 
 
-def image_of(path: str | os.PathLike[str]) -> Path | None:
-    """Return the file that a ROS map's YAML names as its image; None if there is none.
+def find_image(path: str | os.PathLike[str]) -> Path | None:
+    """Return the path of the image that a ROS map's YAML names, or None if there is none.
 
     Raises:
-        ValueError: no YAML mapping.
+        ValueError: a file that is not a YAML mapping.
     """
     entry = read_yaml(Path(path)).get("image")
     if not isinstance(entry, str) or not entry or "\0" in entry:
@@ -25,16 +25,16 @@ def image_of(path: str | os.PathLike[str]) -> Path | None:
     return image if image.is_file() else None
 
 
-def packed(path: str | os.PathLike[str]) -> dict[str, bytes]:
-    """Return the files of a ROS map or of a world by name, so that they can lie in any folder.
+def pack_map(path: str | os.PathLike[str]) -> dict[str, bytes]:
+    """Return the content of the files of a ROS map or a world, by file names valid in any folder.
 
-    The YAML file is `map.yaml`, and names its image anew.
+    The YAML file becomes `map.yaml`, and refers to its image by the new name.
 
     Raises:
-        ValueError: no YAML mapping.
+        ValueError: a file that is not a YAML mapping.
         OSError: a file that cannot be read.
     """
-    entries, image = read_yaml(Path(path)), image_of(path)
+    entries, image = read_yaml(Path(path)), find_image(path)
     if image is None:
         return {PACKED: Path(path).read_bytes()}
     name = f"map{image.suffix}"

@@ -1,4 +1,4 @@
-"""Path files: waypoints in CSV, with the widths of a track or not, and ROS paths in YAML."""
+"""Read paths from files: waypoints in CSV, with or without track widths, and ROS paths in YAML."""
 
 import math
 from os import PathLike
@@ -8,12 +8,12 @@ import numpy as np
 
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
-from jaxplore.maps.files._files import name_of, read_bytes, read_yaml, show
+from jaxplore.maps.files.untrusted import printable_path, read_bytes, read_yaml, short_repr
 
 CSV_LIMIT = 10_000_000
-"""Largest CSV file read [bytes]."""
+"""Largest CSV file that is read [bytes]."""
 YAML_LIMIT = 1_000_000
-"""Largest YAML file read [bytes]: some 5000 poses."""
+"""Largest YAML file that is read [bytes]: about 5000 poses."""
 MOST_WAYPOINTS = 100_000
 COLUMNS = {
     2: "x, y",
@@ -28,29 +28,30 @@ def read_path(
     method: str = "cubic",
     is_closed: bool | None = None,
 ) -> Path:
-    """Return the path in a file, smooth through its waypoints.
+    """Read waypoints from a file and return the smooth path through them.
 
-    - `.csv`, `.txt`: a waypoint a row, separated by commas, semicolons or spaces: x, y [m]. With
-      four columns, x, y, room to the right, room to the left [m], as in the centre lines of F1TENTH
-      and TUM. `#` begins a comment; a first row of names is one too.
+    - `.csv`, `.txt`: one waypoint per row, x, y [m], separated by commas, semicolons or spaces.
+      Four columns are x, y, free width to the right, free width to the left [m], as in the centre
+      lines of F1TENTH and TUM. `#` begins a comment, and a first row of column names is skipped.
     - `.yaml`, `.yml`: a ROS `nav_msgs/Path` as `ros2 topic echo` prints it: `poses`, each with
-      `pose: position: x, y`, or with `position` itself. Heights and orientations are not read.
+      `pose: position: x, y`, or with `position` itself. z and orientation are not read.
 
-    Waypoints that repeat the one before are left out: recorded paths have them where the robot
-    stood.
+    A waypoint equal to the one before is dropped: recorded paths repeat them while the robot
+    stands still.
 
     Args:
-        path: of the file.
-        method: see `path_through`.
-        is_closed: whether the path is a lap. When absent it is if the last waypoint is the first,
-            or no farther from it than twice the longest step, and the widths of a track are given.
+        path: path of the file.
+        method: spline method; see `path_through`.
+        is_closed: whether the path is a lap. By default it is closed if the last waypoint equals
+            the first, or if track widths are given and the last waypoint is at most twice the
+            longest step away from the first.
 
     Raises:
-        ValueError: a file that cannot be read, that holds something else or fewer waypoints than
-            two, and what `path_through` refuses; the file is named.
+        ValueError: a file that cannot be read, that holds something else or fewer than two
+            different waypoints, and what `path_through` refuses; one line that names the file.
     """
     file = FilePath(path)
-    where = name_of(file)
+    where = printable_path(file)
     suffix = file.suffix.lower()
     if suffix in (".csv", ".txt"):
         rows = _csv_rows(file)
@@ -69,11 +70,13 @@ def read_path(
     rows = rows[np.concatenate([[True], ~repeats])]
     if len(rows) < 2:
         raise ValueError(f"{where} has {len(rows)} different waypoints; accepted: two or more")
+    # `path_through` closes the path itself, so a repeated first waypoint is dropped.
     ends_meet = len(rows) > 3 and bool((rows[0, :2] == rows[-1, :2]).all())
     if is_closed is None:
         is_closed = ends_meet or (rows.shape[1] == 4 and _nearly_meets(rows[:, :2]))
     if is_closed and ends_meet:
         rows = rows[:-1]
+    # Files give the right width first, `Path` takes the left one first.
     widths = rows[:, [3, 2]] if rows.shape[1] == 4 else None
     try:
         return path_through(rows[:, :2], method=method, is_closed=is_closed, half_widths=widths)
@@ -87,7 +90,7 @@ def _nearly_meets(points: np.ndarray) -> bool:
 
 
 def _csv_rows(file: FilePath) -> np.ndarray:
-    where = name_of(file)
+    where = printable_path(file)
     data = read_bytes(file, "a path's CSV", CSV_LIMIT)
     try:
         text = data.decode("utf-8-sig")
@@ -104,9 +107,9 @@ def _csv_rows(file: FilePath) -> np.ndarray:
             row = [float(cell) for cell in cells if cell.strip()]
         except ValueError:
             if not rows and not any(_is_number(cell) for cell in cells):
-                continue  # names of the columns
+                continue  # a row of column names
             raise ValueError(
-                f"{where}, line {number} is {show(content)}; accepted: numbers"
+                f"{where}, line {number} is {short_repr(content)}; accepted: numbers"
             ) from None
         if rows and len(row) != len(rows[0]):
             raise ValueError(
@@ -133,10 +136,12 @@ def _is_number(cell: str) -> bool:
 
 
 def _ros_rows(file: FilePath) -> np.ndarray:
-    where = name_of(file)
+    where = printable_path(file)
     poses = read_yaml(file, "path", YAML_LIMIT).get("poses")
     if not isinstance(poses, list) or not poses:
-        raise ValueError(f"{where} has poses {show(poses)}; accepted: a list, as in nav_msgs/Path")
+        raise ValueError(
+            f"{where} has poses {short_repr(poses)}; accepted: a list, as in nav_msgs/Path"
+        )
     rows = []
     for index, stamped in enumerate(poses):
         pose = stamped.get("pose", stamped) if isinstance(stamped, dict) else None
@@ -147,7 +152,7 @@ def _ros_rows(file: FilePath) -> np.ndarray:
             rows.append([_coordinate(position["x"]), _coordinate(position["y"])])
         except (KeyError, TypeError):
             raise ValueError(
-                f"{where}, poses[{index}] is {show(stamped)}; accepted: pose: position: x, y"
+                f"{where}, poses[{index}] is {short_repr(stamped)}; accepted: pose: position: x, y"
             ) from None
     return np.array(rows, np.float64)
 

@@ -1,4 +1,4 @@
-"""Maps as ROS's `map_server` stores them: a YAML file beside an image."""
+"""Read and write maps in the format of ROS's `map_server`: a YAML file beside an image."""
 
 import io
 import os
@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from jaxplore import _checks
-from jaxplore.maps.files._files import name_of, read_yaml, replace_files, show
 from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
+from jaxplore.maps.files.untrusted import printable_path, read_yaml, replace_files, short_repr
 
 MODES = ("trinary", "scale", "raw")
-"""How grey becomes probability; see `read_map`."""
+"""Conversions from grey to probability; see `read_map`."""
 
 _UNKNOWN = 0.5
 _SUFFIXES = (".yaml", ".yml")
@@ -35,24 +35,24 @@ class _Settings(NamedTuple):
 def read_map(
     path: str | os.PathLike[str],
 ) -> tuple[NDArray[np.float32], float, tuple[float, float, float]]:
-    """Read a map: the YAML file at `path` and the image it names.
+    """Read a map: the YAML file at `path` and the image that it names.
 
-    With shade the mean of red, green and blue in [0, 1], and `occ = 1 - shade` (`occ = shade`
-    where `negate` is set), the probability of a cell is, by `mode`:
+    The shade of a pixel is the mean of red, green and blue in [0, 1]. With `occ = 1 - shade`, or
+    `occ = shade` if `negate` is set, the probability of a cell depends on `mode`:
 
-    - `trinary`: 1 where `occ > occupied_thresh`, 0 where `occ < free_thresh`, else 0.5. An
-      image's alpha counts as a fourth channel of the shade.
-    - `scale`: 0.5 where the pixel is not opaque; else 1 and 0 as above, and in between
+    - `trinary`: 1 if `occ > occupied_thresh`, 0 if `occ < free_thresh`, else 0.5. The alpha channel
+      counts as a fourth channel of the shade.
+    - `scale`: 0.5 if the pixel is not opaque; else 1 and 0 as above, and in between
       `(occ - free_thresh) / (occupied_thresh - free_thresh)`, rounded to hundredths.
-    - `raw`: `v / 100` where `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
+    - `raw`: `v / 100` if `v = round(255 shade) <= 100`, else 0.5; `negate` has no effect.
 
-    `image`, `resolution` and `origin` must be given; `negate` is 0, `occupied_thresh` 0.65,
-    `free_thresh` 0.25 and `mode` trinary where absent. The image is PGM (or another portable
-    map), PNG or BMP of at most 64 million pixels; a relative name stays in the YAML's folder.
+    `image`, `resolution` and `origin` are required. The defaults are `negate` 0, `occupied_thresh`
+    0.65, `free_thresh` 0.25 and `mode` trinary. The image is PGM (or another portable map), PNG or
+    BMP of at most 64 million pixels. A relative name must stay in the folder of the YAML file.
 
     Returns:
-        The probability, (H, W) in [0, 1] with row 0 at the origin (the image's bottom row); the
-        resolution [m]; the origin's pose (x, y, yaw) [m, m, rad].
+        Probability (H, W) in [0, 1] with row 0 at the origin (the image's bottom row), resolution
+        [m], and pose (x, y, yaw) of the origin [m, m, rad].
 
     Raises:
         ValueError: a file that is missing, unreadable or malformed, or an entry that is not
@@ -62,9 +62,10 @@ def read_map(
     """
     settings = _settings(Path(path))
     greys = read_greys(settings.image, alpha_is_shade=settings.mode == "trinary")
-    # A table per grey level: exact in float64, and a large map needs no float64 copy.
+    # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
-    probability = _probability_of(shade, settings).astype(np.float32)[greys.level]
+    probability = _probability(shade, settings).astype(np.float32)[greys.level]
+    # Row 0 of a map is at its origin, the bottom row of the image.
     if settings.mode == "scale" and greys.opaque is not None:
         probability[~greys.opaque] = _UNKNOWN
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
@@ -80,34 +81,36 @@ def write_map(
 ) -> None:
     """Write a map: the YAML file at `path`, and its image beside it under the same stem.
 
-    - `trinary` (PGM): `p > 0.65` is black, `p < 0.25` is 254 and the rest 205, the greys of ROS's
-      `map_saver`; `read_map` returns 1, 0 and 0.5.
-    - `scale` (PNG with alpha): `p` in hundredths; exactly 0.5 (unknown) is transparent.
-    - `raw` (PGM): `100 p` as the pixel's value; exactly 0.5 (unknown) is 255.
+    - `trinary` (PGM): `p > 0.65` becomes 0 (black), `p < 0.25` becomes 254 and the rest 205, the
+      greys of ROS's `map_saver`; `read_map` returns 1, 0 and 0.5.
+    - `scale` (PNG with alpha): `p` in hundredths; exactly 0.5 (unknown) becomes transparent.
+    - `raw` (PGM): `100 p` as the pixel value; exactly 0.5 (unknown) becomes 255.
 
-    From `scale` and `raw`, `read_map` returns `p` rounded to hundredths. Both files are complete
-    before either takes its name, the image first; where there is no room or no permission to write
-    them, nothing is left behind and earlier files are untouched.
+    From `scale` and `raw`, `read_map` returns `p` rounded to hundredths. Both files are written
+    under temporary names and then renamed, the image first. If they cannot be written, nothing is
+    left behind and earlier files stay untouched.
 
     Args:
-        path: ends in .yaml or .yml.
-        probability: (H, W) in [0, 1], row 0 at the origin.
+        path: path of the YAML file; it must end in .yaml or .yml.
+        probability: probability of occupancy (H, W) in [0, 1], row 0 at the origin.
         resolution: side of a cell [m].
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
-        mode: trinary, scale or raw.
+        mode: "trinary", "scale" or "raw".
 
     Raises:
         ValueError: an argument that is not accepted.
         OSError: the files cannot be written.
 
-    Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`; the thresholds of
-    `scale` are 0 and 1, so that nothing is cut off.
+    Source: nav2 (ROS 2), `nav2_map_server/src/map_io.cpp`, `tryWriteMapToFile`. The thresholds of
+    `scale` are 0 and 1, so that no probability is clipped.
     """
     path = Path(path)
     if path.suffix.lower() not in _SUFFIXES:
-        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in .yaml or .yml")
+        raise ValueError(
+            f"path is {printable_path(path)}; accepted: a name that ends in .yaml or .yml"
+        )
     if mode not in MODES:
-        raise ValueError(f"mode is {show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"mode is {short_repr(mode)}; accepted: {', '.join(MODES)}")
     values = np.asarray(probability)
     if values.ndim != 2 or not 0 < values.size <= PIXEL_LIMIT:
         raise ValueError(
@@ -118,8 +121,8 @@ def write_map(
             f"probability spans {values.min()} to {values.max()}; accepted: values in [0, 1]"
         )
     image_path = path.with_suffix(".png" if mode == "scale" else ".pgm")
-    # 205 means unknown, and 1 - 205/255 = 0.19608 is below 0.25: with the default free_thresh
-    # every unknown cell would come back free. 0.196 is what map_saver has always written.
+    # Unknown is 205, and 1 - 205/255 = 0.19608 is below 0.25: with the default free_thresh every
+    # unknown cell would be read as free. 0.196 is what map_saver has always written.
     free, occupied = {"trinary": (0.196, 0.65)}.get(mode, (0.0, 1.0))
     text = yaml.safe_dump(
         {
@@ -137,13 +140,13 @@ def write_map(
         width=2**31,
     )
     image = io.BytesIO()
-    _image_of(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
+    _grey_image(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
     replace_files([(image_path, image.getvalue()), (path, text.encode())])
 
 
 def _settings(path: Path) -> _Settings:
     entries = read_yaml(path)
-    where = name_of(path)
+    where = printable_path(path)
     for key in ("image", "resolution", "origin"):
         if key not in entries:
             raise ValueError(f"{where}: {key} is missing; accepted: image, resolution and origin")
@@ -158,10 +161,10 @@ def _settings(path: Path) -> _Settings:
         )
     mode = entries.get("mode", "trinary")
     if not isinstance(mode, str) or mode not in MODES:
-        raise ValueError(f"{where}: mode is {show(mode)}; accepted: {', '.join(MODES)}")
+        raise ValueError(f"{where}: mode is {short_repr(mode)}; accepted: {', '.join(MODES)}")
     negate = entries.get("negate", 0)
     if not isinstance(negate, int) or negate not in (0, 1):
-        raise ValueError(f"{where}: negate is {show(negate)}; accepted: 0, 1, true, false")
+        raise ValueError(f"{where}: negate is {short_repr(negate)}; accepted: 0, 1, true, false")
     return _Settings(
         image=_image_path(path, entries["image"]),
         resolution=_number(f"{where}: resolution", entries["resolution"], above=0.0),
@@ -174,31 +177,32 @@ def _settings(path: Path) -> _Settings:
 
 
 def _image_path(path: Path, entry: object) -> Path:
-    where, accepted = name_of(path), "the name of an image file"
+    where, accepted = printable_path(path), "the name of an image file"
     if not isinstance(entry, str) or not entry or "\0" in entry:
-        raise ValueError(f"{where}: image is {show(entry)}; accepted: {accepted}")
+        raise ValueError(f"{where}: image is {short_repr(entry)}; accepted: {accepted}")
     try:
+        # A map from an untrusted source must not read files elsewhere by a relative name.
         folder = path.parent.resolve()
         image = (folder / entry).resolve()
         if not Path(entry).is_absolute() and not image.is_relative_to(folder):
             raise ValueError(
-                f"{where}: image is {show(entry)}, outside the map's folder; "
+                f"{where}: image is {short_repr(entry)}, outside the map's folder; "
                 "accepted: a name within it, or an absolute path"
             )
         found = image.is_file()
-    except (OSError, RuntimeError):  # a name that is too long; a loop of links
+    except (OSError, RuntimeError):  # a name that is too long, or a loop of symbolic links
         found = False
     if not found:
         raise ValueError(
-            f"{where}: image is {show(entry)}, which is not there or not a file; "
+            f"{where}: image is {short_repr(entry)}, which is not there or not a file; "
             f"accepted: {accepted}"
         )
     return image
 
 
-def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
+def _probability(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.float64]:
     if settings.mode == "raw":
-        value = np.floor(255 * shade + 0.5)  # half up, as C's round; rint goes to even
+        value = np.floor(255 * shade + 0.5)  # rounds half up like C's round; rint rounds to even
         return np.where(value <= 100, value / 100, _UNKNOWN)
     occ = shade if settings.negate else 1.0 - shade
     low, high = settings.free_thresh, settings.occupied_thresh
@@ -208,7 +212,7 @@ def _probability_of(shade: NDArray[np.float64], settings: _Settings) -> NDArray[
     return np.where(occ > high, 1.0, np.where(occ < low, 0.0, between))
 
 
-def _image_of(values: NDArray[np.floating], mode: str) -> Image.Image:
+def _grey_image(values: NDArray[np.floating], mode: str) -> Image.Image:
     if mode == "trinary":
         grey = np.where(values > 0.65, 0, np.where(values < 0.25, 254, 205))
         return Image.fromarray(grey.astype(np.uint8))
@@ -221,18 +225,18 @@ def _image_of(values: NDArray[np.floating], mode: str) -> Image.Image:
 
 
 def _number(name: str, value: object, **bounds: float) -> float:
-    # float() takes what PyYAML leaves as text, such as 5e-2; yaml-cpp reads that as a number.
+    # PyYAML leaves numbers such as 5e-2 as text, which yaml-cpp reads as a number: accept text.
     try:
         if isinstance(value, bool) or not isinstance(value, (int, float, str)):
             raise ValueError
         value = float(value)
     except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {show(value)}; accepted: a finite number") from None
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a finite number") from None
     return _checks.number(name, value, **bounds)
 
 
 def _origin(name: str, value: object) -> tuple[float, float, float]:
     if not isinstance(value, (list, tuple)) or len(value) != 3:
-        raise ValueError(f"{name} is {show(value)}; accepted: 3 finite numbers [x, y, yaw]")
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: 3 finite numbers [x, y, yaw]")
     x, y, yaw = (_number(f"{name}[{i}]", entry) for i, entry in enumerate(value))
     return x, y, yaw

@@ -1,1 +1,1 @@
-"""Generated maps: offices, caves, halls, mazes, rooms, warehouses."""
+"""Generate maps: offices, caves, halls, mazes, rooms and warehouses."""

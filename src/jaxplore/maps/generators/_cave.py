@@ -1,4 +1,4 @@
-"""Caves, for `generate_map`."""
+"""Generate caves, for `generate_map`."""
 
 import math
 
@@ -9,20 +9,22 @@ from scipy import ndimage
 from jaxplore.maps.generators._clutter import Mask, between, wall_cells, widest_part
 
 _LATTICE = 0.25
-"""Spacing at which the noise is drawn [m]: the same cave at any resolution."""
+"""Node spacing of the noise [m]; it is fixed so that a seed gives one cave at any resolution."""
 _STEPS = 8
+"""Bisection steps for the level of the noise."""
 
 
 def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
-    """Cut a cave: where smooth noise is above a level, as wide as the robot needs it."""
+    """Carve a cave where smooth noise exceeds a level, with passages as wide as the robot needs."""
     rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
     wall = wall_cells(resolution)
     inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
-    # The rock rises towards the edge of the map, so that it does not cut straight walls.
+    # Lower the noise towards the edge of the map, so that the cave does not end in straight walls.
     rim = ndimage.distance_transform_edt(inner) * resolution
     rise -= 2.5 * np.exp(-rim / 0.9)
     radius = between(0.75, 0.45, difficulty)
     wanted = between(0.6, 0.45, difficulty) * occupied.size
+    # Bisect for the least share of open noise whose connected part has the wanted area.
     low, high = 0.3, 0.95
     best, was_enough = np.zeros_like(occupied), False
     for _ in range(_STEPS):
@@ -39,7 +41,7 @@ def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
 def _noise(
     rng: np.random.Generator, shape: tuple[int, ...], length: float, resolution: float
 ) -> NDArray[np.float64]:
-    """Return smooth noise of unit variance, and some that is finer, on the cells of a map."""
+    """Return smooth noise on the cells of a map: coarse with unit variance plus 0.3 of finer."""
     lattice = [math.ceil(side * resolution / _LATTICE) for side in shape]
     noise = np.zeros(lattice)
     for scale, weight in ((length, 1.0), (0.35 * length, 0.3)):

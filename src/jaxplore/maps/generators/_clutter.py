@@ -1,4 +1,4 @@
-"""What stands on the floor of a generated map, and the room that is left around it."""
+"""Place obstacles on a generated map so that the robot can pass between them."""
 
 import math
 from collections.abc import Callable
@@ -13,34 +13,35 @@ Mask = NDArray[np.bool_]
 
 
 def between(easy: float, hard: float, difficulty: float) -> float:
-    """Return what is `easy` at difficulty 0 and `hard` at 1."""
+    """Interpolate linearly from `easy` at difficulty 0 to `hard` at difficulty 1."""
     return easy + (hard - easy) * difficulty
 
 
 def wall_cells(resolution: float) -> int:
-    """Return the thickness of a wall, about 0.15 m [cells]."""
+    """Return the thickness of a wall of about 0.15 m [cells]."""
     return max(1, math.floor(0.15 / resolution + 0.5 + 1e-9))
 
 
 def clearance_cells(radius: float, resolution: float) -> float:
-    """Return how far the centre of an occupied cell is from that of a disc, at least [cells].
+    """Return the least distance between cell centres at which a disc clears an occupied cell.
 
-    A cell's nearest point may be half a diagonal nearer than its centre.
+    The result is in cells. It adds half a diagonal, because the nearest point of a cell may be that
+    much nearer than its centre.
     """
     return radius / resolution + math.sqrt(0.5)
 
 
 def passage_cells(breadth: float, resolution: float) -> int:
-    """Return the number of cells across a passage [m] that also lets the robot through."""
-    # Rounding leaves out a cell only where it is less than a quarter of one.
+    """Return the number of cells across a passage of a width [m] that the robot fits through."""
+    # Round up, unless the remainder is less than a quarter of a cell.
     wanted = math.ceil(breadth / resolution - 0.25)
     return max(wanted, 2 * math.ceil(clearance_cells(ROBOT_RADIUS, resolution)) - 1)
 
 
 def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
-    """Return the cells that a disc sweeps where it has the most room to move.
+    """Return the cells that a disc can sweep in the largest connected part of the free space.
 
-    Every way through them is at least as wide as the disc.
+    Every passage within them is at least as wide as the disc.
     """
     reach = clearance_cells(radius, resolution)
     pieces, count = ndimage.label(ndimage.distance_transform_edt(np.pad(free, 1)) >= reach)
@@ -53,14 +54,14 @@ def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
 
 
 def disc(diameter: float, resolution: float) -> Mask:
-    """Return the cells of a disc [m], at least one."""
+    """Return the cells of a disc of a diameter [m], at least one cell."""
     return block(diameter, diameter, 0.0, resolution, is_round=True)
 
 
 def block(
     length: float, breadth: float, yaw: float, resolution: float, *, is_round: bool = False
 ) -> Mask:
-    """Return the cells of a rectangle of two sides [m], turned by a yaw [rad], or of an ellipse."""
+    """Return the cells of a rectangle with two sides [m] and a yaw [rad], or of an ellipse."""
     sides = np.maximum([length, breadth], resolution) / resolution
     cos, sin = math.cos(yaw), math.sin(yaw)
     extent = [abs(sin) * sides[0] + abs(cos) * sides[1], abs(cos) * sides[0] + abs(sin) * sides[1]]
@@ -73,29 +74,29 @@ def block(
         inside = along**2 + across**2 <= 1.0
     else:
         inside = np.maximum(abs(along), abs(across)) <= 1.0 + 1e-9
-    inside[rows // 2, columns // 2] = True
+    inside[rows // 2, columns // 2] = True  # a thin piece may contain no cell centre
     return inside
 
 
 class Clutter:
-    """Pieces on a floor, each with a passage between it and every other.
+    """Obstacles on a floor, with a passage between any two of them.
 
-    Pieces without holes that are farther from each other than the robot is wide never cut it off:
-    it can go round each of them.
+    Obstacles without holes that are farther apart than the robot is wide never cut off a part of
+    the floor: the robot can go around each of them.
 
     Args:
-        occupied: (H, W), what stands on the floor; `put` adds to it.
-        passage: between a piece and the next [m].
+        occupied: mask (H, W) of the occupied cells; `put` adds to it in place.
+        passage: distance between two obstacles [m].
         resolution: side of a cell [m].
-        is_apart: whether pieces also keep that far from what was there before.
+        is_apart: whether new obstacles also keep this distance from what was occupied before.
     """
 
     def __init__(
         self, occupied: Mask, passage: float, resolution: float, *, is_apart: bool
     ) -> None:
         self.occupied = occupied
-        # Half-way between two pieces runs a line, and the centres of the cells it crosses are at
-        # most half a diagonal away from it: the robot finds its way from cell to cell.
+        # The robot moves from cell to cell along the line half-way between two obstacles. The cell
+        # centres along it are at most half a diagonal off the line, which is added on both sides.
         least = 2 * (clearance_cells(ROBOT_RADIUS, resolution) + math.sqrt(0.5))
         self.passage = max(passage_cells(passage, resolution), math.ceil(least))
         self.resolution = resolution
@@ -104,7 +105,7 @@ class Clutter:
             self.taken = ndimage.distance_transform_edt(~occupied) <= self.passage
 
     def put(self, piece: Mask, row: int, column: int) -> bool:
-        """Put a piece with its first cell at a row and column, if there is room for it."""
+        """Place an obstacle with its first cell at a row and column; return whether it fits."""
         height, width = piece.shape
         if not (0 <= row <= self.taken.shape[0] - height):
             return False
@@ -114,6 +115,7 @@ class Clutter:
         if (self.taken[here] & piece).any():
             return False
         self.occupied[here] |= piece
+        # Reserve the passage around the new obstacle, within the map.
         reach = self.passage
         near = ndimage.distance_transform_edt(~np.pad(piece, reach)) <= reach
         first = max(0, row - reach), max(0, column - reach)
@@ -128,9 +130,15 @@ class Clutter:
         draw: Callable[[np.random.Generator], Mask],
         share: float,
     ) -> None:
-        """Put pieces at random places until they cover a share of the floor, or find no room."""
+        """Place random obstacles until they cover a share of the floor or no more fit.
+
+        Args:
+            rng: random generator.
+            draw: function that draws the cells of an obstacle.
+            share: share of the free cells that obstacles have to cover.
+        """
         wanted = share * float(np.count_nonzero(~self.occupied))
-        # Enough for each place where a small piece could stand to come up a few times.
+        # Enough tries that each place for a small obstacle is drawn a few times.
         tries = math.ceil(8 * self.taken.size * self.resolution**2)
         rows, columns = self.taken.shape
         for _ in range(tries):

@@ -1,4 +1,4 @@
-"""Halls and open ground, for `generate_map`: one space and what stands in it."""
+"""Generate halls and open ground, for `generate_map`: one open space with obstacles."""
 
 import math
 
@@ -16,9 +16,10 @@ from jaxplore.maps.generators._clutter import (
 
 
 def hall(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
-    """Put discs, boxes and short walls in a hall."""
+    """Place discs, boxes and short walls in a hall."""
     passage = between(1.6, 0.85, difficulty)
     longest = between(2.0, 4.0, difficulty)
+    # Short walls touch the outer wall, so they keep apart from each other only.
     stubs = Clutter(occupied, passage, resolution, is_apart=False)
     count = rng.binomial(math.ceil(sum(occupied.shape) * resolution / 2.5), 0.2 + 0.4 * difficulty)
     for _ in range(int(count)):
@@ -40,7 +41,7 @@ def hall(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
 
 
 def _put_at_wall(rng: np.random.Generator, clutter: Clutter, piece: Mask) -> None:
-    """Put a short wall that runs from an outer wall into the hall, away from the corners."""
+    """Place a short wall that runs from an outer wall into the hall, away from the corners."""
     across = bool(rng.integers(2))
     piece = np.ascontiguousarray(piece.T) if across else piece
     axis = 0 if across else 1
@@ -55,7 +56,7 @@ def _put_at_wall(rng: np.random.Generator, clutter: Clutter, piece: Mask) -> Non
 def open_ground(
     rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float
 ) -> None:
-    """Cut open ground with an irregular outline, and put a few pillars on it."""
+    """Carve open ground with an irregular outline, and place a few pillars on it."""
     wall = wall_cells(resolution)
     height, width = occupied.shape
     y = (np.arange(height)[:, None] - (height - 1) / 2) / (height / 2 - wall)
@@ -68,7 +69,7 @@ def open_ground(
         bumps += high / math.sqrt(wave) * np.cos(wave * angle + shift)
     bumps = (bumps - bumps.min()) / (bumps.max() - bumps.min())
     depth = between(0.15, 0.45, difficulty)
-    # Between an ellipse and a rectangle, pressed in where the bumps are.
+    # A superellipse, between an ellipse and a rectangle, pressed in at the bumps.
     inside = (x**4 + y**4) ** 0.25 <= 1.0 - depth * bumps
     inside[:wall] = inside[-wall:] = False
     inside[:, :wall] = inside[:, -wall:] = False

@@ -1,4 +1,4 @@
-"""Mazes, for `generate_map`."""
+"""Generate mazes, for `generate_map`."""
 
 import itertools
 import math
@@ -11,17 +11,18 @@ Place = tuple[int, int]
 """Row and column of a square of the maze."""
 
 _NEWEST = 0.75
-"""How often the tree grows on where it grew last: long ways, rather than many short ones."""
+"""Probability that the tree grows at its newest square, which makes corridors long."""
 
 
 def maze(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
-    """Cut corridors along a random tree, and open dead ends."""
+    """Carve corridors along a random spanning tree, and open some dead ends."""
     wall = wall_cells(resolution)
     breadth = _corridor_cells(between(2.0, 1.2, difficulty), resolution)
     rows, columns = (_tracks(extent, wall, breadth) for extent in occupied.shape)
     shape = len(rows), len(columns)
     ways = _tree(rng, shape)
     _braid(rng, ways, shape, 1.0 - difficulty)
+    # Start from solid rock: corridors and openings are carved out of it.
     occupied[:] = True
     for (row, column), others in ways.items():
         occupied[slice(*rows[row]), slice(*columns[column])] = False
@@ -33,12 +34,12 @@ def maze(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
 
 
 def _corridor_cells(breadth: float, resolution: float) -> int:
-    # Odd: then there is a middle, as far from the walls as the breadth allows.
+    # An odd width has a middle cell, as far from both walls as possible.
     return max(passage_cells(breadth, resolution), 2 * math.ceil(0.5 / resolution + 0.5) - 1)
 
 
 def _tracks(extent: int, wall: int, breadth: int) -> list[tuple[int, int]]:
-    """Return the cells [low, high) of corridors side by side that fill an extent."""
+    """Return the cells [low, high) of parallel corridors that fill an extent."""
     count = (extent - wall) // (breadth + wall)
     edges = np.rint(np.linspace(0, extent - wall, count + 1)).astype(int).tolist()
     return [(low + wall, high) for low, high in itertools.pairwise(edges)]
@@ -51,7 +52,7 @@ def _neighbours(place: Place, shape: tuple[int, int]) -> list[Place]:
 
 
 def _tree(rng: np.random.Generator, shape: tuple[int, int]) -> dict[Place, set[Place]]:
-    """Return which neighbours each square is open to: one way between any two squares."""
+    """Return the open neighbours of each square: a random spanning tree (growing tree method)."""
     root = int(rng.integers(shape[0])), int(rng.integers(shape[1]))
     ways: dict[Place, set[Place]] = {root: set()}
     growing = [root]
@@ -72,7 +73,7 @@ def _tree(rng: np.random.Generator, shape: tuple[int, int]) -> dict[Place, set[P
 def _braid(
     rng: np.random.Generator, ways: dict[Place, set[Place]], shape: tuple[int, int], share: float
 ) -> None:
-    """Open a share of the dead ends, and open a tenth of that share elsewhere."""
+    """Open a share of the dead ends, and a tenth of that share of the other squares."""
     for place, others in ways.items():
         closed = [other for other in _neighbours(place, shape) if other not in others]
         is_dead_end = len(others) == 1

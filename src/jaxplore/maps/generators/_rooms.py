@@ -1,4 +1,4 @@
-"""Rooms of different sizes with doors between them, for `generate_map`."""
+"""Generate rooms of different sizes with doors between them, for `generate_map`."""
 
 import math
 
@@ -35,6 +35,7 @@ def rooms(rng: np.random.Generator, occupied: Mask, difficulty: float, resolutio
 def _divide(
     rng: np.random.Generator, floor: Box, wall: int, difficulty: float, resolution: float
 ) -> list[Box]:
+    """Divide a floor into rooms by recursive random cuts."""
     shortest = math.ceil(between(3.2, 2.4, difficulty) / resolution)
     small, large = (between(*areas, difficulty) for areas in ((18.0, 9.0), (45.0, 22.0)))
     undivided, rooms = [floor], []
@@ -42,6 +43,7 @@ def _divide(
         box = undivided.pop()
         sides = box[1] - box[0], box[3] - box[2]
         area = sides[0] * sides[1] * resolution**2
+        # Cut the longer side, so that rooms stay compact; cut either side of a square room.
         axis = int(sides[1] > sides[0])
         if max(sides) < 1.3 * min(sides):
             axis = int(rng.integers(2))
@@ -59,7 +61,7 @@ def _divide(
 def _cut_doors(
     rng: np.random.Generator, clutter: Clutter, boxes: list[Box], wall: int, difficulty: float
 ) -> None:
-    """Open doors that join all rooms, some more that make loops, and keep them clear."""
+    """Open doors that connect all rooms and some more that make loops, and keep them clear."""
     resolution = clutter.resolution
     jamb = math.ceil(_JAMB / resolution)
     reach = max(clutter.passage, math.ceil(_DOOR_CLEARANCE / resolution))
@@ -73,8 +75,9 @@ def _cut_doors(
                 low, high = max(a[along], b[along]) + jamb, min(a[along + 1], b[along + 1]) - jamb
                 if high - low >= door:
                     neighbours.append((first, second, across, low, high))
-    # Walls between whole floors are at least a room long, and so are the first rooms on both of
-    # their sides: there is always a door that joins them.
+    # Join the groups of connected rooms door by door, in random order (Kruskal's algorithm). All
+    # rooms get connected: a wall of the division is at least a room long, and so are the first
+    # rooms on both of its sides, so there is room for a door between them.
     group = np.arange(len(boxes))
     for index in rng.permutation(len(neighbours)):
         first, second, across, low, high = neighbours[index]
@@ -91,7 +94,7 @@ def _cut_doors(
 
 
 def _furnish(rng: np.random.Generator, clutter: Clutter, room: Box, share: float) -> None:
-    """Put furniture against walls and in the middle until it covers a share of a room."""
+    """Place furniture at walls and in the middle until it covers a share of a room."""
     sides = room[1] - room[0], room[3] - room[2]
     wanted = share * sides[0] * sides[1]
     for _ in range(40):
@@ -103,7 +106,8 @@ def _furnish(rng: np.random.Generator, clutter: Clutter, room: Box, share: float
         start = []
         for axis in (0, 1):
             slack = sides[axis] - piece.shape[axis]
-            # Its long side lies along the wall; at the other pair of walls, a corner or a way past.
+            # The long side lies along the wall. Along the other axis the piece stands in a corner
+            # or leaves a passage.
             if slack < clutter.passage:
                 break
             stands_at_wall = rng.random() < (0.75 if axis == against else 0.25)

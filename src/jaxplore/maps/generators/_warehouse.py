@@ -1,4 +1,4 @@
-"""Warehouses, for `generate_map`."""
+"""Generate warehouses, for `generate_map`."""
 
 import itertools
 import math
@@ -15,7 +15,8 @@ _PALLET = (1.2, 0.8)
 def warehouse(
     rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float
 ) -> None:
-    """Put up rows of shelves with aisles between them, and leave pallets there."""
+    """Place rows of shelves with aisles between them, and pallets in the aisles."""
+    # Transpose some maps, so that aisles run along either axis.
     if rng.random() < 0.3:
         occupied = occupied.T
     height, width = occupied.shape
@@ -24,7 +25,7 @@ def warehouse(
     aisle = math.ceil(between(2.2, 1.7, difficulty) / resolution)
     cross = math.ceil(between(2.6, 1.8, difficulty) / resolution)
 
-    # Aisles share what is left over: there is one more than there are rows.
+    # Distribute the remaining height evenly over the aisles, of which there is one more than rows.
     count = max(1, (height - 2 * wall - aisle) // (shelf + aisle))
     spare = height - 2 * wall - count * shelf
     aisles = np.rint(np.linspace(0, spare, count + 2)).astype(int)
@@ -34,8 +35,8 @@ def warehouse(
     edges = np.rint(np.linspace(0, inside - cross, blocks + 1)).astype(int)
     spans = [(wall + int(low) + cross, wall + int(high)) for low, high in itertools.pairwise(edges)]
 
-    # Shelves that go on to a wall make dead ends of aisles. All to the same wall: the other ends
-    # stay open.
+    # A shelf that continues to a wall makes its aisles dead ends. All continue to the same wall, so
+    # that the other ends stay open.
     is_left_wall = rng.random() < 0.5
     ends = [low for low, _ in spans] + [width - wall]
     for row in rows:
@@ -67,7 +68,7 @@ def _leave_pallets(
     aisle: tuple[int, int, int, int],
     share: float,
 ) -> None:
-    """Leave pallets along both sides of an aisle where a passage is left beside them."""
+    """Place pallets along both sides of an aisle, where a passage is left beside them."""
     low, high, first, last = aisle
     depth, length = pallet.shape
     if high - low - depth < clutter.passage or last - first < length:

@@ -1,4 +1,4 @@
-"""Maps of several kinds, drawn from a seed, for examples, tests and benchmarks."""
+"""Generate maps of several kinds from a seed, for examples, tests and benchmarks."""
 
 import math
 from collections.abc import Callable
@@ -22,9 +22,10 @@ from jaxplore.maps.generators._rooms import rooms
 from jaxplore.maps.generators._warehouse import warehouse
 from jaxplore.maps.generators.office import ROBOT_RADIUS, office
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.resample import CELL_LIMIT
 
 KINDS = ("rooms", "office", "maze", "cave", "warehouse", "hall", "open")
-"""What `generate_map` can draw."""
+"""Kinds of maps that `generate_map` can draw."""
 
 _SIZES = {
     "rooms": (18.0, 14.0),
@@ -35,7 +36,6 @@ _SIZES = {
     "hall": (18.0, 13.0),
     "open": (22.0, 16.0),
 }
-_CELL_LIMIT = 64_000_000
 
 
 def generate_map(
@@ -46,11 +46,11 @@ def generate_map(
     size: tuple[float, float] | None = None,
     resolution: float = 0.1,
 ) -> OccupancyGrid:
-    """Return a map of a kind, closed by a wall. The same arguments give the same map.
+    """Generate a map of a kind, enclosed by a wall. Equal arguments give equal maps.
 
-    A disc robot of radius 0.3 m can reach every place where it fits from every other. With the
-    difficulty there are more obstacles, narrower passages and fewer ways round. From difficulty
-    0 to 1, in the size in brackets where none is given:
+    All places in which a disc robot of radius 0.3 m fits are connected for it. A greater difficulty
+    means more obstacles, narrower passages and fewer loops. The kinds, with their default size in
+    brackets and their ranges from difficulty 0 to 1:
 
     - `rooms` (18 m x 14 m): rooms with furniture, joined by doors, without a corridor. Smaller
       rooms, doors of 1.2 m to 0.9 m, fewer doors that make loops, furniture on 3 to 18 percent of
@@ -69,20 +69,20 @@ def generate_map(
     - `open` (22 m x 16 m): nearly empty ground with an irregular outline, which is pressed in by
       15 to 45 percent; 0.3 to 2 percent is pillars.
 
-    Clutter covers less than that where there is no place for more. Where 0.6 m and 2.9 cells are
-    more than 0.9 m, passages beside it are that wide: up to 1.2 m.
+    Obstacles cover less than that if no more fit. On coarse grids passages beside obstacles are
+    wider: at least 0.6 m plus 2.9 cells, so up to 1.2 m.
 
     Args:
-        kind: one of `KINDS`.
-        seed: of the map; a whole number >= 0.
-        difficulty: in [0, 1].
-        size: extent along x, at least 8, and along y, at least 7 [m]; the above where not given,
-            with 150 to 350 m^2 of free space at difficulty 0.5.
+        kind: kind of the map, one of `KINDS`.
+        seed: seed of the map; a whole number >= 0.
+        difficulty: difficulty of the map, in [0, 1].
+        size: extent along x, at least 8, and along y, at least 7 [m]. The default sizes give 150 to
+            350 m^2 of free space at difficulty 0.5.
         resolution: side of a cell [m]; at most 0.2.
 
     Returns:
-        Probability 0 (free) or 1 (occupied), (size[1] / resolution, size[0] / resolution), with its
-        origin at (0, 0, 0). `start_pose` gives a place to start from.
+        Grid with probability 0 (free) or 1 (occupied), (size[1] / resolution, size[0] /
+        resolution), and its origin at (0, 0, 0). `start_pose` gives a pose to start from.
 
     Raises:
         ValueError: a kind, seed, difficulty, size or resolution that is not accepted, or more than
@@ -94,9 +94,9 @@ def generate_map(
     difficulty = _checks.number("difficulty", difficulty, at_least=0.0, at_most=1.0)
     width, height = _extent(_SIZES[kind] if size is None else size)
     resolution = _checks.number("resolution", resolution, above=0.0, at_most=0.2)
-    if (width / resolution) * (height / resolution) > _CELL_LIMIT:
+    if (width / resolution) * (height / resolution) > CELL_LIMIT:
         raise ValueError(
-            f"resolution is {resolution}; accepted: at most {_CELL_LIMIT} cells on "
+            f"resolution is {resolution}; accepted: at most {CELL_LIMIT} cells on "
             f"{width} m x {height} m"
         )
     if kind == "office":
@@ -107,6 +107,7 @@ def generate_map(
         wall = wall_cells(resolution)
         for edge in (occupied, occupied.T):
             edge[:wall] = edge[-wall:] = True
+    # Kinds with the same seed get independent random numbers.
     rng = np.random.default_rng((KINDS.index(kind), seed))
     _DRAW[kind](rng, occupied, difficulty, resolution)
     _fill_unreachable(occupied, resolution)
@@ -127,7 +128,7 @@ def _extent(size: tuple[float, float]) -> tuple[float, float]:
 def _add_crates(
     rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float
 ) -> None:
-    """Put crates in the rooms and the corridor of an office."""
+    """Place crates in the rooms and the corridor of an office."""
 
     def draw(rng: np.random.Generator) -> Mask:
         return block(
@@ -150,11 +151,12 @@ _DRAW: dict[str, Callable[[np.random.Generator, Mask, float, float], None]] = {
 
 
 def _fill_unreachable(occupied: Mask, resolution: float) -> None:
-    """Fill in the places that the robot fits in and cannot get to from where most of them are."""
+    """Fill the free space that the robot cannot reach from the largest connected part."""
+    # Filling changes the clearance of the cells around, so repeat until nothing is unreachable.
     while True:
         distance = ndimage.distance_transform_edt(~occupied)
-        # Twice, to hold whether a cell counts as its square or as a disc in it, and whether the
-        # robot may go diagonally.
+        # Label twice, with the most cautious and the most generous test, so that the map is
+        # connected whether a cell counts as a square or as a disc and with or without diagonals.
         surely, _ = ndimage.label(distance >= clearance_cells(ROBOT_RADIUS, resolution))
         perhaps, _ = ndimage.label(
             (distance - 0.5) * resolution >= ROBOT_RADIUS - 1e-6, np.ones((3, 3), int)
@@ -165,7 +167,7 @@ def _fill_unreachable(occupied: Mask, resolution: float) -> None:
         cut_off = (spaces > 0) & ~np.isin(spaces, spaces[main])
         if not (pockets.any() or cut_off.any()):
             return
-        # A free cell belongs to the place from which the shorter way leads to it.
+        # A free cell is assigned to the part from which the shorter way leads to it.
         places = main.astype(np.int16) + 2 * pockets.astype(np.int16)
         nearest = ndimage.watershed_ift(occupied.astype(np.uint8), places)
         occupied |= (nearest == 2) | cut_off

@@ -1,4 +1,4 @@
-"""A generated office floor, for examples, tests and benchmarks."""
+"""Generate an office floor, for examples, tests and benchmarks."""
 
 import math
 import operator
@@ -9,16 +9,16 @@ from scipy import ndimage
 
 from jaxplore import _checks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.resample import CELL_LIMIT
 
 ROBOT_RADIUS = 0.3
-"""Radius of the disc robot that can get everywhere in the building [m]."""
+"""Radius of the disc robot for which the whole building is connected [m]."""
 START_CLEARANCE = 0.5
-"""Distance kept from the walls at the start pose [m]."""
+"""Least distance from the walls at the start pose [m]."""
 
-_CELL_LIMIT = 64_000_000
 _DOOR_CLEARANCE = 0.9
 _AISLE = 0.8
-# Furniture: sides [m], at least this large a room [m^2], and whether it stands against a wall.
+# Furniture: kind, sides [m], least area of a room for it [m^2], whether it stands at a wall.
 _FURNITURE = (
     ("table", (1.8, 1.0), 16.0, False),
     ("pillar", (0.5, 0.5), 13.0, False),
@@ -38,23 +38,23 @@ Box = tuple[int, int, int, int]
 def office(
     seed: int = 0, *, width: float = 20.0, height: float = 14.0, resolution: float = 0.1
 ) -> OccupancyGrid:
-    """Return an office floor: a corridor from west to east and rooms to its north and south.
+    """Generate an office floor: a corridor from west to east with rooms to its north and south.
 
-    The corridor is about 2 m wide and empty; rooms are 2.8 to 5 m wide, each with a door of about
-    1 m to the corridor, some with a second one to the next room, and with desks, cabinets, tables
-    and pillars as their size allows. Walls are 0.1 to 0.2 m thick. A disc robot of radius
-    `ROBOT_RADIUS` can reach every place it fits in from every other: furniture that would cut one
-    off is left out. The same arguments give the same floor.
+    The corridor is empty and about 2 m wide. Rooms are 2.8 to 5 m wide. Each has a door of about
+    1 m to the corridor, some have a second one to the next room, and they hold desks, cabinets,
+    tables and pillars as their size allows. Walls are 0.1 to 0.2 m thick. All places in which a
+    disc robot of radius `ROBOT_RADIUS` fits are connected for it: furniture that would cut one off
+    is left out. Equal arguments give equal floors.
 
     Args:
-        seed: of the floor plan; a whole number >= 0.
+        seed: seed of the floor plan; a whole number >= 0.
         width: extent along x [m]; at least 8.
         height: extent along y [m]; at least 7.
         resolution: side of a cell [m]; at most 0.2, so that doors and walls keep their sizes.
 
     Returns:
-        Probability 0 (free) or 1 (occupied), (height / resolution, width / resolution), with its
-        origin at (0, 0, 0). `start_pose` gives a place to start from.
+        Grid with probability 0 (free) or 1 (occupied), (height / resolution, width / resolution),
+        and its origin at (0, 0, 0). `start_pose` gives a pose to start from.
 
     Raises:
         ValueError: a seed, size or resolution that is not accepted, or more than 64 million cells.
@@ -68,9 +68,9 @@ def office(
     width = _checks.number("width", width, at_least=8.0)
     height = _checks.number("height", height, at_least=7.0)
     resolution = _checks.number("resolution", resolution, above=0.0, at_most=0.2)
-    if (width / resolution) * (height / resolution) > _CELL_LIMIT:
+    if (width / resolution) * (height / resolution) > CELL_LIMIT:
         raise ValueError(
-            f"resolution is {resolution}; accepted: at most {_CELL_LIMIT} cells on "
+            f"resolution is {resolution}; accepted: at most {CELL_LIMIT} cells on "
             f"{width} m x {height} m"
         )
     rng = np.random.default_rng(number)
@@ -96,21 +96,22 @@ def office(
 
 
 def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
-    """Return a pose (x, y, yaw) at the west end of the corridor, looking along it [m, m, rad].
+    """Return a pose (x, y, yaw) at the west end of the corridor, heading along it [m, m, rad].
 
-    On any grid: in the middle of the broadest band of rows that hold the longest free run, the
-    first cell of that run whose distance to what is not free is at least `START_CLEARANCE`; if it
-    has none, the same among the runs that have one. Yaw is the grid's.
+    It works on any grid. Among the rows with the longest run of free cells, the middle row of the
+    broadest band is chosen, and in it the first cell of the run with a clearance of at least
+    `START_CLEARANCE`. If the run has no such cell, only runs that have one are considered. The yaw
+    is that of the grid.
 
     Raises:
-        ValueError: there is no such cell.
+        ValueError: a grid without a cell of that clearance.
     """
     free = np.asarray(grid.is_free)
     position = np.arange(1, free.shape[1] + 1)
     blocked_at = np.maximum.accumulate(np.where(free, 0, position), axis=1)
     run = position - blocked_at
     row, last = _middle_longest(run)
-    # Cell faces are half a cell nearer than the centres between which the transform measures.
+    # The transform measures between cell centres; the face of a cell is half a cell nearer.
     distance = (ndimage.distance_transform_edt(np.pad(free, 1)) - 0.5) * grid.resolution
     is_wide = distance[1:-1, 1:-1] >= START_CLEARANCE
     if not is_wide.any():
@@ -130,10 +131,14 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
 
 
 def _middle_longest(run: NDArray[np.int_]) -> tuple[int, int]:
-    """Return the row and the last column of a longest run, from the length of each up to a cell."""
+    """Return the row and the last column of a longest run.
+
+    Args:
+        run: length (H, W) of the run of free cells that ends at each cell.
+    """
     longest = run.max(axis=1)
     mask = longest == longest.max()
-    # Doorways in line make rows as long as the corridor's, but only as many as a door is wide.
+    # Aligned doorways make runs as long as the corridor, but in a narrow band of rows only.
     bands = ndimage.label(mask)[0]
     broadest = np.bincount(bands[mask]).argmax()
     rows = np.flatnonzero(bands == broadest)
@@ -156,7 +161,7 @@ def _partition(
     count = int(rng.integers(fewest, max(fewest, min(most, fewest + round(extent / 16))) + 1))
     widths = []
     for after in range(count - 1, -1, -1):
-        # What is left must do for the rooms still to come.
+        # The remaining extent must leave 3 to 5 m for each of the remaining rooms.
         widths.append(rng.uniform(max(3.0, extent - 5.0 * after), min(5.0, extent - 3.0 * after)))
         widths[-1] = widths[-1] if after else extent
         extent -= widths[-1]
@@ -177,7 +182,10 @@ def _cut_doors(
     inner: slice,
     resolution: float,
 ) -> NDArray[np.bool_]:
-    """Open each room to the corridor, and some to the next; return where no furniture may be."""
+    """Open a door from each room to the corridor and some to the next room.
+
+    Returns the mask (H, W) of the cells that furniture has to keep clear.
+    """
     keep_clear = np.zeros_like(occupied)
     reach, margin = math.ceil(_DOOR_CLEARANCE / resolution), math.ceil(0.3 / resolution)
     narrow = math.ceil(0.9 / resolution - 1e-9)
@@ -208,6 +216,7 @@ def _furnish(
     wall: int,
     resolution: float,
 ) -> None:
+    """Place furniture in a room, without cutting off a part of it for the robot."""
     low, high, left, right = room
     area = (high - low) * (right - left) * resolution**2
     aisle = math.ceil(_AISLE / resolution)
@@ -216,6 +225,7 @@ def _furnish(
         if area < smallest_room or rng.random() < 0.2:
             continue
         shape = [max(1, round(side / resolution)) for side in sides]
+        # Try several places, and undo a piece that would cut off a part of the room.
         for _ in range(12):
             placed = _place(rng, shape, pieces.shape, aisle, at_wall)
             if placed is None:
@@ -244,13 +254,14 @@ def _place(
     aisle: int,
     at_wall: bool,
 ) -> Box | None:
-    """Draw a place in a room, against a wall or at least an aisle from every wall."""
+    """Draw a place in a room, at a wall or at least an aisle away from every wall, or None."""
     along_x = rng.random() < 0.5
     size = (shape[1], shape[0]) if along_x else (shape[0], shape[1])
     start = []
     for axis in (0, 1):
         slack = room[axis] - size[axis]
-        # The long side lies along this wall; across it, a corner rather than a gap of no use.
+        # The long side lies along this wall. Along the other axis a corner is used rather than a
+        # gap that is too narrow to pass.
         backs_onto_wall = along_x == (axis == 0)
         if at_wall and (backs_onto_wall or rng.random() < 0.5):
             start.append(int(rng.integers(2)) * slack)
@@ -270,12 +281,12 @@ def _disc(size: int) -> NDArray[np.bool_]:
 
 
 def _is_connected(occupied: NDArray[np.bool_], room: Box, wall: int, resolution: float) -> bool:
-    """Say whether the places the robot fits in form one piece in a room and its doorways."""
+    """Return whether the cells in which the robot fits are connected in a room and its doorways."""
     low, high, left, right = room
     margin = math.ceil(ROBOT_RADIUS / resolution) + 2
     rows = slice(max(0, low - wall - margin), high + wall + margin)
     columns = slice(max(0, left - wall - margin), right + wall + margin)
-    # Centre to centre, less half a diagonal at most to a cell's nearest point.
+    # The nearest point of a cell may be half a diagonal nearer than its centre.
     distance = ndimage.distance_transform_edt(~occupied[rows, columns]) - math.sqrt(0.5)
     fits = distance * resolution >= ROBOT_RADIUS
     inside = np.zeros_like(fits)

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._trees import stack_trees
 from jaxplore._types import Rows, Vector
 from jaxplore.costs.base import Cost
 
@@ -30,8 +31,7 @@ def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
             f"objectives[{name!r}] has costs of different kinds; accepted: one kind, in which only "
             "numbers differ"
         )
-    together: Cost = jax.tree.map(lambda *leaves: jnp.stack(leaves), *given)
-    return together
+    return stack_trees(given)
 
 
 def normalised_weights(

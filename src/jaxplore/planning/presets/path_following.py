@@ -6,7 +6,6 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Vector
-from jaxplore.compat.planner import Planner
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.knots import Knots
@@ -16,9 +15,11 @@ from jaxplore.control.proposals import GaussianProposal, Proposal
 from jaxplore.control.risk import Risk
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost
+from jaxplore.costs.comfort import ComfortCost
+from jaxplore.costs.obstacle_distance import ObstacleDistanceCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
 from jaxplore.dynamics.augmented import Augmented
-from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
@@ -27,16 +28,16 @@ KNOTS = 5
 
 
 class PathFollowing(NamedTuple):
-    """A contouring controller and the costs that measure its errors.
+    """A controller that follows a path, with its model and its measures.
 
     Args:
-        planner: planner, see `Planner`; `planner.mppi` is its `Controller`.
-        model: model of the robot and of its progress along the path.
-        contouring: cost that measures the error across the path.
-        lag: cost that measures the error along the path.
+        controller: MPPI over the robot's controls and its progress along the path.
+        model: the robot and its progress along the path.
+        contouring: the contouring cost of the controller, which also measures recorded states.
+        lag: its lag cost, likewise.
     """
 
-    planner: Planner
+    controller: MPPI
     model: Augmented
     contouring: ContouringCost
     lag: LagCost
@@ -57,8 +58,10 @@ def augmented_mppi(
     disturbance: Disturbance | None = None,
     num_outcomes: int = 1,
     risk: Risk | None = None,
-) -> Planner:
-    """Build a planner for a robot whose state is extended by a virtual part.
+) -> MPPI:
+    """Return MPPI for a robot with virtual states beside its own.
+
+    Its `dynamics` are `Augmented(physical, virtual)`.
 
     Args:
         physical: the robot.
@@ -67,8 +70,8 @@ def augmented_mppi(
         physical_proposal: of the robot's controls.
         virtual_proposal: of the virtual ones; its random stream is its own.
         horizon: model steps ahead, T.
-        num_samples: rollouts, M.
-        temperature: of the softmax where a step gives none [units of cost].
+        num_samples: rollouts, K.
+        temperature: of the softmax [units of cost].
         dt: model step [s].
         parameterisation: of the controls; the controls themselves when absent.
         disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
@@ -79,20 +82,42 @@ def augmented_mppi(
         ValueError: parts that do not fit, and what `MPPI` refuses.
     """
     model = Augmented(physical, virtual)
-    return Planner(
-        MPPI(
-            model,
-            cost,
-            horizon=horizon,
-            num_samples=num_samples,
-            dt=dt,
-            proposal=AugmentedProposal(model, physical_proposal, virtual_proposal),
-            parameterisation=parameterisation,
-            disturbance=disturbance,
-            num_outcomes=num_outcomes,
-            risk=risk,
-            weighting=Softmax(temperature, importance=0.0),
-        )
+    return MPPI(
+        model,
+        cost,
+        horizon=horizon,
+        num_samples=num_samples,
+        dt=dt,
+        proposal=AugmentedProposal(model, physical_proposal, virtual_proposal),
+        parameterisation=parameterisation,
+        disturbance=disturbance,
+        num_outcomes=num_outcomes,
+        risk=risk,
+        weighting=Softmax(temperature, importance=0.0),
+    )
+
+
+def avoidance_cost(
+    weight: ArrayLike = 100.0,
+    clearance: ArrayLike = 0.5,
+    margin: ArrayLike = 0.05,
+    caution: ArrayLike = 1.0,
+) -> Cost:
+    """Return the cost of obstacles along a path, for `mpcc(..., other=avoidance_cost())`.
+
+        weight * ObstacleDistanceCost(clearance, collision=1, margin, caution)
+
+    Args:
+        weight: of a step that is 5 cm too close.
+        clearance: distance from the robot's centre below which it costs [m].
+        margin: kept beyond the robot's radius [m].
+        caution: standard deviations of an obstacle's position that are kept free.
+
+    Raises:
+        ValueError: a clearance that is not positive, another value that is negative.
+    """
+    return _checks.scalar("weight", weight, at_least=0.0) * ObstacleDistanceCost(
+        clearance=clearance, collision=1.0, margin=margin, caution=caution
     )
 
 
@@ -100,52 +125,69 @@ def mpcc(
     robot: Dynamics,
     path: Path,
     *,
-    noise_std: Vector,
-    max_speed: ArrayLike,
+    noise_share: ArrayLike = 0.2,
+    noise_std: Vector | None = None,
     progress_noise: ArrayLike = 0.5,
-    contouring_weight: ArrayLike = 100.0,
-    lag_weight: ArrayLike = 100.0,
-    progress_weight: ArrayLike = 600.0,
+    max_speed: ArrayLike | None = None,
+    contouring_weight: ArrayLike = 10.0,
+    lag_weight: ArrayLike = 50.0,
+    progress_weight: ArrayLike = 500.0,
+    comfort_weight: ArrayLike | None = 20.0,
+    max_lateral: ArrayLike = 7.0,
+    max_longitudinal: ArrayLike = 7.0,
     other: Cost | None = None,
     corridor: bool | None = None,
     corridor_margin: ArrayLike = 0.05,
     horizon: int = 30,
-    num_samples: int = 256,
-    temperature: ArrayLike = 50.0,
-    dt: ArrayLike = 0.1,
+    num_samples: int = 512,
+    temperature: ArrayLike = 30.0,
+    dt: ArrayLike = 0.05,
     parameterisation: Parameterisation | None = None,
     disturbance: Disturbance | None = None,
-    num_outcomes: int = 1,
+    num_outcomes: int = 16,
     risk: Risk | None = None,
 ) -> PathFollowing:
     """Return model predictive contouring control of a robot along a path.
 
-        J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate + corridor + other
+        J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate
+                          + w_a [(|a_lat| - max_lateral)_+^2 + (|a_lon| - max_longitudinal)_+^2]
+                          + corridor + other
+
+    The defaults are those of `jaxplore run path`: a car of F1TENTH's size on a track. Where there
+    are obstacles, `other` is `avoidance_cost()`.
+
+    The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
         robot: its model.
         path: to follow.
-        noise_std: (nu,) of the robot's controls.
-        max_speed: bound of the progress along the path [m/s].
-        progress_noise: standard deviation of its noise [m/s].
+        noise_share: standard deviation of the robot's controls, as a share of half their range.
+        noise_std: (nu,) the same in units of the controls, instead of the share.
+        progress_noise: standard deviation of the progress [m/s].
+        max_speed: bound of the progress along the path [m/s]; the robot's `max_speed` when absent.
         contouring_weight: w_c [1/m^2].
         lag_weight: w_l [1/m^2].
         progress_weight: w_p, gained by each metre of the path [1/m].
-        other: costs of one's own, such as of obstacles.
+        comfort_weight: w_a, of accelerations beyond those that are free, see `ComfortCost`
+            [s^4/m^2]; None for no such cost, also for a model without a time derivative.
+        max_lateral: free acceleration across the heading, such as what the tyres hold [m/s^2].
+        max_longitudinal: free acceleration along the heading [m/s^2].
+        other: further costs, such as `avoidance_cost()`.
         corridor: whether to keep within the path's half widths; if it has them, when absent.
         corridor_margin: kept from their edges [m].
         horizon: model steps ahead, T.
-        num_samples: rollouts, M.
-        temperature: of the softmax where a step gives none [units of cost].
+        num_samples: rollouts, K.
+        temperature: of the softmax [units of cost].
         dt: model step [s].
         parameterisation: of the controls; splines through 5 knots when absent.
         disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
-        num_outcomes: of each control sequence, if there is a disturbance.
+        num_outcomes: outcomes of each control sequence, if there is a disturbance.
         risk: how the outcomes' costs become one; their mean when absent.
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
-            robot, negative weights, and what the parts refuse.
+            robot, negative weights, a robot without a `max_speed` if none is given, one without a
+            time derivative beside a `comfort_weight`, and what the parts refuse.
     """
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
@@ -157,13 +199,19 @@ def mpcc(
         keep = CorridorCost(path, margin=corridor_margin)
         keep.check(robot)
         total = total + 100.0 * keep
+    if comfort_weight is not None:
+        comfort = _comfort(robot, comfort_weight, max_lateral, max_longitudinal)
+        other = comfort if other is None else comfort + other
     if other is not None:
         total = total + other
     if parameterisation is None:
         parameterisation = Knots(min(KNOTS, _checks.positive_int("horizon", horizon)))
-    planner = augmented_mppi(
+    if noise_std is None:
+        half_range = robot.control_half_range
+        noise_std = _checks.scalar("noise_share", noise_share, above=0.0) * half_range
+    controller = augmented_mppi(
         robot,
-        PathParameter.along(path, max_speed),
+        PathParameter.along(path, _bound(robot) if max_speed is None else max_speed),
         total,
         physical_proposal=GaussianProposal(noise_std),
         virtual_proposal=GaussianProposal(
@@ -175,9 +223,37 @@ def mpcc(
         dt=step,
         parameterisation=parameterisation,
         disturbance=disturbance,
-        num_outcomes=num_outcomes,
+        num_outcomes=1 if disturbance is None else num_outcomes,
         risk=risk,
     )
-    model = planner.mppi.dynamics
+    model = controller.dynamics
     assert isinstance(model, Augmented)
-    return PathFollowing(planner, model, contouring, lag)
+    return PathFollowing(controller, model, contouring, lag)
+
+
+def _comfort(
+    robot: Dynamics, weight: ArrayLike, max_lateral: ArrayLike, max_longitudinal: ArrayLike
+) -> Cost:
+    """Return the cost of accelerations beyond those that are free."""
+    if not isinstance(robot, ContinuousDynamics):
+        raise ValueError(
+            f"comfort_weight is {weight!r} for {type(robot).__name__}, which has no time "
+            "derivative; accepted: None"
+        )
+    return _checks.scalar("comfort_weight", weight, at_least=0.0) * ComfortCost(
+        lateral=1.0,
+        longitudinal=1.0,
+        free_lateral=max_lateral,
+        free_longitudinal=max_longitudinal,
+    )
+
+
+def _bound(robot: Dynamics) -> ArrayLike:
+    """Return the greatest speed of a robot [m/s]."""
+    speed: ArrayLike | None = getattr(robot, "max_speed", None)
+    if speed is None:
+        raise ValueError(
+            f"max_speed is None for {type(robot).__name__}, which has none of its own; accepted: "
+            "a speed [m/s]"
+        )
+    return speed

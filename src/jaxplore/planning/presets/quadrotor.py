@@ -1,13 +1,15 @@
 """Informative MPPI for a quadrotor in both architectures, with the numbers of the design notes."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Vector
+from jaxplore.belief.perception import Perception
+from jaxplore.belief.zones import Zones
 from jaxplore.control.knots import Knots
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI
@@ -33,11 +35,20 @@ from jaxplore.information.gain import CellSensor
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.information.noise import GaussianNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation
+from jaxplore.information.trajectory import TrajectoryInformation
+from jaxplore.planning.presets.parameterisations import parameterisation_by_name
 from jaxplore.planning.strategy.followers import follower_for
 from jaxplore.planning.strategy.gradient_reference import GradientReference
 from jaxplore.planning.strategy.informative import InformativeMPPI, ShortRangeField
 from jaxplore.planning.strategy.random_walk import RandomWalk
 from jaxplore.planning.strategy.references import ClimbingReference, StrategicReference
+from jaxplore.planning.strategy.targets import (
+    RemainingInformation,
+    TargetChoice,
+    TargetReference,
+    Targets,
+    TrajectoryChoice,
+)
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 
@@ -63,7 +74,7 @@ class Flight(NamedTuple):
             `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
         dt: model step [s].
         control_period: between commands [s].
-        parameterisation: of the controls; the controls themselves when absent.
+        parameterisation: of the controls, or its name: direct, smooth or knots, splines through 8.
         altitude: z to keep, for robots that have one [m].
         max_speed: that costs nothing [m/s].
         clearance: kept from obstacles [m].
@@ -79,7 +90,7 @@ class Flight(NamedTuple):
     noise_std: Vector | None = None
     dt: ArrayLike = 0.05
     control_period: ArrayLike = 0.02
-    parameterisation: Parameterisation | None = None
+    parameterisation: Parameterisation | str = "direct"
     altitude: ArrayLike = -2.0
     max_speed: ArrayLike = 2.0
     clearance: ArrayLike = 0.6
@@ -114,10 +125,11 @@ class Flight(NamedTuple):
             given = GaussianProposal(self.noise_std).noise_std  # which checks it
             assert given is not None
             std = given
-        if isinstance(self.parameterisation, Smooth):
+        parameterisation = parameterisation_by_name(self.parameterisation, horizon)
+        if isinstance(parameterisation, Smooth):
             std = std / (dt * math.sqrt(0.5 * horizon))
-        elif isinstance(self.parameterisation, Knots):
-            std = std * math.sqrt(self.parameterisation.num_knots / horizon)
+        elif isinstance(parameterisation, Knots):
+            std = std * math.sqrt(parameterisation.num_knots / horizon)
         return GaussianProposal(std)
 
     def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal) -> MPPI:
@@ -130,7 +142,7 @@ class Flight(NamedTuple):
             dt=self.dt,
             control_period=self.control_period,
             proposal=proposal,
-            parameterisation=self.parameterisation,
+            parameterisation=parameterisation_by_name(self.parameterisation, self.horizon),
             weighting=Softmax(self.temperature),
         )
 
@@ -200,6 +212,7 @@ def informative_mppi(
     bias_fraction: ArrayLike = 0.5,
     likelihood_ratio: bool = False,
     reference: StrategicReference | None = None,
+    target_choice: TargetChoice | None = None,
     reference_speed: ArrayLike = 2.0,
     reference_steps: int = 40,
     by_heading: bool = False,
@@ -215,7 +228,10 @@ def informative_mppi(
     Two-layer: MPPI tracks a reference that ascends the information field, with half of its samples
     around the controls that follow it. Parallel: MPPI reads the field, without reference and bias.
     Both also have a guidance cost, the cost to go through the whole map to the remaining
-    information, which is an addition to the notes.
+    information, which is an addition to the notes. With a `target_choice`, two-layer goes from zone
+    to zone: the sequential architecture.
+
+    The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
         robot: its model.
@@ -228,7 +244,10 @@ def informative_mppi(
         bias_fraction: share of the samples around the reference's controls.
         likelihood_ratio: whether these are weighed by their likelihood ratio. Without, the plan
             leans on the reference, as Biased-MPPI does.
-        reference: where the two-layer architecture sends the robot; up the field when absent.
+        reference: where the two-layer architecture sends the robot; when absent to the target of
+            `target_choice`.
+        target_choice: which target the reference leads to, see `zone_choice`: the sequential
+            architecture. When absent the reference climbs the field.
         reference_speed: along it [m/s].
         reference_steps: of `flight.dt`.
         by_heading: read the field at the robot's heading instead of its best one.
@@ -268,7 +287,11 @@ def informative_mppi(
         )
         if reference is None:
             walk = GradientReference(reference_speed, reference_steps, flight.dt)
-            reference = ClimbingReference(walk)
+            reference = (
+                ClimbingReference(walk)
+                if target_choice is None
+                else TargetReference(target_choice, walk)
+            )
     return InformativeMPPI(
         flight.mppi(robot, cost, proposal),
         fields.sensor(model, resolution),
@@ -279,6 +302,43 @@ def informative_mppi(
         strategy_period=fields.field_period,
         altitude=flight.altitude,
     )
+
+
+def zone_choice(
+    zones: Zones,
+    goal: Vector,
+    perception: Perception,
+    lidar: Lidar,
+    *,
+    method: str = "remaining",
+    distance_weight: ArrayLike | None = None,
+    depleted: ArrayLike = 0.35,
+) -> TargetChoice:
+    """Return what chooses the next zone for the sequential architecture.
+
+    Args:
+        zones: to learn about.
+        goal: (x, y) to go to in the end [m].
+        perception: of the scenario, whose clearance the ways keep.
+        lidar: whose scans on the way count, by the methods other than "remaining".
+        method: "remaining", by what remains of a zone, see `RemainingInformation`; or a method of
+            `TrajectoryInformation`, by what the scans on the way there tell.
+        distance_weight: of the length of the way; the default of the method when absent.
+        depleted: what remains of a zone that is done with. It is more than what remains for ever,
+            such as the inside of walls, which no scan reaches.
+
+    Raises:
+        ValueError: an unknown method, and what the parts refuse.
+    """
+    targets = Targets(
+        zones, goal, depleted=depleted, required_clearance=perception.required_clearance
+    )
+    # Each method has a unit, and so a default, of its own.
+    weight: dict[str, Any] = {} if distance_weight is None else {"weight": distance_weight}
+    if method == "remaining":
+        return RemainingInformation(targets, **weight)
+    scans = TrajectoryInformation(PoseInformation(lidar, perception.sensor_model), method)
+    return TrajectoryChoice(targets, scans, **weight)
 
 
 def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MPPI:

@@ -6,12 +6,12 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore.dynamics._vectors import angle, length
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import angle, length
 from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 

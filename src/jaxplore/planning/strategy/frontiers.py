@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import Roadmap, geodesic, near_point, roadmap
+from jaxplore.belief.guidance import Roadmap, geodesic, point_sources, roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
@@ -63,7 +63,7 @@ def find_frontiers(
     """
     # The same road map as the guidance uses, so that every candidate can be driven to.
     roads = roadmap(belief.clearance, required_clearance, stride)
-    start = near_point(position, roads.frame, roads.is_open)
+    start = point_sources(position, roads.frame, roads.is_open)
     distance = geodesic(start, roads.slowness, roads.is_open)
     worth = belief.worth
     can_reach = roads.is_open & jnp.isfinite(distance)

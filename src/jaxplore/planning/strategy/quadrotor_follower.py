@@ -8,9 +8,9 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore.dynamics._vectors import TINY, angle, length
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.geometry.vectors import TINY, angle, length
 from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 
 LEAST_LIFT = 0.2

@@ -13,7 +13,7 @@ from jaxtyping import Array, Int
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, downhill, geodesic
+from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
 from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
@@ -96,11 +96,11 @@ class TargetExplorer(Controller):
         stride: int,
         *,
         required_clearance: ArrayLike,
-        min_information: ArrayLike = 10.0,
+        min_information: ArrayLike,
         leftover_share: ArrayLike = LEFTOVER_SHARE,
         min_frontier: ArrayLike = 0.75,
         near: ArrayLike = 0.4,
-        every: int = 4,
+        every: int,
         stays: bool = False,
     ) -> None:
         self.tracker, self.rule, self.frame = tracker, rule, frame
@@ -125,7 +125,7 @@ class TargetExplorer(Controller):
         """Return the initial state, without a target."""
         rows, columns = (-(-side // self.stride) for side in self.shape)
         lattice = self.frame.coarsen(self.stride, self.stride / 2.0)
-        flat = downhill(jnp.zeros((rows, columns)), lattice, LAYERS)
+        flat = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
         return TargetState(
             self.tracker.init(),
             jnp.zeros(2, jnp.int32),
@@ -225,5 +225,5 @@ class TargetExplorer(Controller):
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
         distance = geodesic(source, frontiers.roads.slowness, frontiers.roads.is_open)
-        guidance = downhill(distance, frontiers.roads.frame, LAYERS)
+        guidance = descent_field(distance, frontiers.roads.frame, LAYERS)
         return state._replace(node=node, has_target=has_target, guidance=guidance)

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks
 from jaxplore._types import Count, Flag, GridMask, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, Roadmap, downhill, geodesic, roadmap
+from jaxplore.belief.guidance import GuidanceField, Roadmap, descent_field, geodesic, roadmap
 from jaxplore.belief.perception import LAYERS
 from jaxplore.belief.zones import Zones
 from jaxplore.information.trajectory import TrajectoryInformation, path_headings
@@ -116,7 +116,7 @@ class Targets(eqx.Module):
             ValueError: a target of another shape than the map.
         """
         roads = self._roads(belief)
-        return downhill(self._cost(belief, roads, target), roads.frame, LAYERS)
+        return descent_field(self._cost(belief, roads, target), roads.frame, LAYERS)
 
     def route(
         self, belief: Belief, target: GridMask, position: Position
@@ -135,7 +135,7 @@ class Targets(eqx.Module):
         cost = self._cost(belief, roads, target)
         is_near, _ = _nearest(roads, position)
         is_reachable = (is_near & jnp.isfinite(cost)).any()
-        return downhill(cost, roads.frame, LAYERS), is_reachable
+        return descent_field(cost, roads.frame, LAYERS), is_reachable
 
     def distances(self, belief: Belief, position: Position) -> Float[Array, " N"]:
         """Compute the length of the shortest path to each target (N,), N = Z + 1 [m].

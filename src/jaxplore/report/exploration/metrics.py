@@ -125,6 +125,13 @@ class ExplorationMetrics(Metrics):
         Column.quartiles("information_per_metre", "nat/m", missing=0.0),
         Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
         Column.quartiles("targets_seen", "targets seen", applies=lambda spread: spread[2] > 0.0),
+        Column(
+            "num_targets",
+            "of targets",
+            lambda runs: max(each.num_targets for each in runs),
+            str,
+            lambda most: most > 0,
+        ),
         Column.quartiles(
             "mean_idleness", "idle mean [s]", applies=lambda spread: math.isfinite(spread[0])
         ),

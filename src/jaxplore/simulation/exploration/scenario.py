@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -437,10 +437,10 @@ class ExplorationScenario(Scenario):
         """Return no share, for how long the rest takes is unknown, and the coverage."""
         return 0.0, f"coverage {float(state.progress.coverage):6.1%}"
 
-    def for_batches(self) -> Self:
+    def for_batches(self) -> "ExplorationScenario":
         """Return the scenario with a perception that suits many runs side by side."""
         batched = self.perception.for_batches()
-        same: Self = eqx.tree_at(lambda at: at.perception, self, batched)
+        same: ExplorationScenario = eqx.tree_at(lambda at: at.perception, self, batched)
         return same
 
     def frame(

@@ -5,7 +5,7 @@ import functools
 from collections.abc import Mapping
 from pathlib import Path
 
-from jaxplore.maps.files.packing import PACKED, packed
+from jaxplore.maps.files.packing import PACKED, pack_map
 from jaxplore.study.comparison.perform import Perform, results_for
 from jaxplore.study.comparison.rows import Result, failed_row, result_of
 from jaxplore.study.comparison.tasks import Batch
@@ -41,7 +41,7 @@ class Runs(Job):
 
     def files(self) -> Mapping[str, Read]:
         """Return what reads the map."""
-        return {self.batch[0].content: functools.partial(packed, self.batch[0].path)}
+        return {self.batch[0].content: functools.partial(pack_map, self.batch[0].path)}
 
     def located(self, folders: Mapping[str, Path]) -> "Runs":
         """Return the same runs on a copy of the map."""

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 import jax
 import jax.numpy as jnp
 
-from jaxplore.build.exploration import build
-from jaxplore.build.parts import robot_of
-from jaxplore.settings.exploration import Settings, make_settings
+from jaxplore.build.parts import build_robot
+from jaxplore.build.tasks import build
+from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run
@@ -28,9 +28,9 @@ def perform(batch: Batch) -> tuple[Row, ...]:
         KeyboardInterrupt: the user stopped the runs.
     """
     first = batch[0]
-    settings = make_settings(first.entries)
+    settings = make_exploration_settings(first.entries)
     if settings.start is None:
-        settings = make_settings({**first.entries, "start": _open_start(settings)})
+        settings = make_exploration_settings({**first.entries, "start": _open_start(settings)})
     controller, scenario, num_steps, key = build(settings)
     if first.batch == 1:
         recordings = {
@@ -76,5 +76,5 @@ def _reason(task: Task, error: str) -> str:
 def _open_start(settings: Settings) -> tuple[float, float, float]:
     """Return the most open spot of the map as the run will have it, heading along x."""
     grid = read_grid(settings.map, settings.resolution)
-    x, y = open_spot(grid, float(robot_of(settings.robot).radius))
+    x, y = open_spot(grid, float(build_robot(settings.robot).radius))
     return x, y, 0.0

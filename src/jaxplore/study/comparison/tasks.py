@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, get_args
 
-from jaxplore.settings.exploration import OFFICE, Architecture, Settings, make_settings
+from jaxplore.settings.exploration import OFFICE, Architecture, Settings, make_exploration_settings
 from jaxplore.study.comparison.maps import MapFile
 
 FORMAT = 3
@@ -124,9 +124,12 @@ def make_tasks(
             raise ValueError(f"explorer is {explorer!r}; accepted: {', '.join(known)}")
     common = common_settings(settings)
     for seed in (min(seeds), max(seeds)):
-        make_settings({"map": OFFICE, "seed": seed})
+        make_exploration_settings({"map": OFFICE, "seed": seed})
     _check_alike(
-        {each: make_settings({**common, "map": OFFICE, "architecture": each}) for each in explorers}
+        {
+            each: make_exploration_settings({**common, "map": OFFICE, "architecture": each})
+            for each in explorers
+        }
     )
     return tuple(
         Task(
@@ -154,7 +157,7 @@ def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
         ValueError: an entry that is not accepted.
     """
     shared = {name: value for name, value in settings.items() if name not in _OWN}
-    given = make_settings({**shared, "map": OFFICE})
+    given = make_exploration_settings({**shared, "map": OFFICE})
     return given.model_dump(mode="json", exclude_unset=True, exclude=set(_OWN))
 
 

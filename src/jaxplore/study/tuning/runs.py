@@ -8,12 +8,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxplore.build.exploration import build
-from jaxplore.build.path import build_path
+from jaxplore.build.tasks import build
 from jaxplore.control.base import Controller
-from jaxplore.maps.files.packing import PACKED, image_of, packed
+from jaxplore.maps.files.packing import PACKED, find_image, pack_map
 from jaxplore.parameters import get_parameters, nearest, set_parameters
-from jaxplore.settings.exploration import BASELINES, Settings, make_settings
+from jaxplore.settings.exploration import BASELINES, Settings, make_exploration_settings
 from jaxplore.settings.path import PathSettings, make_path_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.tuning.built import Runner, run_alone
@@ -40,13 +39,15 @@ class Kind(NamedTuple):
 
     def settings(self, entries: Entries) -> Settings | PathSettings:
         """Return checked settings."""
-        return make_path_settings(dict(entries)) if self.is_path else make_settings(dict(entries))
+        return (
+            make_path_settings(dict(entries))
+            if self.is_path
+            else make_exploration_settings(dict(entries))
+        )
 
     def build(self, entries: Entries) -> Experiment:
         """Return the run that settings describe."""
         settings = self.settings(entries)
-        if isinstance(settings, PathSettings):
-            return build_path(settings)
         return build(settings)
 
 
@@ -283,14 +284,14 @@ def _file_of(entries: Entries) -> str | None:
 
 
 def _packed(path: str, is_path: bool) -> Files:
-    return {Path(path).name: Path(path).read_bytes()} if is_path else packed(path)
+    return {Path(path).name: Path(path).read_bytes()} if is_path else pack_map(path)
 
 
 @functools.cache
 def _content(path: str) -> str:
     parts = [Path(path).read_bytes()]
     if path.endswith((".yaml", ".yml")):
-        image = image_of(path)
+        image = find_image(path)
         parts += [] if image is None else [image.read_bytes()]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 

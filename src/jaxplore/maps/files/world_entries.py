@@ -1,4 +1,8 @@
-"""Checks of a world file's entries: each says in one line what is wrong and what is accepted."""
+"""Check the entries of a world file.
+
+Each check takes the name and the value of an entry, and returns the value in its final type or
+raises a `ValueError` of one line.
+"""
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
@@ -9,29 +13,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks
-from jaxplore.maps.files import _files
+from jaxplore.maps.files.untrusted import short_repr
 from jaxplore.maps.ground import HIGHEST
 from jaxplore.maps.rasterise import TOLERANCE
 
 Row = tuple[float, ...]
 
 SHAPES = ("walls", "rectangles", "discs")
-EXTRAS = ("hills", "targets", "movers")
-OTHERS = ("origin", "size", "resolution", "wall_reach", "zones", "start", "goal", *EXTRAS)
-MOVER = ("path", "speed", "radius")
+OPTIONAL_LISTS = ("hills", "targets", "movers")
+WORLD_ENTRIES = (
+    *("origin", "size", "resolution", "wall_reach", "zones", "start", "goal"),
+    *OPTIONAL_LISTS,
+)
+MOVER_ENTRIES = ("path", "speed", "radius")
 
 
 @dataclass(frozen=True)
 class MovingObstacle:
-    """A disc that goes round a closed polyline at constant speed, from its first point.
+    """Disc that moves along a closed polyline at constant speed, starting at its first point.
 
-    After the last point it returns to the first in a straight line: with two points it goes back
+    After the last point it returns to the first in a straight line. With two points it moves back
     and forth, with one it stands still.
 
     Args:
-        path: at least one point (x, y) [m].
-        speed: at least 0 [m/s].
-        radius: of the disc [m].
+        path: corners (x, y) of the polyline, at least one [m].
+        speed: speed of the disc, at least 0 [m/s].
+        radius: radius of the disc [m].
 
     Raises:
         ValueError: a path without points, a point that is not two finite numbers, a speed that is
@@ -43,17 +50,18 @@ class MovingObstacle:
     radius: float
 
     def __post_init__(self) -> None:
-        for name in MOVER:
+        for name in MOVER_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
 
 
 def _number(name: str, value: object, **bounds: float) -> float:
+    # `float()` would accept strings and booleans, which in a file are mistakes.
     try:
         if isinstance(value, bool) or not isinstance(value, Real):
             raise ValueError
         value = float(value)
     except (ValueError, OverflowError):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a finite number") from None
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a finite number") from None
     return _checks.number(name, value, **bounds)
 
 
@@ -62,15 +70,15 @@ def _numbers(name: str, value: object, counts: Collection[int], accepted: str) -
         try:
             return tuple(_number(name, entry) for entry in value)
         except ValueError:
-            pass  # the whole entry is shown instead
-    raise ValueError(f"{name} is {_files.show(value)}; accepted: {accepted}")
+            pass  # the message below shows the whole entry instead
+    raise ValueError(f"{name} is {short_repr(value)}; accepted: {accepted}")
 
 
 def _rows(
     name: str, value: object, count: int, accepted: str, is_accepted: Callable[[Row], bool]
 ) -> tuple[Row, ...]:
     if not isinstance(value, (list, tuple)):
-        raise ValueError(f"{name} is {_files.show(value)}; accepted: a list of {accepted}")
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a list of {accepted}")
     rows = tuple(
         _numbers(f"{name}[{index}]", row, (count,), accepted) for index, row in enumerate(value)
     )
@@ -133,7 +141,8 @@ def _path(name: str, value: object) -> tuple[Row, ...]:
 def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
     if not isinstance(value, (list, tuple)):
         raise ValueError(
-            f"{name} is {_files.show(value)}; accepted: a list of mappings with {', '.join(MOVER)}"
+            f"{name} is {short_repr(value)}; accepted: a list of mappings with "
+            + ", ".join(MOVER_ENTRIES)
         )
     return tuple(_mover(f"{name}[{index}]", entry) for index, entry in enumerate(value))
 
@@ -141,15 +150,15 @@ def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
 def _mover(name: str, value: object) -> MovingObstacle:
     if isinstance(value, MovingObstacle):
         return value
-    accepted = f"accepted: a mapping with {', '.join(MOVER)}"
+    accepted = f"accepted: a mapping with {', '.join(MOVER_ENTRIES)}"
     if not isinstance(value, Mapping):
-        raise ValueError(f"{name} is {_files.show(value)}; {accepted}")
-    refuse_unknown(f"{name}: ", value, MOVER)
-    for key in MOVER:
+        raise ValueError(f"{name} is {short_repr(value)}; {accepted}")
+    refuse_unknown(f"{name}: ", value, MOVER_ENTRIES)
+    for key in MOVER_ENTRIES:
         if key not in value:
             raise ValueError(f"{name}.{key} is missing; {accepted}")
     try:
-        return MovingObstacle(**checked(value, MOVER))
+        return MovingObstacle(**checked(value, MOVER_ENTRIES))
     except ValueError as error:
         raise ValueError(f"{name}.{error}") from None
 
@@ -175,44 +184,49 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {
 
 
 def checked(entries: Mapping[Any, Any], names: Collection[str]) -> dict[str, Any]:
+    """Return the checked values of those entries that are among `names`."""
     return {name: CHECKS[name](name, entries[name]) for name in names if name in entries}
 
 
 def refuse_unknown(where: str, entries: Mapping[Any, Any], accepted: Collection[str]) -> None:
+    """Raise a `ValueError` if a key of `entries` is not accepted; `where` begins the message."""
     unknown = [key for key in entries if key not in accepted]
     if unknown:
-        names = ", ".join(_files.show(key) for key in unknown[:5])
+        names = ", ".join(short_repr(key) for key in unknown[:5])
         raise ValueError(f"{where}unknown entry {names}; accepted: {', '.join(accepted)}")
 
 
 def touches_solid(
     solid: NDArray[np.bool_], ends: NDArray[np.float64], radius: float, resolution: float
 ) -> bool:
-    """Say whether a disc that moves from one point to another touches a solid cell.
+    """Return whether a disc that moves from one point to another touches a solid cell.
 
-    Exact: the distance between a segment and a square that do not meet is that of an end from the
-    square or of a corner from the segment, and they meet unless an axis of the square or the
-    segment's normal separates them.
+    The test is exact. A segment and a square intersect unless an axis of the square or the normal
+    of the segment separates them. If they do not intersect, their distance is that of an end of the
+    segment from the square or of a corner of the square from the segment.
 
     Args:
-        solid: (H, W); off the map nothing is solid.
-        ends: (2, 2) from and to, (x, y) from the lower corner of the map [m]; they may coincide.
-        radius: of the disc [m].
+        solid: mask (H, W) of the solid cells; off the map nothing is solid.
+        ends: start and end (2, 2) as (x, y) from the lower corner of the map [m]; they may
+            coincide.
+        radius: radius of the disc [m].
         resolution: side of a cell [m].
     """
     limits = np.array(solid.shape)
     (left, bottom), (right, top) = ends.min(axis=0) - radius, ends.max(axis=0) + radius
-    # A cell more on each side: what the disc only touches counts.
+    # Search one more cell on each side: a disc that only touches a cell counts.
     first = np.clip(np.floor(np.array([bottom, left]) / resolution) - 1, 0, limits).astype(int)
     last = np.clip(np.floor(np.array([top, right]) / resolution) + 2, 0, limits).astype(int)
     found = np.argwhere(solid[first[0] : last[0], first[1] : last[1]]) + first
     centres = (found[:, ::-1] + 0.5) * resolution
     half, along = resolution / 2, ends[1] - ends[0]
     middle = ends.mean(axis=0) - centres
+    # Separating axes: the two axes of the square, then the normal of the segment.
     is_beside = np.abs(middle) > half + np.abs(along) / 2
     is_across = np.abs(middle @ [-along[1], along[0]]) > half * np.abs(along).sum()
     if not (is_beside.any(axis=-1) | is_across).all():
         return True
+    # Nothing intersects, so the distances of ends and corners decide.
     from_end = np.maximum(np.abs(ends[:, None] - centres) - half, 0.0)
     corners = centres[:, None] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
     squared = max(float(along @ along), np.finfo(np.float64).tiny)

@@ -1,4 +1,4 @@
-"""Map files: YAML that is not trusted, and outputs that are written whole or not at all."""
+"""Read files that are not trusted, and write files completely or not at all."""
 
 import os
 import reprlib
@@ -10,8 +10,8 @@ import yaml
 from PIL import UnidentifiedImageError
 
 YAML_LIMIT = 100_000
-"""Largest YAML file read [bytes]."""
-# What PyYAML and Pillow let out, beside their own errors, when a file is malformed.
+"""Largest YAML file that is read [bytes]."""
+# Exceptions that PyYAML and Pillow raise for malformed files beside their own.
 MALFORMED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RuntimeError)
 _YAML_DEPTH = 20
 _YAML_ERRORS = (*MALFORMED, yaml.YAMLError)
@@ -19,55 +19,55 @@ _SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
 
 
 def read_bytes(path: Path, what: str, limit: int) -> bytes:
-    """Return what is in a file.
+    """Read a file of limited size.
 
     Args:
-        path: of the file.
-        what: it is to hold, for messages.
+        path: path of the file.
+        what: expected content, for messages.
         limit: largest file that is read [bytes].
 
     Raises:
         ValueError: a file that is missing, cannot be read or is too large.
     """
-    where = name_of(path)
+    where = printable_path(path)
     try:
         if not path.is_file():
             raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
         with path.open("rb") as file:
             data = file.read(limit + 1)
     except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
     if len(data) > limit:
         raise ValueError(f"{where} is too large; accepted: at most {limit} bytes of {what}")
     return data
 
 
 def read_yaml(path: Path, of: str = "map", limit: int = YAML_LIMIT) -> dict[object, object]:
-    """Return the mapping in a YAML file.
+    """Read a YAML file that holds a mapping.
 
     Args:
-        path: of the file.
-        of: what it is to hold, for messages.
+        path: path of the file.
+        of: expected content, for messages.
         limit: largest file that is read [bytes].
 
     Raises:
         ValueError: a file that is missing, too large, too intricate or no YAML mapping.
     """
-    where = name_of(path)
+    where = printable_path(path)
     data = read_bytes(path, f"a {of}'s YAML", limit)
     try:
         _refuse_intricate(data)
         entries = yaml.safe_load(data)
     except _YAML_ERRORS as error:
-        raise ValueError(f"{where} is not a {of}'s YAML: {reason_of(error)}") from None
+        raise ValueError(f"{where} is not a {of}'s YAML: {error_reason(error)}") from None
     if not isinstance(entries, dict):
-        raise ValueError(f"{where} holds {show(entries)}; accepted: a YAML mapping of a {of}")
+        raise ValueError(f"{where} holds {short_repr(entries)}; accepted: a YAML mapping of a {of}")
     return entries
 
 
 def _refuse_intricate(data: bytes) -> None:
-    # A few nested aliases can stand for more entries than fit in memory, and the time PyYAML takes
-    # grows with the square of the depth. A map's YAML is a flat mapping with one list.
+    # A few nested aliases can expand to more entries than fit in memory, and the time of PyYAML
+    # grows with the square of the depth. A legitimate map needs neither.
     depth = 0
     for event in yaml.parse(data, yaml.SafeLoader):
         if isinstance(event, yaml.AliasEvent):
@@ -79,11 +79,16 @@ def _refuse_intricate(data: bytes) -> None:
 
 
 def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
-    """Write all files, or none of them."""
+    """Write all files or none of them: to temporary names first, then renamed.
+
+    Raises:
+        OSError: a file cannot be written; earlier files stay untouched.
+    """
     for path, _ in files:
-        # The one way the second rename fails once the first, in the same folder, has succeeded.
+        # Only a folder of that name could make the second rename in one folder fail after the
+        # first.
         if path.is_dir():
-            raise IsADirectoryError(f"{name_of(path)} is a folder")
+            raise IsADirectoryError(f"{printable_path(path)} is a folder")
     staged: list[tuple[Path, Path]] = []
     try:
         for path, data in files:
@@ -97,22 +102,22 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def show(value: object) -> str:
-    """Return a short text of any value."""
+def short_repr(value: object) -> str:
+    """Return a short text of any value, for messages."""
     try:
         return _SHORT.repr(value)
-    except ValueError:  # a whole number with more digits than Python prints
+    except ValueError:  # an integer with more digits than Python prints
         return f"a {type(value).__name__} that is too long to print"
 
 
-def name_of(path: Path) -> str:
-    """Return a path as it can be printed."""
+def printable_path(path: Path) -> str:
+    """Return a path for messages, with unprintable characters escaped."""
     return str(path) if str(path).isprintable() else repr(str(path))
 
 
-def reason_of(error: BaseException) -> str:
-    """Return why something failed, in one short line."""
-    if isinstance(error, UnidentifiedImageError):  # its text is the open file's repr
+def error_reason(error: BaseException) -> str:
+    """Return the reason of an error in one short line, for messages."""
+    if isinstance(error, UnidentifiedImageError):  # its text is only the repr of the open file
         return "it is none of these"
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
     line = " ".join(text.split())

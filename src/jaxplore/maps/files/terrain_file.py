@@ -1,4 +1,4 @@
-"""Terrain maps as files: one `.npz` of plain arrays, not trusted when it is read."""
+"""Store a terrain map in one `.npz` file of plain arrays, which is not trusted when it is read."""
 
 import io
 import math
@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.files._files import MALFORMED, name_of, reason_of
+from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
 from jaxplore.maps.resample import CELL_LIMIT
 
 LAYERS = ("probability", "elevation", "slope", "roughness", "traversability")
-"""The arrays (H, W); the others are small."""
+"""Names of the arrays (H, W); all other arrays are small."""
 BYTE_LIMIT = 5 * 4 * CELL_LIMIT + 2**20
-"""Largest file read [bytes]: the five layers of the largest map, as they are."""
+"""Largest file that is read [bytes]: the five uncompressed layers of the largest map."""
 
 _SUFFIX = ".npz"
 _TYPES = {
@@ -35,13 +35,17 @@ _ERRORS = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
-    """Return the contents of the file at `path` [a name that ends in .npz].
+    """Return the content of a terrain file that holds these arrays.
+
+    Args:
+        path: path of the file, which must end in .npz; nothing is written.
+        arrays: arrays of the map by name.
 
     Raises:
-        ValueError: another ending.
+        ValueError: a path with another ending.
     """
     if path.suffix.lower() != _SUFFIX:
-        raise ValueError(f"path is {name_of(path)}; accepted: a name that ends in {_SUFFIX}")
+        raise ValueError(f"path is {printable_path(path)}; accepted: a name that ends in {_SUFFIX}")
     plain = {name: np.asarray(value, _TYPES[name][0], order="C") for name, value in arrays.items()}
     stream = io.BytesIO()
     np.savez_compressed(stream, allow_pickle=False, **plain)
@@ -49,38 +53,43 @@ def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
 
 
 def read(path: Path) -> bytes:
-    """Return the contents of a file.
+    """Read the content of a terrain file.
 
     Raises:
         ValueError: a file that is missing, cannot be read or is too large.
     """
-    where, accepted = name_of(path), "the file of a terrain map"
+    where, accepted = printable_path(path), "the file of a terrain map"
     try:
-        if not path.is_file():  # to open a pipe would wait for ever
+        if not path.is_file():  # opening a pipe would block for ever
             raise ValueError(f"{where} is not there or not a file; accepted: {accepted}")
         with path.open("rb") as file:
             data = file.read(BYTE_LIMIT + 1)
     except OSError as error:
-        raise ValueError(f"{where} cannot be read: {reason_of(error)}") from None
+        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
     if len(data) > BYTE_LIMIT:
         raise ValueError(f"{where} is too large; accepted: at most {BYTE_LIMIT} bytes")
     return data
 
 
 def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]], T]) -> T:
-    """Return what `build` makes of the arrays in the contents of the file at `path`.
+    """Check the content of a terrain file and build an object from its arrays.
 
-    Types, numbers of axes and sizes are as `pack` writes them, and the layers are of one shape; the
-    values are for `build` to check.
+    Types, numbers of axes and sizes are checked against those that `pack` writes, and the layers
+    must have one shape. `build` has to check the values.
+
+    Args:
+        path: path of the file, for messages.
+        data: content of the file.
+        build: function from the arrays by name to the object.
 
     Raises:
-        ValueError: contents that are malformed or too large, and what `build` refuses.
+        ValueError: content that is malformed or too large, and what `build` refuses.
     """
     try:
         return build(_arrays(data))
     except _ERRORS as error:
         raise ValueError(
-            f"{name_of(path)} is not a terrain map ({reason_of(error)}); "
+            f"{printable_path(path)} is not a terrain map ({error_reason(error)}); "
             "accepted: what TerrainMap.save writes"
         ) from None
 
@@ -107,7 +116,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDAr
     if member.compress_type not in _PACKED:
         raise ValueError(f"{name} is packed in a way that is not known")
     with archive.open(member) as file:
-        # The header is looked at before room is made for what it promises.
+        # Check the header before memory is allocated for the size that it declares.
         if np.lib.format.read_magic(file) != (1, 0):
             raise ValueError(f"{name} has another version of the format")
         shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
@@ -117,6 +126,7 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDAr
         count = math.prod(shape)
         if not 0 < count <= CELL_LIMIT:
             raise ValueError(f"{name} has shape {shape}, not 1 to {CELL_LIMIT} cells")
+        # One byte more than expected shows whether the member is longer than its header says.
         data = file.read(count * dtype.itemsize + 1)
     if len(data) != count * dtype.itemsize:
         raise ValueError(f"{name} has more or fewer values than its shape says")

@@ -1,0 +1,51 @@
+"""Track the time that the robot spends near each place, and discount information by it."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Pose, Scalar
+from jaxplore.maps.frame import GridFrame
+
+DWELL_RADIUS = 0.5
+"""Standard deviation of the Gaussian around the robot in which time counts as spent there [m]."""
+
+
+def add_dwell(
+    dwell: Float[Array, "rows columns"],
+    frame: GridFrame,
+    pose: Pose,
+    elapsed: Scalar,
+    memory: Scalar,
+) -> Float[Array, "rows columns"]:
+    """Return the dwell time at each node after the robot has stayed at a pose [s].
+
+        dwell <- dwell exp(-elapsed / memory) + elapsed exp(-(|node - position| / r)^2 / 2)
+
+    with r = `DWELL_RADIUS`.
+
+    Args:
+        dwell: dwell time (rows, columns) before [s].
+        frame: pose and node spacing of the lattice.
+        pose: pose (x, y, yaw) of the robot [m, m, rad]; one that is not finite adds nothing.
+        elapsed: time that has passed [s].
+        memory: time constant with which dwell time is forgotten [s].
+    """
+    height, width = dwell.shape
+    rows, columns = jnp.mgrid[:height, :width]
+    nodes = frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+    distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
+    stay = elapsed * jnp.exp(-0.5 * (distance / DWELL_RADIUS) ** 2)
+    dwell = dwell * jnp.exp(-elapsed / memory)
+    return dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)
+
+
+def dwell_discount(dwell: Float[Array, "*N"], patience: Scalar) -> Float[Array, "*N"]:
+    """Return the factor `exp(-dwell / patience)` on information near which the robot has stayed.
+
+    It makes the robot give up what it cannot observe.
+
+    Args:
+        dwell: dwell time [s].
+        patience: dwell time after which the factor is 1/e [s].
+    """
+    return jnp.exp(-dwell / patience)

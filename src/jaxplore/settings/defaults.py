@@ -1,0 +1,164 @@
+"""Defaults of settings: read from the callable whose parameter the setting is, its owner.
+
+A number stands in the owner's signature and nowhere else. `DIFFERENCES` lists the settings whose
+default is another one, with the reason.
+"""
+
+import inspect
+import math
+import re
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel, Field
+
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.planning.presets.quadrotor import FieldNumbers, Flight
+
+Owner = Callable[..., Any]
+
+_ARGUMENT = re.compile(r"    (\w+): (.*)")
+_UNIT = re.compile(r"\[([^\]]+)\]")
+
+
+class Difference(NamedTuple):
+    """A default that is not the owner's.
+
+    Args:
+        value: the default of the setting.
+        reason: why it differs.
+    """
+
+    value: Any
+    reason: str
+
+
+def default_of(owner: Owner, name: str) -> Any:
+    """Return the default of a parameter.
+
+    Args:
+        owner: a function or a class.
+        name: of the parameter.
+
+    Raises:
+        ValueError: the owner has no such parameter, or it has no default.
+    """
+    parameters = inspect.signature(owner).parameters
+    known = [each.name for each in parameters.values() if each.default is not each.empty]
+    if name not in known:
+        raise ValueError(
+            f"parameter is {name!r} of {owner.__qualname__}; accepted: {', '.join(known)}"
+        )
+    return parameters[name].default
+
+
+def in_degrees(angle: float) -> float:
+    """Return an angle in degrees, without the last digits of pi."""
+    return round(math.degrees(angle), 9)
+
+
+DIFFERENCES: dict[str, Difference] = {
+    "exploration.robot.max_speed": Difference(1.0, "a walking pace, for a robot in a building"),
+    "exploration.lidar.max_range": Difference(
+        5.0, "a short-range lidar, as small indoor robots have"
+    ),
+    "exploration.lidar.range_noise": Difference(0.02, "the noise of a short-range lidar"),
+    "path.robot.max_acceleration": Difference(6.0, "a race car of F1TENTH's size"),
+    "path.robot.wheelbase": Difference(0.33, "a race car of F1TENTH's size"),
+    "path.robot.max_steering": Difference(0.42, "a race car of F1TENTH's size"),
+    "path.robot.max_steering_rate": Difference(3.2, "a race car of F1TENTH's size"),
+    "quadrotor.robot.model": Difference("quadrotor", "what its architectures control"),
+    "quadrotor.robot.radius": Difference(default_of(Quadrotor, "radius"), "that of `Quadrotor`"),
+    "quadrotor.robot.max_speed": Difference(default_of(Flight, "max_speed"), "that of `Flight`"),
+    "quadrotor.lidar.num_beams": Difference(24, "a depth camera, from the design notes"),
+    "quadrotor.lidar.max_range": Difference(4.0, "a depth camera, from the design notes"),
+    "quadrotor.lidar.field_of_view_degrees": Difference(
+        in_degrees(default_of(FieldNumbers, "field_of_view")), "that of `FieldNumbers`"
+    ),
+    "quadrotor.lidar.range_noise": Difference(0.0, "the design notes have no range noise"),
+    "quadrotor.sensor_model.kind": Difference("line_of_sight", "the model of `informative_mppi`"),
+    "quadrotor.fields.min_information": Difference(3.0, "a camera of 24 beams sees less at a time"),
+    "quadrotor.fields.occupancy_prior": Difference(0.5, "the design notes have no other prior"),
+    "quadrotor.rates.sensing": Difference(50.0, "a scan at every command, as in the design notes"),
+}
+"""Settings whose default is not their owner's, by the kind of run and their name. Those of a
+`quadrotor` hold for architectures that are not a ground vehicle's."""
+
+
+def descriptions(owner: Owner) -> dict[str, str]:
+    """Return what the "Args:" of a docstring say of each parameter, by name."""
+    found: dict[str, str] = {}
+    _, _, arguments = (inspect.getdoc(owner) or "").partition("\nArgs:\n")
+    for line in arguments.splitlines():
+        begins = _ARGUMENT.fullmatch(line)
+        if begins:
+            found[begins[1]] = begins[2]
+        elif line.startswith(8 * " ") and found:
+            found[next(reversed(found))] += " " + line.strip()
+        else:
+            break
+    return found
+
+
+def unit(description: str) -> str | None:
+    """Return the unit in a description, what it has in square brackets; None without one."""
+    found = _UNIT.search(description)
+    return None if found is None else found[1]
+
+
+def setting(
+    owner: Owner,
+    name: str,
+    convert: Callable[[Any], Any] = lambda default: default,
+    *,
+    differs: str | None = None,
+) -> Any:
+    """Return a field of a section: default and description of an owner's parameter.
+
+    Args:
+        owner: the function or class that the setting goes to.
+        name: of its parameter.
+        convert: from the unit of the parameter to that of the setting.
+        differs: key of `DIFFERENCES`, if the default is not the owner's.
+
+    Raises:
+        ValueError: the owner has no such parameter, or it has no default.
+    """
+    default = convert(default_of(owner, name))
+    if differs is not None:
+        default = DIFFERENCES[differs].value
+    return Field(
+        default=default,
+        description=descriptions(owner)[name],
+        json_schema_extra={"owner": owner.__qualname__, "parameter": name},
+    )
+
+
+def differences_of(kind: str) -> dict[str, Any]:
+    """Return the `DIFFERENCES` of a kind of run as entries of settings."""
+    entries: dict[str, Any] = {}
+    for name, difference in DIFFERENCES.items():
+        first, *sections, last = name.split(".")
+        if first == kind:
+            place = entries
+            for section in sections:
+                place = place.setdefault(section, {})
+            place[last] = difference.value
+    return entries
+
+
+def arguments(section: BaseModel, owner: Owner) -> dict[str, Any]:
+    """Return the settings of a section that an owner takes, by the names of its parameters.
+
+    They are in the units of the settings: angles in degrees.
+
+    Args:
+        section: checked settings.
+        owner: a function or a class that some of them were declared with, see `setting`.
+    """
+    taken = {}
+    for name, field in type(section).model_fields.items():
+        source = field.json_schema_extra
+        if isinstance(source, dict) and source["owner"] == owner.__qualname__:
+            taken[str(source["parameter"])] = getattr(section, name)
+    return taken

@@ -1,0 +1,347 @@
+"""The command line and Python build equal controllers: a default stands in one place."""
+
+import inspect
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.planning.presets.quadrotor import zone_choice
+from jaxplore.planning.presets.target_explorer import target_explorer
+from jaxplore.settings.defaults import (
+    DIFFERENCES,
+    arguments,
+    default_of,
+    descriptions,
+    setting,
+    unit,
+)
+from jaxplore.settings.exploration import BASELINES, SCENARIOS, Settings, scenario_path
+from jaxplore.settings.path import PathSettings
+from jaxplore.settings.sections import Section, read_settings, section_of
+
+
+def assert_equal(found: Any, expected: Any) -> None:
+    """Compare all leaves and the structure, static fields included."""
+    assert jax.tree.structure(found) == jax.tree.structure(expected)
+    paths, expected_leaves = jax.tree_util.tree_leaves_with_path(found), jax.tree.leaves(expected)
+    for (path, leaf), other in zip(paths, expected_leaves, strict=True):
+        name = jax.tree_util.keystr(path)
+        assert jax.typeof(leaf) == jax.typeof(other), name
+        np.testing.assert_array_equal(leaf, other, err_msg=name)
+
+
+# What is a scenario's own: its robot, the integrator of its plans, its mission and its sensor.
+
+
+def office_robot(integrator: jx.Integrator | None = None) -> jx.Dynamics:
+    return jx.DifferentialDrive(max_speed=1.0, integrator=integrator)
+
+
+def warehouse_robot(integrator: jx.Integrator | None = None) -> jx.Dynamics:
+    return jx.DifferentialDrive(max_speed=1.0, radius=0.3, integrator=integrator)
+
+
+def perimeter_robot(integrator: jx.Integrator | None = None) -> jx.Dynamics:
+    return jx.DifferentialDrive(max_speed=1.5, radius=0.3, integrator=integrator)
+
+
+def rescue_robot(integrator: jx.Integrator | None = None) -> jx.Dynamics:
+    return jx.Ackermann(
+        wheelbase=0.5,
+        max_speed=2.0,
+        max_steering=0.6,
+        max_acceleration=2.0,
+        max_steering_rate=1.0,
+        min_speed=-1.0,
+        drag=0.1,
+        footprint=jx.Rectangle(0.625, 0.125, 0.4),
+        integrator=integrator,
+    )
+
+
+ROBOTS: dict[str, Callable[..., jx.Dynamics]] = {
+    "office": office_robot,
+    "zones": office_robot,
+    "warehouse": warehouse_robot,
+    "search-rescue": rescue_robot,
+    "perimeter": perimeter_robot,
+}
+GOALS = {"zones": jx.three_zones().goal}
+MISSIONS = {
+    "zones": jx.Mission(GOALS["zones"][:2]),
+    "search-rescue": jx.Mission(has_terrain=True),
+    "perimeter": jx.Mission(has_movers=True),
+}
+VIEWS = {"warehouse": 1.5 * math.pi}
+"""Of the lidars, where a scenario says so."""
+
+
+def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> Any:
+    """Return the controller as Python makes it, with what is the scenario's own."""
+    robot, goal = ROBOTS[place](), GOALS.get(place)
+    own = read_settings(scenario_path(place)) if place in SCENARIOS else {}
+    if architecture == "explorer":
+        return jx.explorer(robot)
+    if architecture == "portfolio":
+        numbers = own.get("portfolio", {})
+        return jx.ground_portfolio(ROBOTS[place](jx.Euler()), MISSIONS.get(place), **numbers)
+    if architecture in BASELINES:
+        return target_explorer(robot, architecture, scenario.perception, scenario.world)
+    flight, fields = jx.Flight(), jx.FieldNumbers()
+    if place in SCENARIOS:
+        flight = jx.Flight(max_speed=robot.max_speed)
+        fields = jx.FieldNumbers(field_of_view=VIEWS.get(place, fields.field_of_view))
+    else:
+        robot = jx.Quadrotor()
+    if architecture == "random-walk":
+        return jx.random_walk(robot, flight)
+    if architecture == "goal":
+        return jx.goal_mppi(robot, goal, flight)
+    choice = None
+    if architecture == "sequential":
+        zones = jx.Zones.from_rectangles(jx.three_zones().zones, scenario.world)
+        lidar = jx.Lidar(24, 4.0, math.pi / 2.0)
+        choice = zone_choice(zones, goal[:2], scenario.perception, lidar)
+    return jx.informative_mppi(
+        robot,
+        "parallel" if architecture == "parallel" else "two-layer",
+        resolution=scenario.world.resolution,
+        sensor_model=scenario.perception.sensor_model,
+        goal=goal,
+        flight=flight,
+        fields=fields,
+        target_choice=choice,
+    )
+
+
+EVERYWHERE = ("explorer", "portfolio", BASELINES[0], "parallel", "random-walk")
+CASES = [
+    *((place, architecture) for place in ROBOTS for architecture in EVERYWHERE),
+    # They differ in their rule, wherever they are.
+    *(("office", rule) for rule in BASELINES[1:]),
+    # A car has no follower.
+    *((place, "two-layer") for place in ROBOTS if place != "search-rescue"),
+    ("zones", "sequential"),
+    ("zones", "goal"),
+]
+
+
+@pytest.mark.parametrize(("place", "architecture"), CASES)
+def test_settings_and_python_build_equal_controllers(place: str, architecture: str) -> None:
+    found = build(make_settings({"map": place, "architecture": architecture}))
+    assert_equal(found.controller, by_hand(place, architecture, found.scenario))
+
+
+def test_an_unknown_rule_is_refused(empty_belief) -> None:
+    perception = jx.Perception(jx.Lidar(8, 1.0), 0.5, 0.2, num_directions=4)
+    with pytest.raises(ValueError, match="rule is 'luck'; accepted: wander, random-frontier"):
+        target_explorer(office_robot(), "luck", perception, empty_belief.grid)
+
+
+RACE_CAR = jx.Ackermann(
+    wheelbase=0.33,
+    max_speed=5.0,
+    max_steering=0.42,
+    max_acceleration=6.0,
+    max_steering_rate=3.2,
+    footprint=jx.Rectangle(0.455, 0.125, 0.31),
+)
+
+
+@pytest.mark.parametrize(
+    ("entries", "expected"),
+    [
+        ({}, {}),
+        ({"obstacles": {"number": 5}}, {"other": jx.avoidance_cost()}),
+        (
+            {"obstacles": {"discs": [[0.0, 0.0, 0.1]]}, "controller": {"risk_level": 0.9}},
+            {
+                "other": jx.avoidance_cost(caution=0.0),
+                "disturbance": jx.UncertainObstacles(),
+                "risk": jx.ConditionalValueAtRisk(0.9),
+            },
+        ),
+    ],
+    ids=["alone", "traffic", "risk"],
+)
+def test_settings_and_python_build_equal_controllers_along_a_path(
+    entries: dict[str, Any], expected: dict[str, Any]
+) -> None:
+    track = jx.race_track()
+    found, made = (
+        build(make_settings({"map": "path", **entries})),
+        jx.mpcc(RACE_CAR, track, **expected),
+    )
+    assert_equal(found.controller, made.controller)
+    assert_equal(found.scenario.robot, made.model)
+    assert_equal(found.scenario.path, track)
+
+
+def test_a_default_that_drifts_is_found() -> None:
+    made = jx.mpcc(RACE_CAR, jx.race_track())
+    for changes in ({"temperature": 31.0}, {"horizon": 31}, {"comfort_weight": None}):
+        other = jx.mpcc(RACE_CAR, jx.race_track(), **changes)
+        with pytest.raises(AssertionError):
+            assert_equal(other.controller, made.controller)
+
+
+# Every setting has an owner, or a description of its own
+
+
+def sections(kind: type[Section]) -> list[type[Section]]:
+    """Return a class of settings and those of its sections."""
+    found = [kind]
+    for field in kind.model_fields.values():
+        inner = section_of(field.annotation)
+        if inner is not None:
+            found += sections(inner)
+    return found
+
+
+SECTIONS = [*sections(Settings), *sections(PathSettings)]
+
+
+def owners(kind: type[Section]) -> dict[str, tuple[str, str]]:
+    """Return owner and parameter of those settings of a section that have one."""
+    return {
+        name: (field.json_schema_extra["owner"], field.json_schema_extra["parameter"])
+        for name, field in kind.model_fields.items()
+        if field.json_schema_extra is not None
+    }
+
+
+@pytest.mark.parametrize("kind", SECTIONS)
+def test_every_setting_is_described_once(kind: type[Section]) -> None:
+    own = {**descriptions(kind.__base__), **descriptions(kind)}
+    for name, field in kind.model_fields.items():
+        assert bool(field.description) != (name in own), name
+
+
+NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
+    jx.explorer: {"robot"},
+    jx.ground_portfolio: {"robot", "mission", "members", "fusion"},
+    # Of the robot, the rates and the run.
+    jx.Flight: {"control_period", "max_speed"},
+    jx.FieldNumbers: {"field_of_view", "field_period"},
+    jx.informative_mppi: {
+        *("robot", "architecture", "resolution", "sensor_model", "goal", "flight", "fields"),
+        *("reference", "target_choice"),
+    },
+    zone_choice: {"zones", "goal", "perception", "lidar"},
+    jx.mpcc: {
+        *("robot", "path", "noise_std", "max_speed", "other", "corridor", "parameterisation"),
+        *("disturbance", "risk"),
+    },
+    jx.avoidance_cost: set(),
+    jx.race_track: set(),
+    jx.office: set(),
+    jx.Lidar: set(),
+    jx.Camera: set(),
+    jx.IdlenessMap: set(),
+    jx.InverseSensorModel: {"is_decisive"},
+    jx.Ground: {"elevation", "resolution", "origin", "traversability"},
+    jx.Perception: {
+        *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
+        *("ground", "watch", "is_goal_apart", "unknown_factor"),
+    },
+    jx.Contextual: {"names", "goal"},
+    jx.WeightedVote: set(),
+}
+"""Parameters that are no settings: parts, or what follows from other settings."""
+
+
+@pytest.mark.parametrize("owner", NOT_SETTINGS, ids=lambda owner: owner.__qualname__)
+def test_every_number_of_a_preset_is_a_setting(owner: Callable[..., Any]) -> None:
+    declared = [each for kind in SECTIONS for each in owners(kind).values()]
+    settings = {parameter for name, parameter in declared if name == owner.__qualname__}
+    assert settings | NOT_SETTINGS[owner] == set(inspect.signature(owner).parameters)
+    assert not settings & NOT_SETTINGS[owner]
+
+
+def test_differences_are_differences_and_have_a_reason() -> None:
+    owned = {"exploration": Settings, "quadrotor": Settings, "path": PathSettings}
+    ground = make_settings({"map": "office"})
+    for name, difference in DIFFERENCES.items():
+        kind, section, last = name.split(".")
+        field = section_of(owned[kind].model_fields[section].annotation).model_fields[last]
+        assert difference.reason
+        if kind == "quadrotor":
+            assert getattr(getattr(ground, section), last) != difference.value
+        else:
+            assert field.default == difference.value
+            model = {"robot": {"exploration": jx.DifferentialDrive, "path": jx.Ackermann}[kind],
+                     "lidar": jx.Lidar}[section]  # fmt: skip
+            assert default_of(model, last) != difference.value
+
+
+def test_the_owner_s_signature_is_the_default() -> None:
+    def preset(robot: object, *, weight: float = 2.5, reach: float = 1.0) -> None:
+        """Do something.
+
+        Args:
+            robot: its model.
+            weight: of the cost,
+                which is high [1/m].
+            reach: of the lidar [m].
+
+        Raises:
+            ValueError: never.
+        """
+
+    class Own(Section):
+        heavy: float = setting(preset, "weight")
+        reach: float = setting(preset, "reach", lambda metres: 100.0 * metres)
+
+    assert Own().model_dump() == {"heavy": 2.5, "reach": 100.0}
+    assert arguments(Own(heavy=3.0), preset) == {"weight": 3.0, "reach": 100.0}
+    described = Own.model_fields["heavy"].description
+    assert described == "of the cost, which is high [1/m]."
+    assert unit(described) == "1/m"
+    assert unit("of the cost.") is None
+    assert set(descriptions(preset)) == {"robot", "weight", "reach"}
+    for name in ("robot", "speed"):
+        with pytest.raises(
+            ValueError, match=f"parameter is '{name}' of .*preset; accepted: weight"
+        ):
+            default_of(preset, name)
+
+
+# Which kind of run
+
+
+@pytest.mark.parametrize(
+    ("entries", "kind"),
+    [
+        ({"map": "office"}, Settings),
+        ({"map": "path", "world": {"size": [1.0, 1.0]}}, Settings),
+        ({"map": "path"}, PathSettings),
+        ({"map": "path", "path": "a.csv"}, PathSettings),
+        ({"path": "track"}, PathSettings),
+    ],
+)
+def test_entries_say_which_kind_of_run_they_are(entries: dict[str, Any], kind: type) -> None:
+    found = make_settings(entries)
+    assert type(found) is kind
+    if kind is PathSettings:
+        assert found.path == entries.get("path", "track")
+
+
+@pytest.mark.parametrize(
+    ("entries", "message"),
+    [
+        ({}, "setting map is missing"),
+        ({"map": ["path"]}, "setting map is .'path'."),
+        ({"map": "office", "path": "a.csv"}, "the map 'office' beside the path 'a.csv'; accepted"),
+        ({"path": "track", "goal": [1, 2]}, "unknown setting goal; accepted here"),
+        ({"map": "office", "laps": 2}, "unknown setting laps; accepted here"),
+    ],
+)
+def test_bad_entries_are_one_line(entries: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_settings(entries)
