@@ -208,8 +208,10 @@ def _parts(loops: dict[str, _Loop]) -> list[dict[str, Any]]:
                 controller.potential_sensor.field, belief.grid, at
             ),
             "reference": None,
-            "strategy: field and reference": timed(controller.strategy, belief, robot),
-            "map of short looks": timed(controller.lookout, belief, controller.sensor_model, at),
+            "strategy: field and reference": timed(controller.strategic_plan, belief, robot),
+            "short-range field": timed(
+                controller.short_range_field, belief, controller.sensor_model, at
+            ),
             "MPPI": timed(
                 lambda mppi, *given: mppi.step(*given[:3], key=given[3]),
                 *(mppi, state.controller.mppi, robot, known, loop.key),

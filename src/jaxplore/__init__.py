@@ -27,8 +27,6 @@ from jaxplore.control.disturbance import Disturbance as Disturbance
 from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
 from jaxplore.control.disturbance import StateNoise as StateNoise
 from jaxplore.control.disturbance import UncertainObstacles as UncertainObstacles
-from jaxplore.control.draft import Draft as Draft
-from jaxplore.control.draft import MPPIState as MPPIState
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
 from jaxplore.control.feedback import FeedbackState as FeedbackState
 from jaxplore.control.gains import step_with_gains as step_with_gains
@@ -42,6 +40,8 @@ from jaxplore.control.knots import Knots as Knots
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
 from jaxplore.control.mppi import MPPI as MPPI
+from jaxplore.control.mppi_state import MPPIState as MPPIState
+from jaxplore.control.mppi_state import SampledControls as SampledControls
 from jaxplore.control.noise import AntitheticNoise as AntitheticNoise
 from jaxplore.control.noise import LogNormalNoise as LogNormalNoise
 from jaxplore.control.noise import Noise as Noise

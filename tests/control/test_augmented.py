@@ -51,7 +51,7 @@ def test_samples_and_ratios_are_those_of_the_parts(parameterisation: Parameteris
     memory = BOTH.init(rows, 3)
     samples = BOTH.sample(memory, near, K, key=key)
     assert samples.shape == (rows, 3, K)
-    parts = BOTH._around(near)
+    parts = BOTH._part_contexts(near)
     keys = jax.random.split(key, 2)
     first = PHYSICAL.sample(memory.physical, parts[0], K, key=keys[0])
     second = VIRTUAL.sample(memory.virtual, parts[1], K, key=keys[1])

@@ -40,7 +40,7 @@ REFERENCE = RNG.uniform(-1.5, 2.0, (HORIZON, SIZE)).astype(np.float32)
 SEQUENCES = RNG.uniform(-1.5, 2.0, (2, HORIZON, SIZE)).astype(np.float32)
 
 
-def surroundings(where: str) -> SamplingContext:
+def make_context(where: str) -> SamplingContext:
     parameterisation = PARAMETERISATIONS[where]
     nominal = parameterisation.init(jnp.asarray(NOMINAL), SPACE)
     if where == "smooth":
@@ -72,17 +72,17 @@ class Drawn(NamedTuple):
 
 
 @eqx.filter_jit
-def draw(proposal, around, count=9, perturbations=None, memory=()) -> Drawn:
+def draw(proposal, context, count=9, perturbations=None, memory=()) -> Drawn:
     samples = proposal.sample(
-        memory, around, count, key=jax.random.key(0), perturbations=perturbations
+        memory, context, count, key=jax.random.key(0), perturbations=perturbations
     )
-    controls, _ = around.parameterisation.decode(around.nominal, samples, around.space)
-    return Drawn(samples, controls, proposal.log_ratio(memory, around, samples))
+    controls, _ = context.parameterisation.decode(context.nominal, samples, context.space)
+    return Drawn(samples, controls, proposal.log_ratio(memory, context, samples))
 
 
 @eqx.filter_jit
-def log_ratio(proposal, around, samples, memory=()):
-    return proposal.log_ratio(memory, around, samples)
+def log_ratio(proposal, context, samples, memory=()):
+    return proposal.log_ratio(memory, context, samples)
 
 
 def biased(fraction=0.5, proposal=None, **settings) -> BiasedProposal:
@@ -100,12 +100,12 @@ class TestBiasedProposal:
         ("fraction", "wanted"), [(0.0, 0), (0.25, 2), (0.34, 3), (0.5, 4), (0.99, 9), (1.0, 9)]
     )
     def test_a_share_is_sampled_around_the_reference(self, where, fraction, wanted) -> None:
-        around = surroundings(where)
-        shape = (*around.centre.shape, 9)
+        context = make_context(where)
+        shape = (*context.centre.shape, 9)
         given = np.random.default_rng(0).normal(size=shape).astype(np.float32)
-        drawn = draw(biased(fraction), around, 9, jnp.asarray(given))
+        drawn = draw(biased(fraction), context, 9, jnp.asarray(given))
         means = np.asarray(drawn.samples, np.float64) - given
-        reference, centre = encoded(where, REFERENCE), np.asarray(around.centre)
+        reference, centre = encoded(where, REFERENCE), np.asarray(context.centre)
         scale = np.abs(reference).max()
         for index in range(9):
             expected = reference if index < wanted else centre
@@ -113,22 +113,22 @@ class TestBiasedProposal:
 
     @pytest.mark.parametrize("count", [7, 10])
     def test_the_share_is_right_to_one_half_of_a_sample(self, count: int) -> None:
-        around = surroundings("direct")
+        context = make_context("direct")
         none = jnp.zeros((HORIZON, SIZE, count))
         for fraction in (0.1, 0.3, 0.5, 0.7):
-            samples = np.asarray(draw(biased(fraction), around, count, none).samples)
+            samples = np.asarray(draw(biased(fraction), context, count, none).samples)
             close = (np.abs(samples - REFERENCE[:, :, None]) < 1e-5).all(axis=(0, 1))
             assert abs(close.sum() - fraction * count) <= 0.5 + 1e-6
 
     @everywhere
     def test_without_noise_the_controls_are_the_reference(self, where: str) -> None:
         """Within the bounds, and for knots those that come nearest."""
-        around = surroundings(where)
-        none = jnp.zeros((*around.centre.shape, 9))
+        context = make_context(where)
+        none = jnp.zeros((*context.centre.shape, 9))
         reference = REFERENCE.copy()
         reference[2] = [9.0, -9.0]
         proposal = eqx.tree_at(lambda p: p.reference, biased(1.0), jnp.asarray(reference))
-        controls = draw(proposal, around, 9, none).controls
+        controls = draw(proposal, context, 9, none).controls
         expected = np.clip(reference, LOW, HIGH)
         if where == "knots":
             knots = encoded("knots", reference)
@@ -137,28 +137,28 @@ class TestBiasedProposal:
             np.testing.assert_allclose(controls[:, :, index], expected, atol=5e-6)
 
     def test_knots_come_nearest_to_the_reference(self) -> None:
-        around = surroundings("knots")
+        context = make_context("knots")
         best = encoded("knots", REFERENCE)
         error = np.sum((DEFAULT + cubic(HORIZON) @ (best - DEFAULT) - REFERENCE) ** 2)
-        knots = np.asarray(around.encode(jnp.asarray(REFERENCE)), np.float64)
+        knots = np.asarray(context.encode(jnp.asarray(REFERENCE)), np.float64)
         rng = np.random.default_rng(0)
         for change in [np.zeros((3, SIZE)), *rng.normal(0, 0.05, (20, 3, SIZE))]:
             controls = DEFAULT + cubic(HORIZON) @ (knots + change - DEFAULT)
             assert np.sum((controls - REFERENCE) ** 2) >= error - 1e-5
 
     def test_fraction_0_is_the_proposal_itself(self) -> None:
-        around, plain = surroundings("smooth"), GaussianProposal(STD, mean=MEAN)
-        drawn, expected = draw(biased(0.0, plain), around), draw(plain, around)
+        context, plain = make_context("smooth"), GaussianProposal(STD, mean=MEAN)
+        drawn, expected = draw(biased(0.0, plain), context), draw(plain, context)
         np.testing.assert_allclose(drawn.samples, expected.samples, rtol=1e-5, atol=1e-6)
         np.testing.assert_allclose(drawn.log_ratio, expected.log_ratio, rtol=1e-5, atol=1e-5)
 
     @pytest.mark.parametrize("where", ["smooth", "knots"])
     def test_fraction_1_is_the_proposal_around_the_reference(self, where: str) -> None:
-        around, plain = surroundings(where), GaussianProposal(STD, mean=MEAN)
-        drawn = draw(biased(1.0, plain), around)
+        context, plain = make_context(where), GaussianProposal(STD, mean=MEAN)
+        drawn = draw(biased(1.0, plain), context)
         parameters = jnp.asarray(encoded(where, REFERENCE), jnp.float32)
-        nominal = around.nominal._replace(rates=parameters) if where == "smooth" else parameters
-        expected = draw(plain, SamplingContext(around.parameterisation, nominal, SPACE))
+        nominal = context.nominal._replace(rates=parameters) if where == "smooth" else parameters
+        expected = draw(plain, SamplingContext(context.parameterisation, nominal, SPACE))
         np.testing.assert_allclose(drawn.samples, expected.samples, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(drawn.log_ratio, expected.log_ratio, rtol=1e-4, atol=1e-3)
 
@@ -176,10 +176,10 @@ class TestBiasedProposal:
         ids=["direct", "smooth", "knots", "covariance", "coloured", "adapted"],
     )
     def test_log_ratio_is_that_of_the_mixture(self, where: str, fraction, proposal) -> None:
-        around = surroundings(where)
-        rows = around.centre.shape[0]
+        context = make_context(where)
+        rows = context.centre.shape[0]
         rng = np.random.default_rng(1)
-        centre, reference = np.asarray(around.centre, np.float64), encoded(where, REFERENCE)
+        centre, reference = np.asarray(context.centre, np.float64), encoded(where, REFERENCE)
         samples = np.concatenate(
             [
                 mean[:, :, None] + 5.0 * rng.normal(size=(rows, SIZE, 8))
@@ -211,7 +211,7 @@ class TestBiasedProposal:
             b=np.array([[1.0 - fraction], [fraction]]),
         )
         expected = q - density(np.tile(rest, (rows, 1)), given)
-        actual = log_ratio(biased(fraction, proposal), around, jnp.asarray(samples), memory)
+        actual = log_ratio(biased(fraction, proposal), context, jnp.asarray(samples), memory)
         actual = np.asarray(actual, np.float64)
         np.testing.assert_allclose(
             actual - actual.mean(),
@@ -224,7 +224,7 @@ class TestBiasedProposal:
         """As without a reference: see test_proposals. And without the ratio they lean to it."""
         count, target, stiffness = 40_000, np.array([0.3, 0.4]), np.array([2.0, 1.0])
         space = ControlSpace(SPACE.minimum, SPACE.maximum, SPACE.default, SPACE.dt, 1)
-        around = SamplingContext(Direct(), jnp.asarray([[0.2, 0.1]]), space)
+        context = SamplingContext(Direct(), jnp.asarray([[0.2, 0.1]]), space)
         precision = 1 / STD**2
         optimum = (precision * DEFAULT + stiffness * target) / (precision + stiffness)
         reference = np.array([[1.2, 1.7]], np.float32)
@@ -233,7 +233,7 @@ class TestBiasedProposal:
             proposal = BiasedProposal(
                 GaussianProposal(STD), reference, 0.4, likelihood_ratio=weighs
             )
-            drawn = draw(proposal, around, count)
+            drawn = draw(proposal, context, count)
             ratio = np.asarray(drawn.log_ratio, np.float64)
             flat = np.asarray(drawn.samples, np.float64)[0]
             exponent = -0.5 * stiffness @ (flat - target[:, None]) ** 2 - ratio
@@ -247,16 +247,16 @@ class TestBiasedProposal:
 
     def test_without_the_likelihood_ratio_it_is_0(self) -> None:
         proposal = biased(0.5, likelihood_ratio=False)
-        np.testing.assert_array_equal(draw(proposal, surroundings("knots")).log_ratio, 0.0)
+        np.testing.assert_array_equal(draw(proposal, make_context("knots")).log_ratio, 0.0)
 
     def test_a_new_reference_does_not_retrace(self) -> None:
-        traces, around = 0, surroundings("direct")
+        traces, context = 0, make_context("direct")
 
         @jax.jit
         def traced(proposal):
             nonlocal traces
             traces += 1
-            return proposal.sample((), around, 6, key=jax.random.key(0))
+            return proposal.sample((), context, 6, key=jax.random.key(0))
 
         traced(biased(0.5))
         traced(eqx.tree_at(lambda p: p.reference, biased(0.1), jnp.asarray(NOMINAL)))
@@ -264,13 +264,13 @@ class TestBiasedProposal:
 
     def test_adapts_as_its_noise_does(self) -> None:
         inner = GaussianProposal(STD, adaptation=CovarianceAdaptation(0.5))
-        around, proposal = surroundings("direct"), biased(0.5, inner)
+        context, proposal = make_context("direct"), biased(0.5, inner)
         memory = proposal.init(HORIZON, SIZE)
         np.testing.assert_array_equal(memory, np.ones((HORIZON, SIZE)))
-        samples = draw(proposal, around, memory=memory).samples
+        samples = draw(proposal, context, memory=memory).samples
         weights = jnp.full(9, 1 / 9)
-        after = proposal.adapt(memory, around, weights, samples)
-        np.testing.assert_array_equal(after, inner.adapt(memory, around, weights, samples))
+        after = proposal.adapt(memory, context, weights, samples)
+        np.testing.assert_array_equal(after, inner.adapt(memory, context, weights, samples))
         rows = jnp.asarray(1.5)
         np.testing.assert_array_equal(proposal.shift(after, rows), inner.shift(after, rows))
 
@@ -282,14 +282,14 @@ class TestInjectedProposal:
 
     @everywhere
     def test_the_given_come_first_and_the_rest_are_the_proposals(self, where: str) -> None:
-        around = surroundings(where)
+        context = make_context(where)
         assert self.everything.num_injected == 4
-        samples = np.asarray(draw(self.everything, around).samples)
-        plain = np.asarray(draw(GaussianProposal(STD), around).samples)
+        samples = np.asarray(draw(self.everything, context).samples)
+        plain = np.asarray(draw(GaussianProposal(STD), context).samples)
         assert samples.shape == plain.shape
         np.testing.assert_allclose(samples[:, :, 4:], plain[:, :, 4:], rtol=1e-5, atol=1e-6)
         nothing = np.zeros((HORIZON, SIZE))
-        last = around.parameterisation.controls(around.nominal, SPACE)
+        last = context.parameterisation.controls(context.nominal, SPACE)
         for index, controls in enumerate([*SEQUENCES, nothing, last]):
             expected = encoded(where, controls)
             tolerance = 2e-6 * max(np.abs(expected).max(), 1.0)
@@ -297,19 +297,19 @@ class TestInjectedProposal:
 
     @pytest.mark.parametrize("where", ["direct", "smooth"])
     def test_given_sequences_are_rolled_out_exactly(self, where: str) -> None:
-        around = surroundings(where)
+        context = make_context(where)
         sequences = SEQUENCES.copy()
         sequences[1, 3] = [50.0, -50.0]
         proposal = eqx.tree_at(lambda p: p.sequences, self.everything, jnp.asarray(sequences))
-        controls = np.asarray(draw(proposal, around).controls)
+        controls = np.asarray(draw(proposal, context).controls)
         for index in (0, 1):
             expected = np.clip(sequences[index], LOW, HIGH)
             np.testing.assert_allclose(controls[:, :, index], expected, atol=1e-6)
 
     @everywhere
     def test_the_null_action_is_zero_and_not_the_nominal(self, where: str) -> None:
-        around = surroundings(where)
-        controls = np.asarray(draw(self.everything, around).controls)
+        context = make_context(where)
+        controls = np.asarray(draw(self.everything, context).controls)
         expected = np.zeros((HORIZON, SIZE))
         if where == "knots":
             expected = DEFAULT + cubic(HORIZON) @ (encoded("knots", expected) - DEFAULT)
@@ -319,44 +319,44 @@ class TestInjectedProposal:
     @everywhere
     def test_the_last_solution_is_the_nominal(self, where: str) -> None:
         """Not what the rates of `Smooth` would make of it."""
-        around = surroundings(where)
-        controls = draw(self.everything, around).controls
-        expected = around.parameterisation.controls(around.nominal, SPACE)
+        context = make_context(where)
+        controls = draw(self.everything, context).controls
+        expected = context.parameterisation.controls(context.nominal, SPACE)
         np.testing.assert_allclose(controls[:, :, 3], expected, atol=2e-6)
 
     def test_one_kind_goes_without_the_others(self) -> None:
-        around = surroundings("direct")
+        context = make_context("direct")
         null, last = injected(null_action=True), injected(last_solution=True)
         assert null.num_injected == last.num_injected == 1
         assert injected(sequences=SEQUENCES).num_injected == 2
-        plain = draw(GaussianProposal(STD), around).samples
+        plain = draw(GaussianProposal(STD), context).samples
         for proposal, expected in ((null, np.zeros((HORIZON, SIZE))), (last, NOMINAL)):
-            samples = draw(proposal, around).samples
+            samples = draw(proposal, context).samples
             np.testing.assert_array_equal(samples[:, :, 0], expected)
             np.testing.assert_allclose(samples[:, :, 1:], plain[:, :, 1:], rtol=1e-5, atol=1e-6)
 
     def test_all_samples_may_be_given(self) -> None:
         self.everything.check(HORIZON, HORIZON, SIZE, 4)
-        samples = np.asarray(draw(self.everything, surroundings("direct"), 4).samples)
+        samples = np.asarray(draw(self.everything, make_context("direct"), 4).samples)
         np.testing.assert_array_equal(samples[:, :, :2], np.moveaxis(SEQUENCES, 0, -1))
         np.testing.assert_array_equal(samples[:, :, 2], 0.0)
         np.testing.assert_array_equal(samples[:, :, 3], NOMINAL)
 
     def test_goes_with_a_biased_proposal(self) -> None:
-        around, inner = surroundings("direct"), biased(0.5)
-        drawn = draw(InjectedProposal(inner, SEQUENCES), around)
-        expected = draw(inner, around)
+        context, inner = make_context("direct"), biased(0.5)
+        drawn = draw(InjectedProposal(inner, SEQUENCES), context)
+        expected = draw(inner, context)
         for actual, wanted in zip(drawn, expected, strict=True):
             np.testing.assert_allclose(actual[..., 2:], wanted[..., 2:], rtol=1e-5, atol=1e-5)
 
     def test_adapts_as_its_proposal_does(self) -> None:
         inner = GaussianProposal(STD, adaptation=CovarianceAdaptation(0.5))
-        around, proposal = surroundings("direct"), injected(inner, null_action=True)
+        context, proposal = make_context("direct"), injected(inner, null_action=True)
         memory = proposal.init(HORIZON, SIZE)
-        samples = draw(proposal, around, memory=memory).samples
+        samples = draw(proposal, context, memory=memory).samples
         weights, rows = jnp.full(9, 1 / 9), jnp.asarray(0.5)
-        after = proposal.adapt(memory, around, weights, samples)
-        np.testing.assert_array_equal(after, inner.adapt(memory, around, weights, samples))
+        after = proposal.adapt(memory, context, weights, samples)
+        np.testing.assert_array_equal(after, inner.adapt(memory, context, weights, samples))
         np.testing.assert_array_equal(proposal.shift(after, rows), inner.shift(after, rows))
 
 

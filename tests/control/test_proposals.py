@@ -40,7 +40,7 @@ PARAMETERISATIONS = {
 }
 
 
-def surroundings(name: str) -> SamplingContext:
+def make_context(name: str) -> SamplingContext:
     """Around controls, and for `Smooth` rates too, that are not the default."""
     rng = np.random.default_rng(5)
     parameterisation = PARAMETERISATIONS[name]
@@ -56,13 +56,13 @@ def rest_of(name: str) -> np.ndarray:
 
 
 @eqx.filter_jit
-def sample(proposal, memory, around, count, key, perturbations=None):
-    return proposal.sample(memory, around, count, key=key, perturbations=perturbations)
+def sample(proposal, memory, context, count, key, perturbations=None):
+    return proposal.sample(memory, context, count, key=key, perturbations=perturbations)
 
 
 @eqx.filter_jit
-def log_ratio(proposal, memory, around, samples):
-    return proposal.log_ratio(memory, around, samples)
+def log_ratio(proposal, memory, context, samples):
+    return proposal.log_ratio(memory, context, samples)
 
 
 def scales(rows: int) -> jnp.ndarray:
@@ -106,12 +106,12 @@ def densities(proposal: GaussianProposal, rows: int) -> tuple[np.ndarray, np.nda
     list(PROPOSALS),
 )
 def test_samples_have_the_mean_and_the_covariance(name: str) -> None:
-    proposal, around, samples = PROPOSALS[name], surroundings("knots"), 30_000
+    proposal, context, samples = PROPOSALS[name], make_context("knots"), 30_000
     memory = () if proposal.adaptation is None else scales(3)
-    drawn = sample(proposal, memory, around, samples, jax.random.key(0))
+    drawn = sample(proposal, memory, context, samples, jax.random.key(0))
     covariance, _, mean = densities(proposal, 3)
     flat = np.asarray(drawn, np.float64).reshape(6, samples)
-    expected = (np.asarray(around.centre, np.float64) + mean).ravel()
+    expected = (np.asarray(context.centre, np.float64) + mean).ravel()
     tolerance = 5 * math.sqrt(2 / samples)
     deviations = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose((flat.mean(axis=1) - expected) / deviations, 0.0, atol=tolerance)
@@ -128,14 +128,14 @@ def test_samples_have_the_mean_and_the_covariance(name: str) -> None:
     ],
 )
 def test_log_ratio_is_that_of_the_densities(name: str, where: str) -> None:
-    proposal, around = PROPOSALS[name], surroundings(where)
-    rows = around.centre.shape[0]
+    proposal, context = PROPOSALS[name], make_context(where)
+    rows = context.centre.shape[0]
     memory = () if proposal.adaptation is None else scales(rows)
     samples = np.random.default_rng(1).normal(size=(rows, SIZE, 16)).astype(np.float32)
-    actual = np.asarray(log_ratio(proposal, memory, around, jnp.asarray(samples)), np.float64)
+    actual = np.asarray(log_ratio(proposal, memory, context, jnp.asarray(samples)), np.float64)
     adapted, given, mean = densities(proposal, rows)
     flat = samples.reshape(-1, 16).T.astype(np.float64)
-    centre = (np.asarray(around.centre, np.float64) + mean).ravel()
+    centre = (np.asarray(context.centre, np.float64) + mean).ravel()
     rest = np.tile(rest_of(where) + mean, rows)
     expected = scipy.stats.multivariate_normal(centre, adapted).logpdf(flat)
     expected = expected - scipy.stats.multivariate_normal(rest, given).logpdf(flat)
@@ -149,25 +149,25 @@ def test_log_ratio_is_that_of_the_densities(name: str, where: str) -> None:
 @pytest.mark.parametrize("name", ["std, mean", "adapted"])
 @pytest.mark.parametrize("where", PARAMETERISATIONS)
 def test_perturbations_are_added_to_the_centre_and_nothing_else(name: str, where: str) -> None:
-    proposal, around = PROPOSALS[name], surroundings(where)
-    centre = np.asarray(around.centre)
+    proposal, context = PROPOSALS[name], make_context(where)
+    centre = np.asarray(context.centre)
     memory = () if proposal.adaptation is None else scales(len(centre))
     given = np.random.default_rng(2).normal(size=(*centre.shape, 4)).astype(np.float32)
-    drawn = sample(proposal, memory, around, 4, jax.random.key(0), jnp.asarray(given))
+    drawn = sample(proposal, memory, context, 4, jax.random.key(0), jnp.asarray(given))
     np.testing.assert_allclose(drawn, centre[:, :, None] + given, rtol=1e-6)
 
 
 @pytest.mark.parametrize("where", PARAMETERISATIONS)
 def test_a_robot_left_alone_has_no_ratio(where: str) -> None:
     """Around the parameters at rest, q is p, whatever they are."""
-    around = surroundings(where)
-    nominal = around.parameterisation.init(jnp.tile(SPACE.default, (HORIZON, 1)), SPACE)
+    context = make_context(where)
+    nominal = context.parameterisation.init(jnp.tile(SPACE.default, (HORIZON, 1)), SPACE)
     if where == "kernel":  # Which approximates a constant only.
         nominal = jnp.tile(SPACE.default, (3, 1))
-    around = SamplingContext(around.parameterisation, nominal, SPACE)
-    samples = jnp.asarray(np.random.default_rng(1).normal(size=(*around.centre.shape, 6)), "f4")
-    np.testing.assert_array_equal(around.rest, np.asarray(rest_of(where), np.float32))
-    ratio = log_ratio(PROPOSALS["covariance"], (), around, samples)
+    context = SamplingContext(context.parameterisation, nominal, SPACE)
+    samples = jnp.asarray(np.random.default_rng(1).normal(size=(*context.centre.shape, 6)), "f4")
+    np.testing.assert_array_equal(context.rest, np.asarray(rest_of(where), np.float32))
+    ratio = log_ratio(PROPOSALS["covariance"], (), context, samples)
     np.testing.assert_allclose(ratio, 0.0, atol=2e-5)
 
 
@@ -195,9 +195,9 @@ def test_weighted_samples_estimate_the_optimum_whatever_their_centre(name: str) 
     optimum = np.linalg.solve(precision + stiffness, precision @ rest + stiffness @ target)
     memory = () if proposal.adaptation is None else scales(1) + 0.3
     for centre in ([0.5, -0.3], [0.1, 0.9]):
-        around = SamplingContext(Direct(), jnp.asarray([centre], jnp.float32), space)
-        samples = sample(proposal, memory, around, count, jax.random.key(3))
-        ratio = np.asarray(log_ratio(proposal, memory, around, samples), np.float64)
+        context = SamplingContext(Direct(), jnp.asarray([centre], jnp.float32), space)
+        samples = sample(proposal, memory, context, count, jax.random.key(3))
+        ratio = np.asarray(log_ratio(proposal, memory, context, samples), np.float64)
         flat = np.asarray(samples, np.float64)[0]
         away = flat - target[:, None]
         exponent = -0.5 * np.einsum("uk,uv,vk->k", away, stiffness, away) - ratio
@@ -228,14 +228,14 @@ def test_remembers_a_scale_only_if_it_adapts() -> None:
 @pytest.mark.parametrize("name", ["adapted", "adapted covariance"])
 @pytest.mark.parametrize("where", ["smooth", "knots"])
 def test_adapts_to_the_spread_around_the_centre(name: str, where: str) -> None:
-    around, proposal = surroundings(where), PROPOSALS[name]
-    rows, rng = around.centre.shape[0], np.random.default_rng(3)
+    context, proposal = make_context(where), PROPOSALS[name]
+    rows, rng = context.centre.shape[0], np.random.default_rng(3)
     samples = rng.normal(size=(rows, SIZE, 20)).astype(np.float32)
     weights = rng.dirichlet(np.ones(20))
-    away = (samples - np.asarray(around.centre, np.float64)[:, :, None]) / STD[:, None]
+    away = (samples - np.asarray(context.centre, np.float64)[:, :, None]) / STD[:, None]
     square = 0.8 * np.asarray(scales(rows)) ** 2 + 0.2 * (away**2) @ weights
     actual = proposal.adapt(
-        scales(rows), around, jnp.asarray(weights, jnp.float32), jnp.asarray(samples)
+        scales(rows), context, jnp.asarray(weights, jnp.float32), jnp.asarray(samples)
     )
     np.testing.assert_allclose(actual, np.clip(np.sqrt(square), 0.2, 1.0), rtol=1e-5)
 

@@ -167,12 +167,12 @@ def log_ratio(mppi: MPPI, nominal, perturbations):
         model.control_min, model.control_max, model.default_control, mppi.dt, mppi.horizon
     )
     moved = mppi.parameterisation.shift(nominal, jnp.ones(()), space)
-    around = SamplingContext(mppi.parameterisation, moved, space)
+    context = SamplingContext(mppi.parameterisation, moved, space)
     samples = mppi.proposal.sample(
-        (), around, mppi.num_samples, key=jax.random.key(0), perturbations=perturbations
+        (), context, mppi.num_samples, key=jax.random.key(0), perturbations=perturbations
     )
     _, effective = mppi.parameterisation.decode(moved, samples, space)
-    return mppi.proposal.log_ratio((), around, effective)
+    return mppi.proposal.log_ratio((), context, effective)
 
 
 @pytest.mark.parametrize("case", CASES)

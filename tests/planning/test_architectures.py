@@ -117,8 +117,8 @@ def far_field(sensor, grid, position) -> HeadingField:
 
 
 @eqx.filter_jit
-def near_field(lookout, belief, position) -> HeadingField:
-    return lookout(belief, MODEL, position)
+def near_field(field, belief, position) -> HeadingField:
+    return field(belief, MODEL, position)
 
 
 @eqx.filter_jit
@@ -176,7 +176,7 @@ def strategy_by_parts(controller, belief, state) -> Strategy:
 
 
 def known_by_parts(controller, belief, state, strategy: Strategy, age: float) -> StrategicBelief:
-    local = remaining(near_field(controller.lookout, belief, state[:2]), belief, 3.0)
+    local = remaining(near_field(controller.short_range_field, belief, state[:2]), belief, 3.0)
     return StrategicBelief(
         **{field.name: getattr(belief, field.name) for field in dataclasses.fields(belief)},
         potential=strategy.potential,
@@ -223,8 +223,8 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
             strategy = strategy_by_parts(controller, belief, state)
         same(after.belief.grid.probability, belief.grid.probability)
         same(after.belief.guidance.values, belief.guidance.values)
-        same(after.controller.strategy.potential.values, strategy.potential.values)
-        same(after.controller.strategy.reference, strategy.reference)
+        same(after.controller.plan.potential.values, strategy.potential.values)
+        same(after.controller.plan.reference, strategy.reference)
         age = (step % 4) * PERIOD
         known = known_by_parts(controller, belief, state, strategy, age)
         control, memory, info = control_by_parts(
@@ -346,5 +346,5 @@ def test_what_the_architectures_differ_in(controllers) -> None:
     [0.5 * np.pi, np.pi, 2.0 * np.pi],
 )
 def test_a_short_look_has_a_direction_for_every_beam(view: float) -> None:
-    found = FIELDS._replace(field_of_view=view).lookout(0.2).sensor
+    found = FIELDS._replace(field_of_view=view).short_range_field(0.2).sensor
     assert found.table.num_directions == round(2.0 * np.pi / Lidar(4, 1.5, view).beam_spacing)

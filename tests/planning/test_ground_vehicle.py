@@ -53,7 +53,7 @@ def rows(portfolio) -> dict[str, dict[str, float]]:
     return {
         member: dict(zip(portfolio.objective_names, map(float, row), strict=True))
         for member, row in zip(
-            portfolio.member_names, np.asarray(portfolio.team.weights), strict=True
+            portfolio.member_names, np.asarray(portfolio.members.weights), strict=True
         )
     }
 
@@ -118,7 +118,7 @@ def test_roles_are_normal_with_the_effort_of_all() -> None:
 def test_horizons_of_a_temporal_decomposition() -> None:
     found = ground_portfolio(DRIVE, decomposition="temporal", dt=0.1, **SMALL)
     assert found.member_names == ("short", "middle", "long")
-    np.testing.assert_allclose(found.team.horizons, [0.6, 1.2, 2.4], rtol=1e-6)
+    np.testing.assert_allclose(found.members.horizons, [0.6, 1.2, 2.4], rtol=1e-6)
     for row in rows(found).values():
         assert row == normal(**ROLE_WEIGHTS["balanced"], effort=0.02)
 
@@ -126,7 +126,7 @@ def test_horizons_of_a_temporal_decomposition() -> None:
 def test_regions_of_a_regional_decomposition() -> None:
     found = ground_portfolio(DRIVE, decomposition="regional", **SMALL)
     assert found.member_names == ("left", "forward", "right")
-    region = found.team.own[found.objective_names.index("region")]
+    region = found.members.own[found.objective_names.index("region")]
     assert isinstance(region, RegionCost)
     np.testing.assert_allclose(region.direction, [math.pi / 2, 0.0, -math.pi / 2], rtol=1e-6)
     assert list(REGIONS) == ["left", "forward", "right"]
@@ -154,19 +154,19 @@ def test_plans_compare_by_what_the_exploiter_wants(goal, decomposition: str) -> 
 
 def test_parts_of_the_template() -> None:
     found = ground_portfolio(DRIVE, noise_share=0.5, temperature=0.2, margin=0.1, **SMALL)
-    np.testing.assert_allclose(found.team.mppi.proposal.noise_std, [0.5, 1.0])
-    assert float(found.team.mppi.weighting.temperature) == pytest.approx(0.2)
-    assert float(found.team.mppi.cost.weight) == pytest.approx(COLLISION / 12)
-    assert isinstance(found.team.mppi.cost.cost, CollisionCost)
-    assert float(found.team.mppi.cost.cost.margin) == pytest.approx(0.1)
+    np.testing.assert_allclose(found.members.mppi.proposal.noise_std, [0.5, 1.0])
+    assert float(found.members.mppi.weighting.temperature) == pytest.approx(0.2)
+    assert float(found.members.mppi.cost.weight) == pytest.approx(COLLISION / 12)
+    assert isinstance(found.members.mppi.cost.cost, CollisionCost)
+    assert float(found.members.mppi.cost.cost.margin) == pytest.approx(0.1)
     smooth = ground_portfolio(DRIVE, dt=0.1, **{**SMALL, "parameterisation": Smooth()})
     np.testing.assert_allclose(
-        smooth.team.mppi.proposal.noise_std,
+        smooth.members.mppi.proposal.noise_std,
         np.array([0.5, 1.0]) / (0.1 * math.sqrt(6.0)),
         rtol=1e-5,
     )
     knots = ground_portfolio(DRIVE, **{**SMALL, "parameterisation": Knots(3)})
-    np.testing.assert_allclose(knots.team.mppi.proposal.noise_std, [0.25, 0.5], rtol=1e-5)
+    np.testing.assert_allclose(knots.members.mppi.proposal.noise_std, [0.25, 0.5], rtol=1e-5)
     contextual = ground_portfolio(
         DRIVE,
         Mission(GOAL),

@@ -68,10 +68,11 @@ class AgeCost(Cost):
 class Straight(StrategicReference):
     """Straight ahead and up, whatever is known: what a user might write, and little to compile."""
 
-    walk: GradientReference
+    gradient_reference: GradientReference
 
     def __call__(self, belief, potential, start):
-        ahead = self.walk.speed * self.walk.dt * jnp.arange(1.0, 1.0 + self.walk.num_steps)
+        pace = self.gradient_reference
+        ahead = pace.speed * pace.dt * jnp.arange(1.0, 1.0 + pace.num_steps)
         return start + ahead[:, None] * jnp.asarray([0.8, 0.6, -0.2])
 
 
@@ -124,7 +125,7 @@ def step(controller, state, observation, belief, key):
 
 @eqx.filter_jit
 def strategy_of(controller, belief, observation):
-    return controller.strategy(belief, observation)
+    return controller.strategic_plan(belief, observation)
 
 
 @eqx.filter_jit
@@ -256,15 +257,13 @@ def test_the_strategy_is_renewed_when_due_and_kept_in_between(two_layer, belief)
         assert int(state.age) == number % EVERY + 1
         if number % EVERY == 0:
             expected = strategy_of(two_layer, beliefs[number], places[number])
-            for a, b in zip(
-                jax.tree.leaves(state.strategy), jax.tree.leaves(expected), strict=True
-            ):
+            for a, b in zip(jax.tree.leaves(state.plan), jax.tree.leaves(expected), strict=True):
                 np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-5)
             # The map has changed where it matters: what is kept is not what would be found now.
             if number > 0:
-                assert np.abs(state.strategy.best.values - kept.best.values).max() > 0.1
-            kept = state.strategy
-        for a, b in zip(jax.tree.leaves(state.strategy), jax.tree.leaves(kept), strict=True):
+                assert np.abs(state.plan.best.values - kept.best.values).max() > 0.1
+            kept = state.plan
+        for a, b in zip(jax.tree.leaves(state.plan), jax.tree.leaves(kept), strict=True):
             np.testing.assert_array_equal(a, b)
 
 
@@ -280,7 +279,7 @@ def test_an_aged_reference_is_read_where_it_has_got_to(two_layer, belief) -> Non
     """Following it, the plan without noise starts where the robot should be now."""
     controller = without_noise(paid(two_layer, StrategyReferenceCost=1.0), 1.0)
     found = run(controller, [belief] * 5, [START] * 5)
-    path = np.asarray(found[0][1].strategy.reference, float)
+    path = np.asarray(found[0][1].plan.reference, float)
     for number, (_, _, info) in enumerate(found):
         controls = followed(path, number * PERIOD)
         np.testing.assert_allclose(info.controls, controls, rtol=1e-4, atol=1e-4)
@@ -357,8 +356,8 @@ def test_nothing_is_paid_for_information_once_all_is_explored(two_layer, belief)
 
 
 @eqx.filter_jit
-def look(lookout, belief, position):
-    return lookout(belief, MODEL, position)
+def look(field, belief, position):
+    return field(belief, MODEL, position)
 
 
 @eqx.filter_jit
@@ -385,8 +384,8 @@ class Look:
         self.lidar, self.directions = lidar, directions
         self.sensor = FieldSensor(lidar, 0.2, directions, 2, noise=UniformNoise(0), method="scan")
         self.place = TURNED.frame.to_world(jnp.asarray([30.3, 34.8]))
-        lookout = ShortRangeField(self.sensor, 10, headings)
-        self.field = look(lookout, changed(belief, TURNED), self.place)
+        short_range = ShortRangeField(self.sensor, 10, headings)
+        self.field = look(short_range, changed(belief, TURNED), self.place)
         rng = np.random.default_rng(1)
         self.node = rng.integers(0, self.field.values.shape, (40, 3))
         self.values = np.asarray(self.field.values)[tuple(self.node.T)]
@@ -474,7 +473,7 @@ def test_without_noise_the_plan_is_what_the_follower_does(
     calm = without_noise(controller, 1.0)
     # The first steps of a strategy, and later ones, whose nominal is not hovering any more.
     for number, (control, state, info) in enumerate(run(calm, [belief] * 2, [START] * 2)):
-        path = np.asarray(state.strategy.reference, float)
+        path = np.asarray(state.plan.reference, float)
         expected = np.asarray(followed(path, number * PERIOD), float)
         assert np.ptp(expected, axis=0).max() > 0.1
         if name == "knots":
@@ -494,7 +493,7 @@ def test_so_many_samples_are_around_the_follower(fraction: float, two_layer, bel
     """Without noise there are two samples, the follower's and hovering; they cost differently."""
     controller = without_noise(paid(two_layer, StrategyReferenceCost=1.0), fraction)
     ((_, state, info),) = run(controller, [belief], [START])
-    path = np.asarray(state.strategy.reference)
+    path = np.asarray(state.plan.reference)
     states = np.asarray(states_of(START, followed(path)))
     near = ((states[:, :2] - path[:, :2]) ** 2).sum()
     far = ((np.asarray(START)[:2] - path[:, :2]) ** 2).sum()
@@ -520,7 +519,7 @@ def test_a_look_into_a_step_shows_what_it_saw(smooth, belief) -> None:
     assert sum(terms.values()) == pytest.approx(float(info.costs.min()), rel=1e-3, abs=1e-3)
     # Without noise half of the samples follow, and half hover.
     calm = inspected(without_noise(smooth, 0.5), state, START, belief, key)
-    path = np.asarray(after.strategy.reference, float)
+    path = np.asarray(after.plan.reference, float)
     found = np.asarray(calm.samples)[:, 1:]
     near, half = np.asarray(states_of(START, followed(path))), NUM_SAMPLES // 2
     assert np.linalg.norm(near[-1] - START) > 0.1
@@ -640,7 +639,7 @@ def test_what_does_not_go_together(
         InformativeMPPI(
             mppi,
             two_layer.potential_sensor,
-            two_layer.lookout,
+            two_layer.short_range_field,
             MODEL,
             reference=two_layer.reference if has_reference else None,
             follower=two_layer.follower if has_follower else None,
@@ -655,12 +654,12 @@ def test_a_reference_without_a_follower_is_only_paid_for(two_layer) -> None:
     controller = InformativeMPPI(
         mppi,
         two_layer.potential_sensor,
-        two_layer.lookout,
+        two_layer.short_range_field,
         MODEL,
         reference=two_layer.reference,
         strategy_period=0.1,
     )
-    assert controller.init().strategy.reference.shape == (HORIZON, 3)
+    assert controller.init().plan.reference.shape == (HORIZON, 3)
 
 
 def test_a_belief_is_needed(two_layer) -> None:
@@ -694,7 +693,7 @@ def test_lost_when_a_strategy_is_due(observation, two_layer, belief) -> None:
         assert ((control >= BOUNDS[0]) & (control <= BOUNDS[1])).all()
         assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(state.mppi))
     expected = strategy_of(two_layer, belief, START)
-    np.testing.assert_array_equal(found[1][1].strategy.reference, expected.reference)
+    np.testing.assert_array_equal(found[1][1].plan.reference, expected.reference)
     assert all(bool(info.is_finite) for _, _, info in found[1:])
     ages = [int(state.age) for _, state, _ in found]
     assert ages == [EVERY + 1, 1, 2, 3, 4, 5, 1]
@@ -704,9 +703,7 @@ def test_lost_when_a_strategy_is_due(observation, two_layer, belief) -> None:
 def test_a_robot_that_is_lost_keeps_its_strategy(observation, two_layer, belief) -> None:
     found = run(two_layer, [belief] * 7, [START] * EVERY + [observation, START])
     before, during, after = (found[number][1] for number in (EVERY - 1, EVERY, EVERY + 1))
-    for a, b in zip(
-        jax.tree.leaves(before.strategy), jax.tree.leaves(during.strategy), strict=True
-    ):
+    for a, b in zip(jax.tree.leaves(before.plan), jax.tree.leaves(during.plan), strict=True):
         np.testing.assert_array_equal(a, b)
     assert int(after.age) == 1
 

@@ -67,9 +67,9 @@ def step(controller, state, belief=None, key=KEY):
 @eqx.filter_jit
 def priced(member: MPPI, costs, state, belief=None, key=KEY):
     """Return the sampled controls of a member and what each cost makes of them, (O, K)."""
-    draft = member.draft(state, key=key)
-    given = (ROBOT, costs, START, draft.controls, member.dt, belief)
-    return draft.controls, rollout_objectives(*given, applied=state.applied)
+    sampled = member.sample(state, key=key)
+    given = (ROBOT, costs, START, sampled.controls, member.dt, belief)
+    return sampled.controls, rollout_objectives(*given, applied=state.applied)
 
 
 def of_member(states: Any, index: int) -> Any:
@@ -142,8 +142,8 @@ def test_a_plan_holds_each_control_for_its_own_step(times: float) -> None:
     rows = np.floor(np.arange(HORIZON) / times).astype(int)
     planned = np.concatenate([state.members.nominal[0], np.zeros((4 * HORIZON, 2))])
     assert_alike((control, info.controls), (planned[0], planned[rows]), 0.0)
-    assert float(one.team.member(0).dt) * HORIZON == pytest.approx(length)
-    assert float(one.team.member(0).control_period) == pytest.approx(DT)
+    assert float(one.members.member(0).dt) * HORIZON == pytest.approx(length)
+    assert float(one.members.member(0).control_period) == pytest.approx(DT)
 
 
 def test_the_order_of_members_does_not_matter(empty_belief) -> None:
@@ -176,7 +176,7 @@ def test_spread_costs_uncertainty_and_diversity_in_numpy(empty_belief) -> None:
         for index, turn in enumerate(TURNS):
             costs = (HARD, *OBJECTIVES.values(), RegionCost(turn))
             member = of_member(state.members, index)
-            sampled, paid = priced(every.team.member(index), costs, member, empty_belief, key)
+            sampled, paid = priced(every.members.member(index), costs, member, empty_belief, key)
             sampled, paid = np.asarray(sampled, np.float64), np.asarray(paid, np.float64)
             free = paid[1:, paid[0] == 0.0]
             assert 0 < free.shape[1] < SAMPLES
@@ -354,7 +354,7 @@ def test_where_every_rollout_collides_the_collision_counts(unit: float) -> None:
     mppi = eqx.tree_at(lambda c: c.cost, template(), hard)
     every = portfolio({"goal": unit * GoalCost([3.0, 0.0])}, [[1.0]], mppi)
     info = step(every, every.init())[2]
-    _, (paid,) = priced(every.team.member(0), (hard,), of_member(every.init().members, 0))
+    _, (paid,) = priced(every.members.member(0), (hard,), of_member(every.init().members, 0))
     # Nobody knows yet what the goal varies; the rollouts that count are those least deep.
     assert float(paid.min()) > 0.0
     assert float(info.weights @ paid) < float(np.quantile(paid, 0.25))

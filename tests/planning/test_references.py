@@ -14,7 +14,7 @@ from jaxplore import GradientReference, Lidar, OccupancyGrid, Perception, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.frame import GridFrame
-from jaxplore.planning.strategy.references import ClimbingReference, follow
+from jaxplore.planning.strategy.references import ClimbingReference, descend
 
 SIZE, RESOLUTION, STEPS = 40, 0.1, 30
 FRAME = GridFrame(RESOLUTION)
@@ -27,7 +27,7 @@ TRACES: list[str] = []
 
 init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 climb = eqx.filter_jit(lambda walk, *given: walk(*given))
-go_down = eqx.filter_jit(lambda walk, *given: follow(walk, *given))
+go_down = eqx.filter_jit(lambda walk, *given: descend(walk, *given))
 
 
 @eqx.filter_jit
@@ -155,7 +155,7 @@ def test_gain_and_walk_are_data() -> None:
 
 
 def test_defaults_are_the_notes_numbers() -> None:
-    walk = ClimbingReference().walk
+    walk = ClimbingReference().gradient_reference
     assert walk.num_steps == 40
     np.testing.assert_allclose([walk.speed, walk.dt], [2.0, 0.05])
 

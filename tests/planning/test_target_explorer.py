@@ -13,7 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
-from jaxplore.planning.strategy.frontiers import prospects
+from jaxplore.planning.strategy.frontiers import find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (
     RULES,
@@ -56,7 +56,7 @@ init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 
 @eqx.filter_jit
 def look(belief, position):
-    return prospects(
+    return find_frontiers(
         belief,
         position,
         required_clearance=jnp.asarray(REQUIRED),
@@ -189,7 +189,7 @@ def choose(controller, state, belief, position, key=KEY):
 @eqx.filter_jit
 def compiled_choice(controller, state, belief, position, key):
     observation = controller.tracker.dynamics.at_pose(0.0, 0.0, 0.0).at[:2].set(position)
-    return controller._chosen(state, observation, belief, key)
+    return controller._choose_if_due(state, observation, belief, key)
 
 
 def test_a_target_is_kept_until_it_is_seen_reached_or_cut_off(half_known) -> None:

@@ -27,7 +27,7 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.zones import Zones
 from jaxplore.information.trajectory import METHODS, TrajectoryInformation
 from jaxplore.maps.frame import GridFrame
-from jaxplore.planning.strategy.references import follow
+from jaxplore.planning.strategy.references import descend
 from jaxplore.planning.strategy.targets import (
     RemainingInformation,
     TargetReference,
@@ -316,7 +316,7 @@ def test_no_zone_without_a_way_is_chosen_while_another_remains(weight: float) ->
     assert float(jnp.linalg.norm(path[-1] - start)) > 0.3
 
 
-walk_down = eqx.filter_jit(lambda field, walk, *given: follow(walk, field, *given))
+walk_down = eqx.filter_jit(lambda field, walk, *given: descend(walk, field, *given))
 
 
 def test_of_many_zones_without_a_way_the_one_of_which_most_remains() -> None:
@@ -411,7 +411,7 @@ def worths(choice: TrajectoryChoice, grid: OccupancyGrid, start, paths) -> dict[
 
 @eqx.filter_jit
 def paths_to(fields: GuidanceField, walk: GradientReference, belief: Belief, start: jax.Array):
-    return jax.vmap(lambda field: follow(walk, field, belief, start))(fields)
+    return jax.vmap(lambda field: descend(walk, field, belief, start))(fields)
 
 
 def trajectory_case(method: str, weight: float = 2.0) -> tuple[Belief, TrajectoryChoice]:
@@ -434,7 +434,7 @@ def trajectory_case(method: str, weight: float = 2.0) -> tuple[Belief, Trajector
 def enumerated(belief: Belief, choice: TrajectoryChoice, start: jax.Array):
     """Return the paths to all targets, their lengths, and what is learned along each by method."""
     fields = fields_of(choice.targets, belief)
-    paths = paths_to(fields, choice.walk, belief, jnp.append(start, 0.0))[..., :2]
+    paths = paths_to(fields, choice.gradient_reference, belief, jnp.append(start, 0.0))[..., :2]
     gains = per_pose(belief.grid, paths)
     steps = np.linalg.norm(np.diff(np.insert(paths, 0, start, axis=1), axis=1), axis=-1)
     # What a pose adds depends on those before it only: what comes after arrival is cut off.

@@ -103,7 +103,7 @@ def test_one_element_leaves_the_others_as_each_robot_has_them() -> None:
 def test_only_settings_that_a_run_reads_can_be_tuned() -> None:
     portfolio = SettingsEpisodes({"warehouse": {"map": "warehouse"}})
     assert portfolio.start("portfolio.temperature") == 0.05
-    with pytest.raises(ValueError, match=r"controller.temperature may be any of team.mppi.weigh"):
+    with pytest.raises(ValueError, match=r"controller.temperature may be any of members.mppi.we"):
         portfolio.start("controller.temperature")
     explorer = SettingsEpisodes({"office": {"map": "office"}})
     assert explorer.start("controller.temperature") == 0.3

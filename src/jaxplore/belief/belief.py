@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.information.field import InformationField
@@ -63,9 +64,14 @@ class Belief(eqx.Module):
 
     @property
     def pull(self) -> ScalarField:
-        """What is left of a place's pull, `exp(-dwell / patience)`; 1 off the map."""
-        share = jnp.exp(-self.dwell / self.patience)
+        """What is left of a place's pull, see `dwell_discount`; 1 off the map."""
+        share = dwell_discount(self.dwell, self.patience)
         return ScalarField(share, self.information.frame, jnp.ones(()))
+
+    @property
+    def worth(self) -> Float[Array, "rows columns"]:
+        """What a scan from each node is still worth: its information times the pull [nat]."""
+        return self.information.total * dwell_discount(self.dwell, self.patience)
 
 
 class StrategicBelief(Belief):

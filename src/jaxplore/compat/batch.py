@@ -6,7 +6,7 @@ import jax
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore.control.rollout import follow, step_costs
+from jaxplore.control.rollout import rollout_states, step_costs
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
 
@@ -52,7 +52,7 @@ def rollout_batch(
     before = dynamics.default_control if applied is None else applied
 
     def one(sequence: Array) -> tuple[Array, Array]:
-        states = follow(dynamics, initial, sequence, dt)
+        states = rollout_states(dynamics, initial, sequence, dt)
         return states, step_costs(dynamics, cost, states, sequence, dt, belief, applied=before)
 
     states, costs = jax.vmap(one, in_axes=-1, out_axes=-1)(controls)

@@ -174,13 +174,13 @@ def _plan(
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
     before = mppi.dynamics.default_control if applied is None else applied
     memory = mppi.init(nominal)._replace(applied=before)
-    draft = mppi.draft(memory, key=key, shift=False)
-    costs = mppi.price(draft, initial, belief)
-    _, _, info = mppi.conclude(draft, costs)
+    sampled = mppi.sample(memory, key=key, shift=False)
+    costs = mppi.evaluate(sampled, initial, belief)
+    _, _, info = mppi.update(sampled, costs)
     # Rollouts are recomputed with all states, because a controller step keeps only their costs.
     batch = None
     if return_batch:
-        everything = (mppi.dynamics, mppi.cost, initial, draft.controls, mppi.dt, belief)
+        everything = (mppi.dynamics, mppi.cost, initial, sampled.controls, mppi.dt, belief)
         batch = rollout_batch(*everything, applied=before)
     later = shifted(info.controls, jnp.ones(()), mppi.dynamics.default_control)
     return PlannedControl(info.controls, later, info, batch)

@@ -1,4 +1,4 @@
-"""Noise that narrows where the good samples agree."""
+"""Adaptation of the noise to the spread of the weighted samples."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,25 +11,26 @@ from jaxplore.control.parameterisations import Parameters, Samples, shifted
 
 
 class CovarianceAdaptation(eqx.Module):
-    """The noise's scale follows the spread of the weighted samples.
+    """Scales the noise of each parameter to the spread of the weighted samples.
 
-    For every parameter, with v its samples, c the nominal and sigma the given deviation,
+    With v the samples of a parameter, c the nominal and sigma the given standard deviation,
 
         s^2 <- (1 - rate) s^2 + rate * sum_k w_k ((v_k - c) / sigma)^2,   floor <= s <= ceiling
 
-    and the noise has the deviation `s sigma`. The spread is taken around the nominal, not around
-    the new mean, so that it grows where the samples pull away (Stulp and Sigaud, "Path integral
-    policy improvement with covariance matrix adaptation", ICML 2012). The floor keeps it from
-    dying out. The correlation between controls stays as given.
+    and the noise has the standard deviation `s sigma`. The spread is taken around the nominal, not
+    around the new mean, so it grows while the good samples lie to one side of the nominal. The
+    floor keeps exploration from dying out. Correlations between controls do not change.
+
+    Source: Stulp and Sigaud, "Path integral policy improvement with covariance matrix adaptation",
+    ICML 2012.
 
     Args:
-        rate: share of the new spread at each step.
-        floor: least s.
-        ceiling: greatest s.
+        rate: weight of the new spread in each step, 0 to 1.
+        floor: lower bound of s.
+        ceiling: upper bound of s.
 
     Raises:
-        ValueError: a rate that is not within 0 to 1, a floor that is not positive, a ceiling below
-            the floor.
+        ValueError: a rate outside [0, 1], a floor that is not positive, a ceiling below the floor.
     """
 
     rate: Scalar
@@ -46,14 +47,20 @@ class CovarianceAdaptation(eqx.Module):
             raise ValueError(f"ceiling is {ceiling!r}; accepted: at least the floor, {floor!r}")
 
     def adapted(self, scale: Parameters, weights: Float[Array, " K"], away: Samples) -> Parameters:
-        """Return the scale (P, nu) after samples this far from the nominal, in deviations."""
+        """Compute the new scale (P, nu).
+
+        Args:
+            scale: (P, nu) scale before.
+            weights: (K,) weights of the samples.
+            away: (P, nu, K) samples minus nominal, in given standard deviations.
+        """
         spread = jnp.einsum("k,puk->pu", weights, away * away)
-        # Without a finite rollout all weights are 0, and nothing is known of the spread.
+        # If no rollout is finite, all weights are 0 and the scale must stay, not shrink.
         rate = self.rate * jnp.sum(weights)
         square = (1.0 - rate) * scale * scale + self.rate * spread
         return jnp.clip(jnp.sqrt(square), self.floor, self.ceiling)
 
     def shifted(self, scale: Parameters, rows: Scalar) -> Parameters:
-        """Return the scale moved on by so many rows; 1, as given, where it is new."""
+        """Move the scale on by a number of rows; new rows have the given spread, s = 1."""
         fresh = jnp.clip(jnp.ones(scale.shape[1]), self.floor, self.ceiling)
         return shifted(scale, rows, fresh)

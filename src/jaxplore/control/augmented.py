@@ -1,4 +1,4 @@
-"""Sampling the controls of a physical and a virtual part from distributions of their own."""
+"""A proposal for augmented models: separate distributions for physical and virtual controls."""
 
 from typing import Any, NamedTuple
 
@@ -14,24 +14,23 @@ from jaxplore.dynamics.augmented import Augmented
 
 
 class AugmentedMemory(NamedTuple):
-    """What the proposals of both parts remember."""
+    """Memories of the proposals of both parts."""
 
     physical: Any
     virtual: Any
 
 
 class AugmentedProposal(Proposal):
-    """Samples of an `Augmented` model's controls: each part's from a proposal of its own.
+    """A proposal for an `Augmented` model, with an independent proposal for each part.
 
         q(v_p, v_v) = q_p(v_p) q_v(v_v)
 
-    The parts are independent, with random streams of their own: what is drawn for one does not
-    change with the other.
+    Each part has its own random stream, so the samples of one part do not depend on the other.
 
     Args:
-        model: whose controls they are; static sizes are taken from it.
-        physical: of the physical part's controls.
-        virtual: of the virtual part's.
+        model: augmented model; only the sizes of its controls are used.
+        physical: proposal of the physical controls.
+        virtual: proposal of the virtual controls.
 
     Raises:
         ValueError: when a controller is built, a proposal that does not fit its part.
@@ -47,7 +46,7 @@ class AugmentedProposal(Proposal):
         self.physical_size = model.physical.control_size
 
     def init(self, num_parameters: int, control_size: int) -> AugmentedMemory:
-        """Return what both remember."""
+        """Return the initial memories of both proposals."""
         return AugmentedMemory(
             self.physical.init(num_parameters, self.physical_size),
             self.virtual.init(num_parameters, control_size - self.physical_size),
@@ -56,21 +55,21 @@ class AugmentedProposal(Proposal):
     def sample(
         self,
         memory: AugmentedMemory,
-        around: SamplingContext,
+        context: SamplingContext,
         num_samples: int,
         *,
         key: Key,
         perturbations: Samples | None = None,
     ) -> Samples:
-        """Return samples (P, nu, K), the physical part's controls first."""
+        """Draw samples (P, nu, K), the physical controls first."""
         given = (None, None) if perturbations is None else self._parts(perturbations)
         keys = jax.random.split(key, 2)
         drawn = [
-            proposal.sample(each, near, num_samples, key=stream, perturbations=added)
-            for proposal, each, near, stream, added in zip(
+            proposal.sample(each, part, num_samples, key=stream, perturbations=added)
+            for proposal, each, part, stream, added in zip(
                 (self.physical, self.virtual),
                 memory,
-                self._around(around),
+                self._part_contexts(context),
                 keys,
                 given,
                 strict=True,
@@ -79,30 +78,29 @@ class AugmentedProposal(Proposal):
         return jnp.concatenate(drawn, axis=1)
 
     def log_ratio(
-        self, memory: AugmentedMemory, around: SamplingContext, samples: Samples
+        self, memory: AugmentedMemory, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return the sum of the parts' log ratios (K,)."""
-        near, of = self._around(around), self._parts(samples)
-        return self.physical.log_ratio(memory.physical, near[0], of[0]) + self.virtual.log_ratio(
-            memory.virtual, near[1], of[1]
-        )
+        """Compute the sum of the log ratios of both parts (K,)."""
+        contexts, parts = self._part_contexts(context), self._parts(samples)
+        physical = self.physical.log_ratio(memory.physical, contexts[0], parts[0])
+        return physical + self.virtual.log_ratio(memory.virtual, contexts[1], parts[1])
 
     def adapt(
         self,
         memory: AugmentedMemory,
-        around: SamplingContext,
+        context: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> AugmentedMemory:
-        """Return what both remember after a step in which the samples had these weights."""
-        near, of = self._around(around), self._parts(samples)
+        """Update the memories of both proposals."""
+        contexts, parts = self._part_contexts(context), self._parts(samples)
         return AugmentedMemory(
-            self.physical.adapt(memory.physical, near[0], weights, of[0]),
-            self.virtual.adapt(memory.virtual, near[1], weights, of[1]),
+            self.physical.adapt(memory.physical, contexts[0], weights, parts[0]),
+            self.virtual.adapt(memory.virtual, contexts[1], weights, parts[1]),
         )
 
     def shift(self, memory: AugmentedMemory, rows: Scalar) -> AugmentedMemory:
-        """Return what both remember, as seen later."""
+        """Move the memories of both proposals on in time."""
         return AugmentedMemory(
             self.physical.shift(memory.physical, rows), self.virtual.shift(memory.virtual, rows)
         )
@@ -117,17 +115,19 @@ class AugmentedProposal(Proposal):
                 raise ValueError(f"{name} proposal: {error}") from None
 
     def _parts(self, samples: Samples) -> tuple[Float[Array, "P np K"], Float[Array, "P nv K"]]:
+        """Split samples into those of the physical and of the virtual controls."""
         return samples[:, : self.physical_size], samples[:, self.physical_size :]
 
-    def _around(self, around: SamplingContext) -> tuple[SamplingContext, SamplingContext]:
-        """Return what each part samples around: controls are on the last axis of a nominal."""
-        size, space = self.physical_size, around.space
+    def _part_contexts(self, context: SamplingContext) -> tuple[SamplingContext, SamplingContext]:
+        """Split a context into those of the physical and of the virtual controls."""
+        size, space = self.physical_size, context.space
 
-        def part(of: slice) -> SamplingContext:
-            bounds = (space.minimum[of], space.maximum[of], space.default[of])
+        def part(indices: slice) -> SamplingContext:
+            bounds = (space.minimum[indices], space.maximum[indices], space.default[indices])
             return SamplingContext(
-                around.parameterisation,
-                jax.tree.map(lambda leaf: leaf[..., of], around.nominal),
+                context.parameterisation,
+                # Every array of a nominal has the controls on its last axis.
+                jax.tree.map(lambda leaf: leaf[..., indices], context.nominal),
                 ControlSpace(*bounds, space.dt, space.horizon),
             )
 

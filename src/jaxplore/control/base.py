@@ -1,4 +1,4 @@
-"""What every controller does."""
+"""The interface of all controllers."""
 
 import abc
 from typing import Any, NamedTuple
@@ -14,17 +14,18 @@ from jaxplore.control.rollout import Trajectory
 
 
 class Members(NamedTuple):
-    """What the members of a controller that holds several say about a step.
+    """Diagnostics of one step for each of the N members of a controller that combines several.
 
     Args:
-        controls: (N, nu) what each would do now.
-        costs: (N,) of their plans under one common objective.
-        uncertainties: (N,) spread of each one's weighted samples, in half ranges of the controls.
-        effective_sample_sizes: (N,) of each one's rollouts.
-        shares: (N,) how much of each is in the control that is returned; adds up to 1.
-        diversity: mean distance between two members' controls, in half ranges [root mean square
-            over the controls].
-        is_replaced: whether a member's plan took the place of their mixture.
+        controls: (N, nu) first control of each member's plan.
+        costs: (N,) cost of each member's plan under the common objective.
+        uncertainties: (N,) spread of each member's weighted samples, in half ranges of the
+            controls.
+        effective_sample_sizes: (N,) effective sample size of each member's rollouts.
+        shares: (N,) weight of each member in the returned control; adds up to 1.
+        diversity: mean over pairs of members of the distance between their controls, in half
+            ranges [root mean square over the controls].
+        is_replaced: whether one member's plan replaced the mixture of all.
     """
 
     controls: Float[Array, "N nu"]
@@ -37,7 +38,7 @@ class Members(NamedTuple):
 
     @classmethod
     def blank(cls, number: int, control_size: int) -> "Members":
-        """Return zeros in the shapes of `number` members."""
+        """Return zeros for `number` members: the shapes that a recording needs in advance."""
         each = jnp.zeros(number)
         return cls(
             jnp.zeros((number, control_size)),
@@ -51,20 +52,19 @@ class Members(NamedTuple):
 
 
 class Info(NamedTuple):
-    """What a controller says about a step.
+    """Diagnostics of one step of a controller.
 
     Args:
-        controls: (T, nu) the plan; its first row is the control that is returned. For several
-            controls per command, apply the first n and call again n model steps later, with
-            `at_period(n * dt)`.
-        weights: (K,) weight of each rollout; adds up to 1, or to 0 if none was finite. Of a
-            controller that holds N members, those of all their rollouts, each with 1 / N.
+        controls: (T, nu) planned controls; the first row is the control that is returned. To apply
+            n controls per command, call again n model steps later, with `at_period(n * dt)`.
+        weights: (K,) weight of each rollout; adds up to 1, or to 0 if no rollout was finite. With N
+            members, the weights of all their rollouts, each divided by N.
         costs: (K,) cost of each rollout; infinite where it was not finite.
-        effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if none was finite. Of a
-            controller that holds several members, the mean of theirs.
-        is_finite: whether any rollout was finite. If not, the control is that of the shifted
+        effective_sample_size: `1 / sum of weights^2`, between 1 and K; 0 if no rollout was finite.
+            With several members, the mean over members.
+        is_finite: whether any rollout was finite. If none was, the control is that of the shifted
             nominal.
-        members: of a controller that holds several; None of any other.
+        members: diagnostics of each member; None for a controller without members.
     """
 
     controls: Float[Array, "T nu"]
@@ -76,14 +76,14 @@ class Info(NamedTuple):
 
 
 class SampledPlan(NamedTuple):
-    """A look into one step, for drawing and for finding out why.
+    """Trajectories of one step, for drawing and debugging.
 
     Args:
-        nominal: what the plan leads to, and its cost by term.
-        best: the rollout of least cost, and its cost by term.
-        samples: (N, T + 1, nx) states of some rollouts.
-        weights: (N,) their weights.
-        reference: (R, D) positions that the plan is to follow [m]; none by default.
+        nominal: trajectory of the plan, with the cost of each term.
+        best: rollout of least cost, with the cost of each term.
+        samples: (N, T + 1, nx) states of N rollouts.
+        weights: (N,) weights of these rollouts.
+        reference: (R, D) positions that the plan should follow [m]; None without a reference.
     """
 
     nominal: Trajectory
@@ -93,28 +93,41 @@ class SampledPlan(NamedTuple):
     reference: Float[Array, "R D"] | None = None
 
     @classmethod
-    def of(cls, followed: Trajectory, weights: Float[Array, " N"]) -> "SampledPlan":
-        """Return what stacked trajectories show: the nominal one, the best one, N samples."""
-        nominal, best = (jax.tree.map(lambda leaf, i=i: leaf[i], followed) for i in (0, 1))
-        return cls(nominal, best, followed.states[2:], weights)
+    def from_trajectories(
+        cls, trajectories: Trajectory, weights: Float[Array, " N"]
+    ) -> "SampledPlan":
+        """Split a stack of N + 2 trajectories into the nominal, the best one and N samples."""
+        nominal, best = (jax.tree.map(lambda leaf, i=i: leaf[i], trajectories) for i in (0, 1))
+        return cls(nominal, best, trajectories.states[2:], weights)
 
 
 class Controller(eqx.Module):
-    """A feedback law with a state of its own.
+    """A feedback law with an explicit state.
 
-    `init` makes that state, `step` maps an observed robot state and a belief to a control. All
-    controllers are used alike, so they nest and compare.
+    `init` returns the initial state. `step` maps an observed robot state and a belief to a control.
+    All controllers share this interface, so one may contain another, and any two can be compared
+    in the same simulation.
     """
 
     @abc.abstractmethod
     def init(self) -> Any:
-        """Return the state before the first step. To reset a controller is to begin with it."""
+        """Return the initial state. Reset a controller by starting from it again."""
 
     @abc.abstractmethod
     def step(
         self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
-        """Return the control (nu,), the controller's new state and what it says about the step."""
+        """Compute one control.
+
+        Args:
+            state: the controller's state, from `init` or the last step.
+            observation: (nx,) observed state of the robot.
+            belief: what the robot knows of the world; whatever the costs read.
+            key: random key of this step.
+
+        Returns:
+            The control (nu,), the controller's new state, and diagnostics.
+        """
 
     @abc.abstractmethod
     def inspect(
@@ -126,13 +139,21 @@ class Controller(eqx.Module):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` sees with the same arguments: trajectories, and the cost by term."""
+        """Return the trajectories and costs that `step` computes for the same arguments.
+
+        Args:
+            state: as of `step`.
+            observation: as of `step`.
+            belief: as of `step`.
+            key: as of `step`; the same key gives the same samples.
+            num_trajectories: number of sampled rollouts to return.
+        """
 
     @property
     def member_names(self) -> tuple[str, ...]:
-        """Names of the members of a controller that holds several; none of any other."""
+        """Names of the members; empty for a controller without members."""
         return ()
 
     @abc.abstractmethod
     def at_period(self, control_period: ArrayLike) -> "Controller":
-        """Return this controller for commands that are `control_period` seconds apart."""
+        """Return a copy of this controller that is called every `control_period` seconds."""

@@ -1,4 +1,4 @@
-"""Fast feedback between plans."""
+"""Feedback-MPPI: linear feedback between two plans."""
 
 from typing import Any, NamedTuple
 
@@ -11,21 +11,21 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.draft import MPPIState
 from jaxplore.control.gains import step_with_gains
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.mppi_state import MPPIState
 from jaxplore.control.rollout import rollout
 
 
 class FeedbackState(NamedTuple):
-    """What `FeedbackMPPI` remembers.
+    """State of `FeedbackMPPI`.
 
     Args:
-        planner: the state of the MPPI that plans.
-        states: (T + 1, nx) that the plan leads to.
-        gains: (nu, nx) of the plan's first control.
-        info: of the last plan.
-        commands: how many were given since.
+        planner: state of the MPPI that plans.
+        states: (T + 1, nx) planned states.
+        gains: (nu, nx) feedback gains of the plan's first control.
+        info: diagnostics of the last plan.
+        commands: number of commands since the last plan.
     """
 
     planner: MPPIState
@@ -36,21 +36,22 @@ class FeedbackState(NamedTuple):
 
 
 class FeedbackMPPI(Controller):
-    """Plans with MPPI at every n-th command and follows the plan by feedback in between.
+    """MPPI at every n-th command, with linear feedback around the plan in between.
 
         u(t) = clip(u_plan(t) + K (x(t) - x_plan(t)))
 
-    with t the time since the plan, the planned controls held over each model step, the planned
-    states linear between them, and K the plan's own gains: see `step_with_gains`. A command in
-    between costs a matrix product, so the robot is controlled at 200 Hz and more while the plans
-    come at 50 Hz. States are subtracted component by component: angles must not wrap.
+    with t the time since the plan and K the gains of the plan, see `step_with_gains`. Planned
+    controls are constant over each model step, planned states are linear between steps. A command
+    between plans costs one matrix product, so the robot is controlled at 200 Hz and more while
+    plans are made at 50 Hz. States are subtracted component by component, so angles must not wrap.
 
     Source: Belvedere, Ziegltrum, Turrisi, Modugno, "Feedback-MPPI: Fast Sampling-Based MPC via
     Rollout Differentiation", 2025.
 
     Args:
-        planner: MPPI, whose control period is the time between plans.
-        commands_per_plan: n; the time between commands is the control period divided by n.
+        planner: MPPI controller; its control period is the time between plans.
+        commands_per_plan: number of commands per plan, n. The time between commands is the control
+            period divided by n.
 
     Raises:
         ValueError: `commands_per_plan` < 1.
@@ -71,7 +72,7 @@ class FeedbackMPPI(Controller):
         return self.planner.control_period / self.commands_per_plan.astype(jnp.float32)
 
     def init(self) -> FeedbackState:
-        """Return the state before the first command, which plans."""
+        """Return the initial state. The first command plans."""
         planner, model = self.planner, self.planner.dynamics
         samples = jnp.zeros(planner.num_samples)
         controls = jnp.zeros((planner.horizon, model.control_size))
@@ -84,7 +85,7 @@ class FeedbackMPPI(Controller):
         )
 
     def at_period(self, control_period: ArrayLike) -> "FeedbackMPPI":
-        """Return this controller for commands that are `control_period` seconds apart."""
+        """Return a copy of this controller that is called every `control_period` seconds."""
         period = _checks.scalar("control_period", control_period, above=0.0)
         planner = self.planner.at_period(period * self.commands_per_plan.astype(jnp.float32))
         same: FeedbackMPPI = eqx.tree_at(lambda controller: controller.planner, self, planner)
@@ -93,13 +94,18 @@ class FeedbackMPPI(Controller):
     def step(
         self, state: FeedbackState, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, FeedbackState, Info]:
-        """Return the control (nu,), the new state and the `Info` of the last plan."""
+        """Compute one control; plan first if a plan is due.
+
+        Returns:
+            The control (nu,), the new state, and the `Info` of the last plan.
+        """
         state = jax.lax.cond(
             state.commands % self.commands_per_plan == 0,
             lambda: self._plan(state, observation, belief, key),
             lambda: state,
         )
-        control = self._follow(state, observation)
+        control = self._feedback_control(state, observation)
+        # The next plan must count changes and smooth from the control that the robot applied.
         after = state._replace(
             planner=state.planner._replace(applied=control), commands=state.commands + 1
         )
@@ -114,7 +120,7 @@ class FeedbackMPPI(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what the planner would see if it planned now."""
+        """Return the trajectories of the planner as if it planned now."""
         return self.planner.inspect(
             state.planner, observation, belief, key=key, num_trajectories=num_trajectories
         )
@@ -122,24 +128,28 @@ class FeedbackMPPI(Controller):
     def _plan(
         self, state: FeedbackState, observation: StateVector, belief: Any, key: Key
     ) -> FeedbackState:
+        """Plan with MPPI, and compute the planned states and the gains."""
         planner = self.planner
         _, after, info, gains = step_with_gains(
             planner, state.planner, observation, belief, key=key
         )
+        # MPPI itself returns no states of its plan: the mean of rollouts is no rollout.
         planned = rollout(
             planner.dynamics, planner.cost, observation, info.controls, planner.dt, belief
         )
         return FeedbackState(after, planned.states, gains, info, jnp.zeros((), jnp.int32))
 
-    def _follow(self, state: FeedbackState, observation: StateVector) -> ControlVector:
+    def _feedback_control(self, state: FeedbackState, observation: StateVector) -> ControlVector:
+        """Evaluate the feedback law at the time since the last plan."""
         planner = self.planner
         steps = state.commands.astype(jnp.float32) * self.command_period / planner.dt
-        # A sum of rounded periods must not fall short of the model step that it comes to.
+        # In float32 a multiple of the command period may fall just short of a model step.
         steps = jnp.clip(steps + 1e-4, 0.0, planner.horizon - 1.0)
         index = jnp.floor(steps).astype(jnp.int32)
         share = steps - jnp.floor(steps)
         planned = (1.0 - share) * state.states[index] + share * state.states[index + 1]
         away = observation - planned
+        # A lost robot has no finite state: it then follows the plan without feedback.
         correction = state.gains @ jnp.where(jnp.isfinite(away), away, 0.0)
         control = state.info.controls[index] + correction
         return jnp.clip(control, planner.dynamics.control_min, planner.dynamics.control_max)

@@ -1,4 +1,4 @@
-"""Proposals that know more than the last solution: references and given manoeuvres."""
+"""Proposals that also use a reference or given control sequences, not only the last solution."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,29 +17,30 @@ from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingConte
 
 
 class BiasedProposal(Proposal):
-    """A mixture: a share of the samples around reference controls, the rest around the nominal.
+    """A mixture of two Gaussians, one around the nominal and one around reference controls.
 
         q(v) = (1 - a) N(v; c, Sigma) + a N(v; g, Sigma)
 
-    with c the nominal's parameters, g those of the reference in the space of the parameterisation:
-    rates for `Smooth`, knots for `Knots`. With its likelihood ratio the mixture changes how fast
-    the optimum is found, not which: weights are multiplied by p / q, p the uncontrolled
-    distribution. Without it the result leans towards the reference, which is what Biased-MPPI does.
+    with c the parameters of the nominal and g those of the reference: controls for `Direct`, rates
+    for `Smooth`, knots for `Knots`. With the likelihood ratio, weights are multiplied by p / q,
+    with p the uncontrolled distribution; the mixture then changes how fast the optimum is found,
+    but not the optimum. Without the ratio, the result is biased towards the reference, as in
+    Biased-MPPI.
 
-    Give a new reference by `eqx.tree_at(lambda c: c.proposal.reference, controller, reference)`;
-    nothing recompiles.
+    To change the reference without recompiling, use
+    `eqx.tree_at(lambda c: c.proposal.reference, controller, reference)`.
 
     Source: Trevisan and Alonso-Mora, "Biased-MPPI: Informing Sampling-Based Model Predictive
     Control by Fusing Ancillary Controllers", RA-L 2024.
 
     Args:
-        proposal: noise around either mean.
-        reference: (T, nu) controls.
-        fraction: a, share of the samples around the reference.
-        likelihood_ratio: whether samples are weighed by their likelihood ratio; static.
+        proposal: proposal that draws the noise around both means.
+        reference: (T, nu) reference controls.
+        fraction: share of the samples drawn around the reference, a.
+        likelihood_ratio: whether weights include the likelihood ratio; static.
 
     Raises:
-        ValueError: a fraction outside [0, 1]; from `check`, a reference of another shape.
+        ValueError: a fraction outside [0, 1]; from `check`, a reference of the wrong shape.
     """
 
     proposal: GaussianProposal
@@ -61,54 +62,58 @@ class BiasedProposal(Proposal):
         self.likelihood_ratio = likelihood_ratio
 
     def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return the memory of the noise."""
+        """Return the initial memory of the inner proposal."""
         return self.proposal.init(num_parameters, control_size)
 
     def sample(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         num_samples: int,
         *,
         key: Key,
         perturbations: Samples | None = None,
     ) -> Samples:
-        """Return samples (P, nu, K), those around the reference first."""
+        """Draw samples (P, nu, K), those around the reference first."""
         samples = self.proposal.sample(
-            memory, around, num_samples, key=key, perturbations=perturbations
+            memory, context, num_samples, key=key, perturbations=perturbations
         )
+        # The count may be traced, so shapes must not depend on it: the samples are drawn around the
+        # nominal, and the first `count` of them are moved to the reference.
         count = jnp.round(self.fraction * samples.shape[-1]).astype(jnp.int32)
         biased = jnp.arange(samples.shape[-1]) < count
-        offset = around.encode(self.reference) - around.centre
+        offset = context.encode(self.reference) - context.centre
         return samples + offset[:, :, None] * biased.astype(jnp.float32)
 
     def log_ratio(
-        self, memory: Any, around: SamplingContext, samples: Samples
+        self, memory: Any, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return the ratio of the mixture (K,), or 0 where it is left out."""
+        """Compute the log ratio of the mixture (K,), or 0 if it is switched off."""
         if not self.likelihood_ratio:
             return jnp.zeros(samples.shape[-1])
         ratios = jnp.stack(
             [
-                self.proposal.log_density_ratio(memory, around, mean, samples)
-                for mean in (around.centre, around.encode(self.reference))
+                self.proposal.log_density_ratio(memory, context, mean, samples)
+                for mean in (context.centre, context.encode(self.reference))
             ]
         )
+        # log q - log p of a mixture: the sum over components of share times density, in logarithms
+        # because the densities of long horizons underflow.
         shares = jnp.stack([1.0 - self.fraction, self.fraction])
         return jax.nn.logsumexp(ratios, axis=0, b=shares[:, None])
 
     def adapt(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
-        """Return the memory of the noise after a step."""
-        return self.proposal.adapt(memory, around, weights, samples)
+        """Update the memory of the inner proposal."""
+        return self.proposal.adapt(memory, context, weights, samples)
 
     def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Return the memory of the noise moved on."""
+        """Move the memory of the inner proposal on in time."""
         return self.proposal.shift(memory, rows)
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
@@ -122,20 +127,21 @@ class BiasedProposal(Proposal):
 
 
 class InjectedProposal(Proposal):
-    """A proposal some of whose samples are given: manoeuvres, the null action, the last solution.
+    """A proposal that replaces some samples by given control sequences.
 
-    The given ones come first: `sequences`, then zeros, then the nominal without noise. They compete
-    like all others, so that a manoeuvre that random samples would not find is taken if it is good.
+    The first samples are `sequences`, then zeros, then the nominal without noise. They are weighted
+    like all other samples, so a manoeuvre that random sampling would not find is used when it is
+    good.
 
     Args:
-        proposal: of the other samples.
-        sequences: (N, T, nu) controls to be tried in every step; none when absent.
-        null_action: whether controls of 0 are tried (0 itself, not the nominal); static.
-        last_solution: whether the shifted last solution is tried; static.
+        proposal: proposal of the other samples.
+        sequences: (N, T, nu) control sequences to try in every step; none when absent.
+        null_action: whether to try controls of 0, which need not be the default control; static.
+        last_solution: whether to try the shifted last solution; static.
 
     Raises:
-        ValueError: nothing to inject; from `check`, sequences of another shape or more of them than
-            samples.
+        ValueError: nothing to inject; from `check`, sequences of the wrong shape or more sequences
+            than samples.
     """
 
     proposal: Proposal
@@ -165,57 +171,59 @@ class InjectedProposal(Proposal):
 
     @property
     def num_injected(self) -> int:
-        """How many samples are given."""
+        """Number of injected samples."""
         given = 0 if self.sequences is None else int(self.sequences.shape[0])
         return given + int(self.null_action) + int(self.last_solution)
 
     def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return the memory of the other samples' proposal."""
+        """Return the initial memory of the inner proposal."""
         return self.proposal.init(num_parameters, control_size)
 
     def sample(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         num_samples: int,
         *,
         key: Key,
         perturbations: Samples | None = None,
     ) -> Samples:
-        """Return samples (P, nu, K), the given ones first."""
+        """Draw samples (P, nu, K), the injected ones first."""
         samples = self.proposal.sample(
-            memory, around, num_samples, key=key, perturbations=perturbations
+            memory, context, num_samples, key=key, perturbations=perturbations
         )
-        given = [] if self.sequences is None else [around.encode(each) for each in self.sequences]
+        # Injected last, so that the other samples are the same with and without injection.
+        given = [] if self.sequences is None else [context.encode(each) for each in self.sequences]
         if self.null_action:
-            given.append(around.encode(jnp.zeros((around.space.horizon, samples.shape[1]))))
+            given.append(context.encode(jnp.zeros((context.space.horizon, samples.shape[1]))))
         if self.last_solution:
-            given.append(around.encode(around.controls))
+            given.append(context.encode(context.controls))
         injected = jnp.stack(given, axis=-1)
         return samples.at[:, :, : injected.shape[-1]].set(injected)
 
     def log_ratio(
-        self, memory: Any, around: SamplingContext, samples: Samples
+        self, memory: Any, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return the ratio of the other samples' proposal (K,), for the given ones too."""
-        return self.proposal.log_ratio(memory, around, samples)
+        """Compute the log ratio of the inner proposal (K,), also of the injected samples."""
+        # An injected sequence was not drawn. It gets the ratio that it would have if it had been.
+        return self.proposal.log_ratio(memory, context, samples)
 
     def adapt(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
-        """Return the memory of the other samples' proposal after a step."""
-        return self.proposal.adapt(memory, around, weights, samples)
+        """Update the memory of the inner proposal."""
+        return self.proposal.adapt(memory, context, weights, samples)
 
     def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Return the memory of the other samples' proposal moved on."""
+        """Move the memory of the inner proposal on in time."""
         return self.proposal.shift(memory, rows)
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
-        """Raise a `ValueError` if the sequences or the other samples' proposal do not fit."""
+        """Raise a `ValueError` if the sequences or the inner proposal do not fit."""
         self.proposal.check(num_parameters, horizon, control_size, num_samples)
         if self.sequences is not None and self.sequences.shape[1:] != (horizon, control_size):
             raise ValueError(

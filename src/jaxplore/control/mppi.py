@@ -16,7 +16,7 @@ from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
-from jaxplore.control.draft import Draft, MPPIState
+from jaxplore.control.mppi_state import MPPIState, SampledControls
 from jaxplore.control.parameterisations import (
     ControlSpace,
     Direct,
@@ -36,7 +36,7 @@ from jaxplore.dynamics.base import Dynamics
 class MPPI(Controller):
     """Model predictive path integral control.
 
-    Minimises over control sequences U the expected cost of
+    Minimises over control sequences U the expected cost
 
         x_{t+1} = step(x_t, u_t, dt),   J = sum_t stage(x_{t+1}, u_t) + terminal(x_T) + sequence(U)
 
@@ -44,11 +44,14 @@ class MPPI(Controller):
 
         v <- sum_k w_k v_k,   w = weighting(J, log q - log p)
 
-    Each step first shifts the last solution by the control period, then samples. Controls are
-    clipped before use, and what took effect is averaged, so that bounds bias nothing.
+    with q the density that samples are drawn from and p that of the uncontrolled system.
 
-    MPPI = proposal x parameterisation x weighting; any of them go together, and a variant is
-    another part:
+    A step has three parts. `sample` shifts the last solution by the control period and draws
+    control sequences. `evaluate` rolls them out. `update` computes the weights and the new
+    solution. Controls are clipped before they are rolled out, and the clipped samples are averaged,
+    so the bounds do not bias the mean.
+
+    A variant of MPPI is a choice of three parts, in any combination:
 
     - proposal: `GaussianProposal`, `BiasedProposal`, `InjectedProposal`, over sources of noise
     - parameterisation: `Direct`, `Smooth` (SMPPI), `Knots` (kernel and spline MPPI)
@@ -58,29 +61,30 @@ class MPPI(Controller):
     for model-based reinforcement learning", ICRA 2017, Algorithm 2.
 
     Args:
-        dynamics: the model.
-        cost: what to minimise.
-        horizon: model steps ahead, T.
-        num_samples: rollouts, K.
-        temperature: of the softmax, in units of cost; or give `weighting`.
+        dynamics: model of the robot.
+        cost: cost to minimise.
+        horizon: number of model steps in a plan, T.
+        num_samples: number of rollouts, K.
+        temperature: temperature of the softmax, in units of cost; or give `weighting`.
         noise_std: (nu,) standard deviation of the Gaussian noise; or give `proposal`.
         dt: model step [s].
         control_period: time between commands [s]; one model step when absent.
-        proposal: distribution of the samples.
-        parameterisation: how parameters become controls; the controls themselves when absent.
-        weighting: how costs become weights.
-        smoothing: of the controls that are given out; none when absent.
-        disturbance: what outcomes are uncertain by; none when absent.
-        num_outcomes: outcomes of each control sequence, M, if there is a disturbance.
-        risk: how the outcomes' costs become one; their mean when absent.
-        interpolate_shift: whether a control period of part of a model step interpolates the last
-            solution; otherwise it is shifted by whole steps when they are due.
-        mesh: devices over which the samples are spread, all of them; one device when absent.
+        proposal: distribution that parameters are sampled from.
+        parameterisation: map from parameters to controls; `Direct` when absent, which samples the
+            controls themselves.
+        weighting: map from costs to weights.
+        smoothing: filter applied to the returned controls; none when absent.
+        disturbance: distribution of what is uncertain in a rollout; none when absent.
+        num_outcomes: number of outcomes of each control sequence, M, if there is a disturbance.
+        risk: risk measure that makes one cost of the M outcomes; their mean when absent.
+        interpolate_shift: whether a control period shorter than a model step interpolates the last
+            solution. If false, the solution is shifted by whole model steps when they are due.
+        mesh: devices that share the samples equally; one device when absent.
 
     Raises:
-        ValueError: horizon or samples < 1, a step, period or temperature that is not positive,
-            parts or bounds that do not fit the model, both or neither of two alternatives, a model
-            or cost that returns another shape than it should.
+        ValueError: a horizon or a number of samples below 1; a step, period or temperature that is
+            not positive; parts or bounds that do not fit the model; both or neither of two
+            alternatives; a model or cost that returns the wrong shape.
     """
 
     dynamics: Dynamics
@@ -160,10 +164,10 @@ class MPPI(Controller):
         check_parts(dynamics, cost, self.horizon)
 
     def init(self, controls: Float[Array, "T nu"] | None = None) -> MPPIState:
-        """Return the state before the first step, which begins with a shift.
+        """Return the initial state. The first step begins with a shift, like every other.
 
         Args:
-            controls: (T, nu) to start from; the model's default control when absent.
+            controls: (T, nu) first nominal; the model's default control throughout when absent.
         """
         space, size = self._space, self.dynamics.control_size
         if controls is None:
@@ -178,21 +182,23 @@ class MPPI(Controller):
         )
 
     def at_period(self, control_period: ArrayLike) -> "MPPI":
-        """Return this controller for commands that are `control_period` seconds apart."""
+        """Return a copy of this controller that is called every `control_period` seconds."""
         period = _checks.scalar("control_period", control_period, above=0.0)
         same: MPPI = eqx.tree_at(lambda controller: controller.control_period, self, period)
         return same
 
     def resume(self, state: MPPIState, controls: Float[Array, "T0 nu"]) -> MPPIState:
-        """Return the state that goes on from another controller's plan, of any horizon.
+        """Return a state that continues the plan of another MPPI controller, of any horizon.
 
-        Its controls are cut off, or continued with the default control. What a proposal adapted to
-        and a smoothing looks back on starts anew.
+        The plan is cut to this horizon, or extended with the default control. The adapted spread of
+        the proposal and the history of the smoothing filter start anew.
 
         Args:
-            state: the other controller's.
-            controls: its plan: `Info.controls` of the last step.
+            state: last state of the other controller.
+            controls: (T0, nu) its last plan, `Info.controls`.
         """
+        # Built from a fresh state: the nominal and the adapted spread of another horizon have
+        # another shape.
         missing = max(self.horizon - controls.shape[0], 0)
         more = jnp.broadcast_to(self._space.default, (missing, controls.shape[1]))
         fresh = self.init(jnp.concatenate([controls[: self.horizon], more]))
@@ -209,34 +215,35 @@ class MPPI(Controller):
         perturbations: Samples | None = None,
         shift: bool = True,
     ) -> tuple[ControlVector, MPPIState, Info]:
-        """Plan once.
+        """Sample control sequences, evaluate them, and update the nominal.
 
         Args:
-            state: from `init` or the last step.
-            observation: (nx,) the robot's state.
-            belief: what the robot knows; whatever the cost reads.
-            key: randomness.
-            perturbations: (P, nu, K) to be added to the proposal's means instead of its noise.
-            shift: whether the last solution is first moved on by the control period; without, the
-                plan for the same moment is refined.
+            state: state from `init` or the last step.
+            observation: (nx,) observed state of the robot.
+            belief: what the robot knows of the world; whatever the cost reads.
+            key: random key of this step.
+            perturbations: (P, nu, K) perturbations to use instead of the proposal's noise.
+            shift: whether to shift the last solution by the control period first. Without a shift,
+                the step refines the plan for the same moment.
 
         Returns:
             The control (nu,), the new state, and `Info`.
         """
-        draft = self.draft(state, key=key, perturbations=perturbations, shift=shift)
-        return self.conclude(draft, self.price(draft, observation, belief))
+        sampled = self.sample(state, key=key, perturbations=perturbations, shift=shift)
+        return self.update(sampled, self.evaluate(sampled, observation, belief))
 
-    def draft(
+    def sample(
         self,
         state: MPPIState,
         *,
         key: Key,
         perturbations: Samples | None = None,
         shift: bool = True,
-    ) -> Draft:
-        """Return the first half of a step: control sequences that are to be priced.
+    ) -> SampledControls:
+        """Shift the last solution and sample control sequences around it.
 
-        `price` and `conclude` are the rest; who prices otherwise leaves out `price`.
+        `evaluate` and `update` complete the step. A controller that computes costs in another way,
+        as `Portfolio` does, calls `update` with its own costs.
 
         Args:
             state: as of `step`.
@@ -245,35 +252,40 @@ class MPPI(Controller):
             shift: as of `step`.
         """
         state = self._shift(state) if shift else state
+        # Always split, so that adding a disturbance does not change the samples.
         sample_key, outcome_key = jax.random.split(key)
-        around = SamplingContext(self.parameterisation, state.nominal, self._space)
+        context = SamplingContext(self.parameterisation, state.nominal, self._space)
         samples = self.proposal.sample(
             state.proposal,
-            around,
+            context,
             self.num_samples,
             key=sample_key,
             perturbations=perturbations,
         )
         if self.mesh is not None:
             samples = devices.shard_samples(samples, self.mesh)
-        controls, samples = self.parameterisation.decode(state.nominal, samples, around.space)
-        # Without a cut the noise is drawn once for the rollouts and again for the mean.
+        controls, samples = self.parameterisation.decode(state.nominal, samples, context.space)
+        # The samples are used by the rollouts and by the mean. Unless they are materialised here,
+        # XLA fuses the noise generator into both and draws it twice.
         controls, samples = cut((controls, samples))
 
         outcomes = None
         if self.disturbance is not None:
             kind, sizes = (self.disturbance, self.risk), (self.horizon, self.num_outcomes)
             outcomes = Outcomes.draw(*kind, self.dynamics, *sizes, key=outcome_key)
-        return Draft(state, around, samples, controls, outcomes)
+        return SampledControls(state, context, samples, controls, outcomes)
 
-    def price(
-        self, draft: Draft, initial: StateVector | Float[Array, "nx K"], belief: Any = None
+    def evaluate(
+        self,
+        sampled: SampledControls,
+        initial: StateVector | Float[Array, "nx K"],
+        belief: Any = None,
     ) -> Float[Array, " K"]:
-        """Return what drafted sequences cost.
+        """Roll out sampled control sequences and return their costs (K,).
 
         Args:
-            draft: from `draft`.
-            initial: (nx,) the robot's state, or (nx, K) one for each sequence.
+            sampled: control sequences from `sample`.
+            initial: (nx,) state that all rollouts start from, or (nx, K) one for each.
             belief: as of `step`.
         """
         everything = (
@@ -281,9 +293,10 @@ class MPPI(Controller):
             self.cost,
             self.dt,
             belief,
-            draft.state.applied,
-            draft.outcomes,
+            sampled.state.applied,
+            sampled.outcomes,
         )
+        # `shard_map` takes arrays only: everything else is closed over.
         arrays, static = eqx.partition(everything, eqx.is_array)
 
         def costs(start: Array, controls: Array, arrays: Any) -> Array:
@@ -293,30 +306,35 @@ class MPPI(Controller):
             )
 
         if self.mesh is None:
-            return costs(initial, draft.controls, arrays)
-        return devices.map_over_devices(costs, self.mesh, initial, draft.controls, arrays)
+            return costs(initial, sampled.controls, arrays)
+        return devices.map_over_devices(costs, self.mesh, initial, sampled.controls, arrays)
 
-    def conclude(
-        self, draft: Draft, costs: Float[Array, " K"]
+    def update(
+        self, sampled: SampledControls, costs: Float[Array, " K"]
     ) -> tuple[ControlVector, MPPIState, Info]:
-        """Return the second half of a step: what follows if the drafted sequences cost this.
+        """Compute importance weights and update the nominal control sequence.
+
+            v <- sum_k w_k v_k,   w = weighting(J, log q - log p)
 
         Args:
-            draft: from `draft`.
-            costs: (K,); sequences of a cost that is not finite get no weight.
+            sampled: control sequences from `sample`.
+            costs: (K,) cost of each sequence. Sequences whose cost is not finite get no weight.
+
+        Returns:
+            The control (nu,), the new state, and `Info`.
         """
-        state, around, samples = draft.state, draft.around, draft.samples
+        state, context, samples = sampled.state, sampled.context, sampled.samples
         costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
-        log_ratio = self.proposal.log_ratio(state.proposal, around, samples)
+        log_ratio = self.proposal.log_ratio(state.proposal, context, samples)
         weights = self.weighting.weights(costs, log_ratio)
-        # Without a finite rollout all weights are 0 and the shifted nominal stays.
-        kept = (1.0 - jnp.sum(weights)) * around.centre
+        # If no rollout is finite, all weights are 0 and the shifted nominal is kept.
+        kept = (1.0 - jnp.sum(weights)) * context.centre
         mean = jnp.einsum("k,puk->pu", weights, samples) + kept
-        nominal = self.parameterisation.update(state.nominal, mean, around.space)
-        controls = self.parameterisation.controls(nominal, around.space)
+        nominal = self.parameterisation.update(state.nominal, mean, context.space)
+        controls = self.parameterisation.controls(nominal, context.space)
         if self.smoothing is not None:
-            controls = around.space.clip(self.smoothing.smooth(state.past, controls))
-        memory = self.proposal.adapt(state.proposal, around, weights, samples)
+            controls = context.space.clip(self.smoothing.smooth(state.past, controls))
+        memory = self.proposal.adapt(state.proposal, context, weights, samples)
         info = Info(
             controls=controls,
             weights=weights,
@@ -336,43 +354,46 @@ class MPPI(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` would see, with undisturbed trajectories and the cost of each term.
+        """Return the trajectories that `step` samples, undisturbed, and the cost of each term.
 
         Args:
-            state: as given to `step`.
-            observation: (nx,).
+            state: as of `step`.
+            observation: as of `step`.
             belief: as of `step`.
-            key: the same key samples the same parameters as `step`.
-            num_trajectories: how many of the K samples are returned, spread over all of them.
+            key: as of `step`; the same key gives the same samples.
+            num_trajectories: number of the K samples to return, taken at even distances.
         """
-        plan = self.draft(state, key=key)
-        costs = self.price(plan, observation, belief)
-        _, _, info = self.conclude(plan, costs)
+        sampled = self.sample(state, key=key)
+        costs = self.evaluate(sampled, observation, belief)
+        _, _, info = self.update(sampled, costs)
         count = min(num_trajectories, self.num_samples)
-        # A mixture orders its samples by component: the first few would be one of them only.
+        # A mixture orders its samples by component, so the first few show one component only.
         chosen = np.linspace(0, self.num_samples - 1, count).round().astype(int)
 
-        def follow(controls: Array) -> Trajectory:
+        def simulate(controls: Array) -> Trajectory:
             parts, known = (self.dynamics, self.cost), (self.dt, belief)
-            return rollout(*parts, observation, controls, *known, applied=plan.state.applied)
+            return rollout(*parts, observation, controls, *known, applied=sampled.state.applied)
 
-        sampled = jnp.moveaxis(plan.controls, -1, 0)
-        best = sampled[jnp.argmin(info.costs)]
-        shown = jnp.concatenate([info.controls[None], best[None], sampled[chosen]])
-        return SampledPlan.of(jax.vmap(follow)(shown), info.weights[chosen])
+        sequences = jnp.moveaxis(sampled.controls, -1, 0)
+        best = sequences[jnp.argmin(info.costs)]
+        shown = jnp.concatenate([info.controls[None], best[None], sequences[chosen]])
+        return SampledPlan.from_trajectories(jax.vmap(simulate)(shown), info.weights[chosen])
 
     def _shift(self, state: MPPIState) -> MPPIState:
-        """Return the state as seen one control period later."""
+        """Move the nominal and the memory on by one control period."""
         steps = self.control_period / self.dt
         phase = state.phase
         if not self.interpolate_shift:
-            # A sum of 20 periods of 0.05 must come to a whole step, whatever was rounded.
+            # In float32, 20 periods of 0.05 s add up to slightly less than a step of 1 s.
             due = phase + steps
             steps = jnp.floor(due + 1e-3)
             phase = due - steps
         space = self._space
+        # Proposals adapt per row of parameters, of which there may be fewer than model steps.
         rows = steps * (self._num_parameters / self.horizon)
         planned = self.parameterisation.controls(state.nominal, space)
+        # The first planned control has been applied; where it differs (a portfolio applies the
+        # fused control), the smoothing filter must see what was applied.
         timeline = jnp.concatenate([state.past, state.applied[None], planned[1:]])
         return MPPIState(
             nominal=self.parameterisation.shift(state.nominal, steps, space),

@@ -1,4 +1,4 @@
-"""Distributions that parameters are sampled from."""
+"""Proposals: the distributions that MPPI samples parameters from."""
 
 import abc
 from typing import Any
@@ -24,7 +24,13 @@ from jaxplore.control.parameterisations import (
 
 
 class SamplingContext(eqx.Module):
-    """What a proposal samples around: the `nominal` of a `parameterisation` of controls."""
+    """The nominal that a proposal samples around, with its parameterisation.
+
+    Args:
+        parameterisation: map from parameters to controls.
+        nominal: last solution, as the parameterisation stores it.
+        space: bounds, default control, step and horizon of the controls.
+    """
 
     parameterisation: Parameterisation
     nominal: Any
@@ -32,74 +38,75 @@ class SamplingContext(eqx.Module):
 
     @property
     def centre(self) -> Parameters:
-        """The parameters (P, nu) of the nominal."""
+        """Parameters (P, nu) of the nominal."""
         return self.parameterisation.centre(self.nominal)
 
     @property
     def rest(self) -> ControlVector:
-        """The parameters (nu,) of a robot that is left alone."""
+        """Parameters (nu,) of a robot that applies its default control."""
         return self.parameterisation.rest(self.space)
 
     @property
     def controls(self) -> Sequence:
-        """The controls (T, nu) of the nominal."""
+        """Control sequence (T, nu) of the nominal."""
         return self.parameterisation.controls(self.nominal, self.space)
 
     def encode(self, controls: Sequence) -> Parameters:
-        """Return the parameters (P, nu) of controls (T, nu), or the nearest to them."""
+        """Return the parameters (P, nu) of controls (T, nu), or the nearest ones."""
         return self.parameterisation.encode(self.nominal, controls, self.space)
 
 
 class Proposal(eqx.Module):
-    """A distribution of parameters, and the price of having sampled from it."""
+    """A distribution of parameters, and its likelihood ratio to the uncontrolled distribution."""
 
     def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return what the proposal remembers between steps: nothing by default."""
+        """Return the initial memory; empty for a proposal that does not adapt."""
         return ()
 
     @abc.abstractmethod
     def sample(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         num_samples: int,
         *,
         key: Key,
         perturbations: Samples | None = None,
     ) -> Samples:
-        """Return samples (P, nu, K).
+        """Draw samples (P, nu, K).
 
         Args:
-            memory: from `init` or `adapt`.
-            around: what they are sampled around.
-            num_samples: K.
-            key: randomness.
-            perturbations: (P, nu, K) to be added to the means instead of noise.
+            memory: memory from `init` or `adapt`.
+            context: nominal to sample around.
+            num_samples: number of samples, K.
+            key: random key.
+            perturbations: (P, nu, K) perturbations to add to the nominal instead of noise.
         """
 
     @abc.abstractmethod
     def log_ratio(
-        self, memory: Any, around: SamplingContext, samples: Samples
+        self, memory: Any, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return `log q(v) - log p(v)` of each sample v, up to a constant.
+        """Compute `log q(v) - log p(v)` of each sample v (K,), up to a constant.
 
-        q is this distribution; p is the uncontrolled one, that of a robot that is left alone.
-        Weights `exp(-J / temperature) p / q` estimate the optimum whatever q is (Williams et al.,
-        "Information theoretic MPC", ICRA 2017).
+        q is the density of this proposal. p is that of the uncontrolled system: the same noise
+        around the default control. With the weights `exp(-J / temperature) p / q` the estimate
+        converges to the same optimum for any q (Williams et al., "Information theoretic MPC for
+        model-based reinforcement learning", ICRA 2017).
         """
 
     def adapt(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
-        """Return the memory after a step in which the samples had these weights."""
+        """Update the memory with the weights (K,) of the samples (P, nu, K) of a step."""
         return memory
 
     def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Return the memory as seen later, by the time of so many rows of parameters."""
+        """Move the memory on in time by a number of rows of parameters, not necessarily whole."""
         return memory
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
@@ -110,24 +117,26 @@ class Proposal(eqx.Module):
 class GaussianProposal(Proposal):
     """`v = c + mu + eps`, with c the nominal's parameters and eps Gaussian noise.
 
-    The covariance of eps is `noise_covariance` between controls, times that of the `noise` between
-    rows: none for white noise. With rest parameters r,
+    The covariance of eps is the product of `noise_covariance` between controls and the covariance
+    of `noise` between rows, which is the identity for white noise. With r the parameters of the
+    default control,
 
         log q - log p = sum (c - r)^T Sigma^-1 (v - c) + constant
 
-    (Williams et al. 2017, eq. 19, where r = 0). For noise that is not Gaussian this is the ratio of
-    Gaussians with its covariance.
+    (Williams et al., ICRA 2017, eq. 19, where r = 0). For noise that is not Gaussian, this is the
+    ratio of two Gaussians with the same covariance.
 
     Args:
-        noise_std: (nu,) standard deviation of each control's noise; or give `noise_covariance`.
-        noise_covariance: (nu, nu), symmetric and positive definite.
-        mean: (nu,) mu, 0 when absent.
-        noise: where randomness comes from; `WhiteNoise` when absent.
-        adaptation: how the spread follows the weights; it does not when absent.
+        noise_std: (nu,) standard deviation of the noise of each control; or give
+            `noise_covariance`.
+        noise_covariance: (nu, nu) covariance between controls, symmetric and positive definite.
+        mean: (nu,) mean of the noise, mu; 0 when absent.
+        noise: source of normalised noise; `WhiteNoise` when absent.
+        adaptation: rule that adapts the spread to the weights; the spread is fixed when absent.
 
     Raises:
         ValueError: both or neither of standard deviation and covariance, a deviation that is not
-            positive, a matrix that is not a covariance, a mean of another size.
+            positive, a matrix that is not a covariance, a mean of the wrong size.
     """
 
     noise_std: ControlVector | None
@@ -166,59 +175,63 @@ class GaussianProposal(Proposal):
         return int(self.noise_covariance.shape[0])
 
     def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return the scale (P, nu) of the noise if it adapts."""
+        """Return the initial scale (P, nu) of the noise, 1, if it adapts; otherwise nothing."""
         return () if self.adaptation is None else jnp.ones((num_parameters, control_size))
 
     def sample(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         num_samples: int,
         *,
         key: Key,
         perturbations: Samples | None = None,
     ) -> Samples:
-        """Return `c + mu + eps` (P, nu, K)."""
-        centre = around.centre[:, :, None]
+        """Draw `c + mu + eps` (P, nu, K)."""
+        centre = context.centre[:, :, None]
         if perturbations is not None:
             return centre + perturbations
         return centre + self.mean[:, None] + self.draw(memory, centre.shape, num_samples, key=key)
 
     def draw(self, memory: Any, shape: tuple[int, ...], num_samples: int, *, key: Key) -> Samples:
-        """Return noise (P, nu, K) of mean 0 for parameters of shape (P, nu, ...)."""
+        """Draw noise (P, nu, K) of mean 0 for parameters of shape (P, nu, ...)."""
         drawn = self.noise.draw((shape[0], shape[1], num_samples), key=key)
         if self.noise_std is not None:
             drawn = self.noise_std[:, None] * drawn
         else:
+            # With L L^T = Sigma, L eps has the covariance Sigma. L is not stored, so that another
+            # covariance can be set without recomputing anything.
             factor = jnp.linalg.cholesky(self.noise_covariance)
             drawn = jnp.einsum("uv,pvk->puk", factor, drawn)
         return drawn if self.adaptation is None else memory[:, :, None] * drawn
 
     def log_ratio(
-        self, memory: Any, around: SamplingContext, samples: Samples
+        self, memory: Any, context: SamplingContext, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return the ratio for the nominal as the mean (K,)."""
-        return self.log_density_ratio(memory, around, around.centre, samples)
+        """Compute the log ratio (K,) of the proposal centred on the nominal."""
+        return self.log_density_ratio(memory, context, context.centre, samples)
 
     def log_density_ratio(
-        self, memory: Any, around: SamplingContext, mean: Parameters, samples: Samples
+        self, memory: Any, context: SamplingContext, mean: Parameters, samples: Samples
     ) -> Float[Array, " K"]:
-        """Return `log N(v; m + mu, S Sigma S) - log N(v; r + mu, Sigma)` (K,).
+        """Compute `log N(v; m + mu, S Sigma S) - log N(v; r + mu, Sigma)` (K,).
 
-        S is the adapted scale; without it the terms quadratic in v cancel. Constants that do not
-        depend on the mean m are left out.
+        S is the adapted scale. Constants that do not depend on the mean m are left out.
         """
         if self.adaptation is None:
-            away = mean - around.rest
+            # Both covariances are equal, so the terms quadratic in v cancel. Subtracting them would
+            # lose digits, and the linear rest is cheaper.
+            away = mean - context.rest
             pull = self.precision(away)
-            constant = jnp.sum(pull * (around.rest + self.mean + 0.5 * away))
+            constant = jnp.sum(pull * (context.rest + self.mean + 0.5 * away))
             return jnp.einsum("pu,puk->k", pull, samples) - constant
+        # The scales differ between parameters, so both quadratic forms are needed.
         drawn = samples - self.mean[:, None]
         scaled = (drawn - mean[:, :, None]) / memory[:, :, None]
-        return 0.5 * self._square(drawn - around.rest[:, None]) - 0.5 * self._square(scaled)
+        return 0.5 * self._square(drawn - context.rest[:, None]) - 0.5 * self._square(scaled)
 
     def precision(self, sequence: Parameters) -> Parameters:
-        """Return `Sigma^-1 sequence` (P, nu), before any adaptation."""
+        """Compute `Sigma^-1 sequence` (P, nu), for the covariance before adaptation."""
         sequence = self.noise.precision(sequence)
         if self.noise_std is not None:
             return sequence / (self.noise_std * self.noise_std)
@@ -229,18 +242,18 @@ class GaussianProposal(Proposal):
     def adapt(
         self,
         memory: Any,
-        around: SamplingContext,
+        context: SamplingContext,
         weights: Float[Array, " K"],
         samples: Samples,
     ) -> Any:
-        """Return the scale after a step, if it adapts."""
+        """Update the scale of the noise, if it adapts."""
         if self.adaptation is None:
             return memory
-        away = (samples - around.centre[:, :, None]) / self._deviation[:, None]
+        away = (samples - context.centre[:, :, None]) / self._deviation[:, None]
         return self.adaptation.adapted(memory, weights, away)
 
     def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Return the scale moved on, if it adapts."""
+        """Move the scale on in time, if it adapts."""
         return memory if self.adaptation is None else self.adaptation.shifted(memory, rows)
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
@@ -257,18 +270,20 @@ class GaussianProposal(Proposal):
 
     @property
     def _deviation(self) -> ControlVector:
-        """Standard deviation (nu,) of each control's noise."""
+        """Standard deviation (nu,) of the noise of each control."""
         if self.noise_std is not None:
             return self.noise_std
         assert self.noise_covariance is not None
         return jnp.sqrt(jnp.diagonal(self.noise_covariance))
 
     def _square(self, samples: Samples) -> Float[Array, " K"]:
+        """Compute `v^T Sigma^-1 v` of each sample (K,)."""
         weighted = jax.vmap(self.precision, in_axes=-1, out_axes=-1)(samples)
         return jnp.sum(samples * weighted, axis=(0, 1))
 
 
 def _standard_deviation(value: Vector) -> ControlVector:
+    """Check a vector of standard deviations; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
         std = np.asarray(value, np.float32)
         if std.ndim != 1 or not (np.isfinite(std) & (std > 0)).all():
@@ -278,6 +293,7 @@ def _standard_deviation(value: Vector) -> ControlVector:
 
 
 def _covariance(value: Rows) -> Float[Array, "nu nu"]:
+    """Check a covariance matrix; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
         matrix = np.asarray(value, np.float64)
         square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
@@ -286,7 +302,7 @@ def _covariance(value: Rows) -> Float[Array, "nu nu"]:
                 f"noise_covariance is {value!r}; accepted: a symmetric matrix, one row per control"
             )
         least = float(np.linalg.eigvalsh(matrix).min())
-        # In float32 the Cholesky factor of a matrix that is closer to singular fails.
+        # The Cholesky factorisation in float32 fails for matrices closer to singular than this.
         if least <= 1e-6 * float(np.abs(matrix).max()):
             raise ValueError(
                 f"noise_covariance has an eigenvalue of {least:.3g}; accepted: a positive definite "

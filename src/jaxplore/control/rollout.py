@@ -1,7 +1,6 @@
-"""Rollouts: what many control sequences lead to and cost."""
+"""Rollouts: simulate control sequences with the model and add up their costs."""
 
 import contextlib
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -22,12 +21,17 @@ from jaxplore.dynamics.base import Dynamics, State
 
 
 class Outcomes(NamedTuple):
-    """M uncertain outcomes of each rollout instead of one: `risk` makes one cost of them."""
+    """Draws of a disturbance: M outcomes of each rollout, reduced to one cost by a risk measure.
+
+    Args:
+        disturbance: distribution of what is uncertain.
+        risk: risk measure over the M costs of a control sequence.
+        drawn: draws of the disturbance, a pytree whose leaves begin with (T, M).
+    """
 
     disturbance: Disturbance
     risk: Risk
     drawn: Any
-    """As drawn from the disturbance: leaves begin with (T, M)."""
 
     @classmethod
     def draw(
@@ -40,7 +44,7 @@ class Outcomes(NamedTuple):
         *,
         key: Key,
     ) -> "Outcomes":
-        """Return outcomes with fresh draws."""
+        """Draw M outcomes of T steps; all control sequences share them."""
         drawn = disturbance.draw(dynamics, horizon, num_outcomes, key=key)
         return cls(disturbance, risk, drawn)
 
@@ -56,24 +60,25 @@ def rollout_costs(
     applied: ControlVector | None = None,
     outcomes: Outcomes | None = None,
 ) -> Float[Array, " K"]:
-    """Return the cost of each control sequence.
+    """Simulate K control sequences and return their costs (K,).
 
-    The samples are on the last axis and costs are added up inside the scan over time: no states of
-    size T x K are stored. The states travel as one vector of K per component, the layout in which
-    XLA makes vector loops of a step.
+        J = sum_t stage(x_{t+1}, u_t) + terminal(x_T) + sequence(U)
+
+    Costs are summed inside the scan over time, so the T x K states are never stored. Each state
+    component is one vector of K samples: the layout from which XLA makes vector loops.
 
     Args:
-        dynamics: the model.
-        cost: what is paid.
-        initial: (nx,) state from which all start, or (nx, K) one for each.
-        controls: (T, nu, K).
+        dynamics: model of the robot.
+        cost: cost to sum up.
+        initial: (nx,) initial state of all rollouts, or (nx, K) one for each.
+        controls: (T, nu, K) control sequences.
         dt: model step [s].
-        belief: what the robot knows.
+        belief: what the robot knows of the world.
         applied: (nu,) control before the first one; the default control when absent.
-        outcomes: M of them for each sequence, if the outcome is uncertain.
+        outcomes: M draws of a disturbance; None if the model is taken as exact.
 
     Raises:
-        ValueError: a model or a cost that returns another shape than it should.
+        ValueError: a model or a cost that returns the wrong shape.
     """
     (total,) = _totals(
         dynamics, (cost,), initial, controls, dt, belief, applied=applied, outcomes=outcomes
@@ -91,21 +96,21 @@ def rollout_objectives(
     *,
     applied: ControlVector | None = None,
 ) -> Float[Array, "O K"]:
-    """Return what each of several costs comes to, from one rollout of each control sequence.
+    """Simulate K control sequences once and return each of O costs separately (O, K).
 
-    What costs have in common, such as a look-up in the same map, is computed once.
+    What the costs have in common, such as a look-up in the same map, is computed once.
 
     Args:
-        dynamics: the model.
-        objectives: O costs.
-        initial: as of `rollout_costs`.
-        controls: (T, nu, K).
+        dynamics: model of the robot.
+        objectives: the O costs.
+        initial: (nx,) initial state of all rollouts, or (nx, K) one for each.
+        controls: (T, nu, K) control sequences.
         dt: model step [s].
-        belief: what the robot knows.
+        belief: what the robot knows of the world.
         applied: (nu,) control before the first one; the default control when absent.
 
     Raises:
-        ValueError: a model or a cost that returns another shape than it should.
+        ValueError: a model or a cost that returns the wrong shape.
     """
     return jnp.stack(
         _totals(dynamics, tuple(objectives), initial, controls, dt, belief, applied=applied)
@@ -123,58 +128,23 @@ def _totals(
     applied: ControlVector | None = None,
     outcomes: Outcomes | None = None,
 ) -> tuple[Float[Array, " K"], ...]:
-    """Return the total (K,) of each cost."""
+    """Roll out K control sequences and return the total (K,) of each cost."""
     horizon, _, num_samples = controls.shape
+    task = _RolloutTask(dynamics, costs, horizon, dt, belief, outcomes)
     lanes = _lanes(num_samples)
-    drawn: Any = ()
-    shape: tuple[int, ...] = (lanes,)
-    state_shape = shape
-    axis = None
-    if outcomes is not None:
-        drawn = outcomes.drawn
-        shape = (jax.tree.leaves(drawn)[0].shape[1], lanes)
-        # Where only what is believed differs between outcomes, the states are the same in all.
-        if outcomes.disturbance.moves_robot:
-            axis, state_shape = 0, shape
+    shape = (lanes,) if outcomes is None else (task.num_outcomes, lanes)
+    # Where outcomes differ in the belief only, all of them have the same states.
+    state_shape = shape if task.outcome_axis is not None else (lanes,)
 
-    def known(draw: Any) -> Any:
-        return belief if outcomes is None else outcomes.disturbance.belief(belief, draw)
+    # The padded lanes copy the last sample: states of zeros might not be valid for a model.
+    if initial.ndim == 2:
+        initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
+    start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
+    times = dt * jnp.arange(1, horizon + 1, dtype=dt.dtype)
+    zeros = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
+    step_all = task.batched_step()
 
-    def number(cost: Cost, method: Callable[..., Array], *arguments: Any) -> Array:
-        # To look for the culprit traces everything once more, so only when there is one.
-        try:
-            paid = method(*arguments)
-        except (TypeError, ValueError):
-            check_costs(dynamics, cost, horizon, belief)
-            raise
-        if jnp.shape(paid) != ():
-            check_costs(dynamics, cost, horizon, belief)
-        return paid
-
-    def sample_step(
-        components: tuple[Array, ...], control: Array, t: Array, draw: Any
-    ) -> tuple[Array, tuple[Array, ...]]:
-        state = jnp.stack(components)
-        if outcomes is None:
-            reached = dynamics.step_at(state, control, t - dt, dt)
-        else:
-            reached = outcomes.disturbance.step_at(dynamics, state, control, t - dt, dt, draw)
-        check_state(dynamics, jnp.shape(reached))
-        # The costs read what the model has computed; fused, they would compute the step again.
-        reached = jnp.stack(cut(tuple(reached)))
-        here, truth = State(reached, dynamics), known(draw)
-        return reached, tuple(number(cost, cost.stage, here, control, t, truth) for cost in costs)
-
-    step_all = jax.vmap(sample_step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
-    if outcomes is not None:
-        out = None if axis is None else 1
-        step_all = jax.vmap(step_all, in_axes=(axis, None, None, 0), out_axes=(out, 0))
-
-    Values = tuple[Array, ...]
-
-    def advance(
-        carry: tuple[Values, Values, Values], inputs: tuple[Array, Array, Any]
-    ) -> tuple[tuple[Values, Values, Values], None]:
+    def advance(carry: _Carry, inputs: tuple[Array, Array, Any]) -> tuple[_Carry, None]:
         components, totals, variations = carry
         control, t, draw = inputs
         control = cut(jnp.pad(control, ((0, 0), (0, lanes - num_samples))))
@@ -187,53 +157,134 @@ def _totals(
         totals = tuple(total + each for total, each in zip(totals, paid, strict=True))
         return (tuple(reached), totals, variations), None
 
-    if initial.ndim == 2:
-        initial = jnp.pad(initial, ((0, 0), (0, lanes - num_samples)), mode="edge")
-    start = tuple(jnp.broadcast_to(value, state_shape) for value in initial)
-    times = dt * jnp.arange(1, horizon + 1, dtype=dt.dtype)
-    nothing = tuple(jnp.zeros(shape) for _ in costs), tuple(jnp.zeros(lanes) for _ in costs)
     (last, totals, variations), _ = jax.lax.scan(
-        advance, (start, *nothing), (controls, times, drawn)
+        advance, (start, *zeros), (controls, times, task.drawn)
     )
-
     before = dynamics.default_control if applied is None else applied
-
-    def final(cost: Cost, components: tuple[Array, ...], draw: Any) -> Array:
-        state = State(jnp.stack(components), dynamics)
-        return number(cost, cost.terminal, state, known(draw))
-
-    def changes(cost: Cost, sequence: Array) -> Array:
-        return number(cost, cost.sequence, sequence, before, dt, dynamics)
-
-    def finish(cost: Cost, total: Array, variation: Array) -> Array:
-        ending = jax.vmap(functools.partial(final, cost), in_axes=(0, None))
-        if outcomes is not None:
-            ending = jax.vmap(ending, in_axes=(axis, 0))
-        total = total + ending(last, jax.tree.map(lambda rows: rows[-1], drawn))
-        if outcomes is not None:
-            contained = jnp.all(jnp.isfinite(total), axis=0)
-            total = jnp.where(contained, outcomes.risk.costs(total, variation), jnp.inf)
-        over_all = jax.vmap(functools.partial(changes, cost), in_axes=-1)
-        return total[:num_samples] + over_all(controls)
-
     return tuple(
-        finish(cost, total, variation)
+        task.total(cost, last, total, variation, controls, before)
         for cost, total, variation in zip(costs, totals, variations, strict=True)
     )
 
 
-def _lanes(num_samples: int) -> int:
-    """Return on how many samples to compute: `num_samples`, or a cache line more.
+_Values = tuple[Array, ...]
+_Carry = tuple[_Values, _Values, _Values]
+"""State components, totals and variations of the costs, in the scan over time."""
 
-    The vectors of all components lie side by side in memory. If their length is a multiple of 1 KiB
-    they compete for the same few sets of the first-level cache: three times slower, measured.
+
+class _RolloutTask(NamedTuple):
+    """What all rollouts of one batch share, and the functions of one rollout."""
+
+    dynamics: Dynamics
+    costs: tuple[Cost, ...]
+    horizon: int
+    dt: Scalar
+    belief: Any
+    outcomes: Outcomes | None
+
+    @property
+    def drawn(self) -> Any:
+        """Draws of the disturbance; leaves begin with (T, M)."""
+        return () if self.outcomes is None else self.outcomes.drawn
+
+    @property
+    def num_outcomes(self) -> int:
+        """Number of outcomes of each control sequence, M."""
+        return int(jax.tree.leaves(self.drawn)[0].shape[1])
+
+    @property
+    def outcome_axis(self) -> int | None:
+        """Axis of the states that counts outcomes; None where all outcomes share the states."""
+        return 0 if self.outcomes is not None and self.outcomes.disturbance.moves_robot else None
+
+    def belief_in(self, draw: Any) -> Any:
+        """Return the belief of one outcome."""
+        outcomes = self.outcomes
+        return self.belief if outcomes is None else outcomes.disturbance.belief(self.belief, draw)
+
+    def number(self, cost: Cost, method: Callable[..., Array], *arguments: Any) -> Array:
+        """Call a method of a cost; if its result is not one number, raise the error of the term."""
+        # Finding the term that fails traces all of them again, so it is done only after a failure.
+        try:
+            paid = method(*arguments)
+        except (TypeError, ValueError):
+            check_costs(self.dynamics, cost, self.horizon, self.belief)
+            raise
+        if jnp.shape(paid) != ():
+            check_costs(self.dynamics, cost, self.horizon, self.belief)
+        return paid
+
+    def step(
+        self, components: _Values, control: Array, t: Array, draw: Any
+    ) -> tuple[Array, tuple[Array, ...]]:
+        """Advance one rollout by one step; return its state and what each cost takes for it."""
+        dynamics, dt, state = self.dynamics, self.dt, jnp.stack(components)
+        if self.outcomes is None:
+            reached = dynamics.step_at(state, control, t - dt, dt)
+        else:
+            disturbance = self.outcomes.disturbance
+            reached = disturbance.step_at(dynamics, state, control, t - dt, dt, draw)
+        check_state(dynamics, jnp.shape(reached))
+        # Costs read the new state. If XLA fused them with the model, each would compute the model's
+        # step again.
+        reached = jnp.stack(cut(tuple(reached)))
+        here, known = State(reached, dynamics), self.belief_in(draw)
+        paid = tuple(self.number(cost, cost.stage, here, control, t, known) for cost in self.costs)
+        return reached, paid
+
+    def batched_step(self) -> Callable[..., Any]:
+        """Map `step` over samples (last axis) and, if there are any, outcomes (first axis)."""
+        step = jax.vmap(self.step, in_axes=(0, -1, None, None), out_axes=(-1, 0))
+        if self.outcomes is None:
+            return step
+        # States are (nx, M, K) after a step: outcomes come after the components.
+        out = None if self.outcome_axis is None else 1
+        in_axes = (self.outcome_axis, None, None, 0)
+        return jax.vmap(step, in_axes=in_axes, out_axes=(out, 0))
+
+    def total(
+        self,
+        cost: Cost,
+        last: _Values,
+        total: Array,
+        variation: Array,
+        controls: Float[Array, "T nu K"],
+        before: ControlVector,
+    ) -> Float[Array, " K"]:
+        """Add the terminal and the sequence cost to a sum of stage costs."""
+
+        def terminal(components: _Values, draw: Any) -> Array:
+            state = State(jnp.stack(components), self.dynamics)
+            return self.number(cost, cost.terminal, state, self.belief_in(draw))
+
+        def sequence(planned: Array) -> Array:
+            return self.number(cost, cost.sequence, planned, before, self.dt, self.dynamics)
+
+        ending = jax.vmap(terminal, in_axes=(0, None))
+        if self.outcomes is not None:
+            ending = jax.vmap(ending, in_axes=(self.outcome_axis, 0))
+        total = total + ending(last, jax.tree.map(lambda rows: rows[-1], self.drawn))
+        if self.outcomes is not None:
+            # One outcome that diverges makes the sequence infinitely expensive under any risk.
+            is_finite = jnp.all(jnp.isfinite(total), axis=0)
+            total = jnp.where(is_finite, self.outcomes.risk.costs(total, variation), jnp.inf)
+        # The sequence cost depends on the controls alone, which no outcome changes.
+        return total[: controls.shape[-1]] + jax.vmap(sequence, in_axes=-1)(controls)
+
+
+def _lanes(num_samples: int) -> int:
+    """Return the length of the sample vectors: `num_samples`, or one cache line more.
+
+    The vectors of all state components lie side by side in memory. Vectors of a multiple of 1 KiB
+    compete for the same few sets of the first-level cache, which was measured to be three times
+    slower. One more cache line avoids it.
     """
     line = 16
     return num_samples + line if -(-num_samples // line) % line == 0 else num_samples
 
 
 def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
-    """Raise a `ValueError` if a model's bounds, its step or a cost are not of the right shape."""
+    """Raise a `ValueError` if the bounds or the step of a model, or a cost, have a wrong shape."""
     size = dynamics.control_size
     for name in ("control_min", "control_max"):
         bound = getattr(dynamics, name)
@@ -256,13 +307,13 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     )
     check_state(dynamics, reached.shape)
     for _, term in cost.terms():
-        # A cost that reads the belief fails here, whatever the error: it is checked in `step`.
+        # There is no belief yet, so a cost that reads one fails here. `step` checks it.
         with contextlib.suppress(AttributeError, TypeError, MissingPartError):
             check_costs(dynamics, term, horizon, None)
 
 
 def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
-    """Raise a `ValueError` if a model returns something else than a state."""
+    """Raise a `ValueError` if a model returns something other than a state."""
     expected = (dynamics.state_size,)
     if shape != expected:
         raise ValueError(
@@ -272,9 +323,9 @@ def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
 
 
 def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> None:
-    """Raise a `ValueError` that names a term of a cost which returns something else than numbers.
+    """Raise a `ValueError` that names the first term of a cost which does not return one number.
 
-    Nothing is computed.
+    Only shapes are evaluated.
     """
     number, control = jnp.zeros(()), jnp.zeros(dynamics.control_size)
     values, controls = jnp.zeros(dynamics.state_size), jnp.zeros((horizon, dynamics.control_size))
@@ -293,12 +344,12 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
 
 
 class Trajectory(NamedTuple):
-    """One rollout.
+    """Trajectory of one rollout.
 
     Args:
-        states: (T + 1, nx) with the initial one.
-        controls: (T, nu).
-        terms: the cost of each named term, added up over time.
+        states: (T + 1, nx) states, the initial one first.
+        controls: (T, nu) controls.
+        terms: cost of each term by name, summed over time.
     """
 
     states: Float[Array, "T+1 nx"]
@@ -316,19 +367,20 @@ def rollout(
     *,
     applied: ControlVector | None = None,
 ) -> Trajectory:
-    """Return the states that one control sequence leads to, and what each term of a cost takes.
+    """Simulate one control sequence and return its trajectory with the cost of each term.
 
     Args:
-        dynamics: the model.
-        cost: what is paid; terms of the same name are added.
-        initial: (nx,).
-        controls: (T, nu).
+        dynamics: model of the robot.
+        cost: cost to evaluate; terms of the same name are added.
+        initial: (nx,) initial state.
+        controls: (T, nu) control sequence.
         dt: model step [s].
-        belief: what the robot knows.
+        belief: what the robot knows of the world.
         applied: (nu,) control before the first one; the default control when absent.
     """
     before = dynamics.default_control if applied is None else applied
-    reached = follow(dynamics, initial, controls, dt)
+    # The states are computed once and read by every term.
+    reached = rollout_states(dynamics, initial, controls, dt)
     terms: dict[str, Scalar] = {}
     for name, term in cost.terms():
         paid = step_costs(dynamics, term, reached, controls, dt, belief, applied=before)
@@ -336,10 +388,10 @@ def rollout(
     return Trajectory(jnp.concatenate([initial[None], reached]), controls, terms)
 
 
-def follow(
+def rollout_states(
     dynamics: Dynamics, initial: StateVector, controls: Float[Array, "T nu"], dt: Scalar
 ) -> Float[Array, "T nx"]:
-    """Return the states (T, nx) that controls lead to, without the initial one."""
+    """Simulate one control sequence and return the states (T, nx), without the initial one."""
 
     def advance(state: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
         control, t = inputs
@@ -360,15 +412,17 @@ def step_costs(
     *,
     applied: ControlVector,
 ) -> Float[Array, " T"]:
-    """Return what each step of a rollout pays (T,), the last one also for the end and the sequence.
+    """Return the cost of each step of a rollout (T,).
+
+    The last entry includes the terminal cost and the cost of the sequence.
 
     Args:
-        dynamics: the model.
-        cost: what is paid.
-        states: (T, nx) reached by the controls.
-        controls: (T, nu).
+        dynamics: model of the robot.
+        cost: cost to evaluate.
+        states: (T, nx) states that the controls lead to, without the initial one.
+        controls: (T, nu) control sequence.
         dt: model step [s].
-        belief: what the robot knows.
+        belief: what the robot knows of the world.
         applied: (nu,) control before the first one.
     """
     times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)

@@ -1,4 +1,4 @@
-"""How much each rollout counts."""
+"""Weightings: the weights of rollouts from their costs."""
 
 import abc
 from collections.abc import Callable
@@ -17,30 +17,30 @@ Weights = Float[Array, " K"]
 
 
 class Weighting(eqx.Module):
-    """Maps costs to weights."""
+    """A map from the costs of rollouts to their weights."""
 
     @abc.abstractmethod
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
-        """Return weights (K,) that add up to 1, or are all 0 if no cost is finite.
+        """Compute weights (K,) that add up to 1, or are all 0 if no cost is finite.
 
         Args:
-            costs: (K,) of the rollouts; those that are not finite get no weight.
-            log_ratio: (K,) `log q - log p` of the samples: see `Proposal.log_ratio`.
+            costs: (K,) costs of the rollouts; a cost that is not finite gets no weight.
+            log_ratio: (K,) log likelihood ratios of the samples, see `Proposal.log_ratio`.
         """
 
 
 class Softmax(Weighting):
     """`w_k = softmax(-J_k / temperature - importance * log_ratio_k)`.
 
-    With `importance` = 1 this is information-theoretic MPPI (Williams et al., ICRA 2017, eq. 22):
-    the term `temperature * sum u^T Sigma^-1 eps` of the cost, divided by the temperature. It keeps
-    the plan near the default control in units of the noise. 0 leaves it out, as many
-    implementations do; values between are `1 - alpha` of Williams et al., "Information-theoretic
-    model predictive control", T-RO 2018, section III-C.
+    With `importance` = 1 this is information-theoretic MPPI (Williams et al., ICRA 2017, eq. 22).
+    The likelihood ratio is the cost term `temperature * sum u^T Sigma^-1 eps` divided by the
+    temperature; it keeps the plan near the default control, in units of the noise. With 0 the term
+    is left out, as in many implementations. Values between are `1 - alpha` of Williams et al.,
+    "Information-theoretic model predictive control", T-RO 2018, section III-C.
 
     Args:
-        temperature: lambda, in units of cost: differences of this size matter.
-        importance: how much the likelihood ratio counts, 0 to 1.
+        temperature: lambda, the cost difference that reduces a weight to 1/e.
+        importance: weight of the likelihood ratio, 0 to 1.
 
     Raises:
         ValueError: a temperature that is not positive, an importance outside [0, 1].
@@ -54,20 +54,21 @@ class Softmax(Weighting):
         self.importance = _checks.scalar("importance", importance, at_least=0.0, at_most=1.0)
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
-        """Return the weights (K,)."""
+        """Compute the weights (K,)."""
         return _softmax(costs, self.temperature, self.importance * log_ratio)
 
 
 class AdaptiveSoftmax(Weighting):
-    """The softmax at the temperature that gives a wanted effective sample size.
+    """A softmax whose temperature is chosen in each step for a given effective sample size.
 
-    Costs need no scale then: `1 / sum w^2` grows with the temperature, so the one wanted is found
-    by bisection of its logarithm, from 43 decades below the range of the costs to 8 above. What
-    cannot be reached, because fewer rollouts are finite or several are equally good, is approached.
+    No scale of the costs has to be known. `1 / sum w^2` grows with the temperature, so the
+    temperature is found by bisection of its logarithm, from 43 decades below the range of the costs
+    to 8 decades above. A size that cannot be reached, because too few rollouts are finite or
+    several are equally good, is approached.
 
     Args:
-        effective_sample_size: wanted, in samples.
-        importance: as of `Softmax`.
+        effective_sample_size: wanted effective sample size, in samples.
+        importance: weight of the likelihood ratio, 0 to 1.
 
     Raises:
         ValueError: a size < 1, an importance outside [0, 1].
@@ -83,11 +84,11 @@ class AdaptiveSoftmax(Weighting):
         self.importance = _checks.scalar("importance", importance, at_least=0.0, at_most=1.0)
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
-        """Return the weights (K,)."""
+        """Compute the weights (K,)."""
         return _softmax(costs, self.temperature(costs, log_ratio), self.importance * log_ratio)
 
     def temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
-        """Return the temperature that is used for these costs."""
+        """Find the temperature at which these costs have the wanted effective sample size."""
         is_finite = jnp.isfinite(costs)
         least = jnp.min(jnp.where(is_finite, costs, jnp.inf))
         spread = jnp.max(jnp.where(is_finite, costs, -jnp.inf)) - least
@@ -105,34 +106,36 @@ class AdaptiveSoftmax(Weighting):
                 is_low = function(middle) < 0.0
                 return (jnp.where(is_low, middle, low), jnp.where(is_low, high, middle)), None
 
-            # A penalty may be 30 decades above the differences that matter; within float32.
+            # One penalty may exceed the differences that matter by 30 decades, so the interval is
+            # wide; its ends keep the exponential within float32.
             ends = (jnp.maximum(start - 100.0, -80.0), jnp.minimum(start + 18.0, 85.0))
             ends, _ = jax.lax.scan(halve, ends, None, length=30)
             return 0.5 * (ends[0] + ends[1])
 
         def solve(slope: Callable[[Scalar], Scalar], value: Scalar) -> Scalar:
-            # Where the size does not depend on the temperature, neither does the temperature on it.
+            # If all weights are equal, the sample size does not depend on the temperature and the
+            # slope is 0: the derivative is then defined as 0.
             rise = slope(jnp.ones(()))
             return jnp.where(rise != 0.0, value / jnp.where(rise != 0.0, rise, 1.0), 0.0)
 
-        # The root's derivative is that of the implicit function, not that of halving intervals.
+        # Differentiating the bisection would give 0. `custom_root` differentiates the equation.
         root: Scalar = jax.lax.custom_root(excess, jax.lax.stop_gradient(scale), bisect, solve)
         return jnp.exp(root)
 
 
 class Elite(Weighting):
-    """The best share of the rollouts counts equally, the rest not at all (cross-entropy method).
+    """Equal weights for the best rollouts and none for the others, as in the cross-entropy method.
 
-    Rollouts as good as the last of them count too. Likelihood ratios do not enter. With
-    `CovarianceAdaptation` this is CEM.
+    Rollouts that tie with the worst of the best count too. Likelihood ratios are not used. Together
+    with `CovarianceAdaptation` this is CEM.
 
     Source: Kobilarov, "Cross-entropy motion planning", IJRR 2012.
 
     Args:
-        fraction: share of the rollouts; at least one counts.
+        fraction: share of the rollouts that count, at least one rollout.
 
     Raises:
-        ValueError: a fraction that is not within (0, 1].
+        ValueError: a fraction outside (0, 1].
     """
 
     fraction: Scalar
@@ -141,28 +144,33 @@ class Elite(Weighting):
         self.fraction = _checks.scalar("fraction", fraction, above=0.0, at_most=1.0)
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
-        """Return the weights (K,)."""
+        """Compute the weights (K,)."""
         costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
         count = jnp.maximum(jnp.round(self.fraction * costs.shape[0]), 1.0).astype(jnp.int32)
+        # A threshold instead of the first `count` indices: the fraction may be traced, and ties all
+        # count.
         threshold = jnp.sort(costs)[count - 1]
         chosen = ((costs <= threshold) & jnp.isfinite(costs)).astype(jnp.float32)
         return chosen / jnp.maximum(jnp.sum(chosen), 1.0)
 
 
 def effective_sample_size(weights: Weights) -> Scalar:
-    """Return `1 / sum of weights^2`, between 1 and K; 0 if all weights are 0."""
+    """Compute `1 / sum of weights^2`, between 1 and K; 0 if all weights are 0."""
     squares = jnp.sum(weights * weights)
     return jnp.where(squares > 0.0, 1.0 / jnp.where(squares > 0.0, squares, 1.0), 0.0)
 
 
 def _softmax(costs: Costs, temperature: Scalar, offset: Costs) -> Weights:
+    """Compute `softmax(-costs / temperature - offset)` (K,); 0 for what is not finite."""
     is_finite = jnp.isfinite(costs) & jnp.isfinite(offset)
-    # Guarded before dividing, so that derivatives stay finite too; and differences are divided, not
-    # costs, whose quotient may be infinite.
+    # Infinite costs are replaced before the division: masked afterwards, they would still make
+    # derivatives NaN. Differences are divided, not costs, whose quotient may overflow.
     cheapest = jnp.min(jnp.where(is_finite, costs, jnp.inf))
     above = jnp.where(is_finite, costs - cheapest, 0.0)
     exponent = above / temperature + jnp.where(is_finite, offset, 0.0)
     exponent = jnp.where(is_finite, exponent, jnp.inf)
+    # The smallest exponent is subtracted, so that the best sample has weight 1 before normalising
+    # and the sum cannot underflow.
     least = jnp.min(exponent)
     relative = jnp.exp(jnp.where(jnp.isfinite(least), least, 0.0) - exponent)
     total = jnp.sum(relative)

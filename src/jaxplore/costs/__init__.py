@@ -1,1 +1,1 @@
-"""What a controller minimises."""
+"""Costs: the terms that a controller minimises."""

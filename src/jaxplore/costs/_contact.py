@@ -1,4 +1,4 @@
-"""Where the discs that cover a robot are, and when they are too close to something."""
+"""Positions of the discs that cover a robot, and the penalty for being too close to something."""
 
 import jax.numpy as jnp
 
@@ -8,13 +8,13 @@ from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Disc
 
 Lever = tuple[Scalar, ...]
-"""From a robot's position to the centre of a disc, (x, y) [m]; empty: it is there."""
+"""Offset from the position of a robot to the centre of a disc, (x, y) [m]; empty for no offset."""
 
 
 def levers(state: State) -> tuple[Lever, ...]:
-    """Return the way to each of the discs that cover the robot.
+    """Compute the offset of each disc that covers the robot.
 
-    That of a robot which is a disc itself is empty: its heading is not read, nothing is added.
+    For a robot that is one disc the offset is empty, so that its heading is not computed.
     """
     footprint = state.dynamics.footprint
     if isinstance(footprint, Disc):
@@ -24,23 +24,32 @@ def levers(state: State) -> tuple[Lever, ...]:
 
 
 def shifted(components: tuple[Scalar, ...], lever: Lever) -> tuple[Scalar, ...]:
-    """Return a vector moved by a lever; a height stays."""
+    """Add an offset to a vector; a third component, the height, does not change."""
     moved = tuple(a + b for a, b in zip(components, lever, strict=False))
     return moved + components[len(moved) :]
 
 
 def contact(state: State, margin: Scalar, reaction_time: Scalar) -> Scalar:
-    """Return the distance of a disc's centre at which the robot is too close [m]."""
+    """Compute the distance of a disc's centre below which the robot is too close [m]."""
     return state.dynamics.footprint.radius + margin + reaction_time * jnp.abs(state.speed)
 
 
 def depth(distance: Scalar, too_close: Scalar) -> Scalar:
-    """Return by how much a distance is too small, in 5 cm."""
+    """Compute by how much a distance is too small, in units of 5 cm."""
     return jnp.maximum(too_close - distance, 0.0) / 0.05
 
 
 def penalty(distance: Scalar, clearance: Scalar, too_close: Scalar, collision: Scalar) -> Scalar:
-    """Return what a distance costs: a little below `clearance`, `collision` for 5 cm too close."""
+    """Compute the cost of a distance to an obstacle.
+
+        ((clearance - d)_+ / clearance)^2 + collision * ((too_close - d)_+ / 0.05 m)^2
+
+    Args:
+        distance: distance of a disc's centre from the obstacle, d [m].
+        clearance: distance below which the soft term counts [m].
+        too_close: distance below which the hard term counts [m].
+        collision: cost of being 5 cm too close.
+    """
     near = jnp.maximum(clearance - distance, 0.0) / clearance
     deep = depth(distance, too_close)
     return near * near + collision * deep * deep

@@ -1,4 +1,4 @@
-"""How far a robot is from a point."""
+"""Distances between a robot and a point, computed component by component."""
 
 from jax import Array
 
@@ -7,13 +7,13 @@ from jaxplore.dynamics.base import State
 
 
 def offset(state: State, point: Array) -> tuple[Scalar, ...]:
-    """Return position - point, component by component [m].
+    """Compute position minus point, component by component [m].
 
     Args:
-        state: of the robot.
+        state: state of the robot.
         point: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
     """
-    # Components, not vectors: of K samples each is one vector of K, in which XLA computes fastest.
+    # Mapped over K samples, each component is one vector of K, which XLA turns into fast loops.
     here = [*state.position]
     if point.shape[0] == 3:
         here.append(state["z"])

@@ -1,4 +1,4 @@
-"""Costs, and how they add up."""
+"""The interface of costs, and their sums, weights and names."""
 
 import abc
 from collections.abc import Iterator
@@ -15,28 +15,28 @@ from jaxplore.dynamics.base import Dynamics, State
 
 
 class Cost(eqx.Module):
-    """What a rollout pays:
+    """Cost of a rollout:
 
         sum over t of stage(x_{t+1}, u_t, t + dt) + terminal(x_T) + sequence(u_0 ... u_{T-1})
 
-    Written for one rollout; the engine maps it. The stage cost is taken at the state that a control
-    leads to. Weights are outside: `2.0 * A() + B()`.
+    A cost is written for one rollout; the rollout engine maps it over samples. The stage cost is
+    evaluated at the state that a control leads to. Weights are applied outside: `2.0 * A() + B()`.
     """
 
     @abc.abstractmethod
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of one step.
+        """Compute the cost of one step.
 
         Args:
-            state: the state reached.
-            control: (nu,) the control that led to it.
-            t: time from now at which it is reached [s].
-            belief: what the robot knows, as given to the controller: a `Belief`, or whatever
-                pytree the cost expects.
+            state: state after the step.
+            control: (nu,) control that led to it.
+            t: time from now at which the state is reached [s].
+            belief: what the robot knows of the world, as given to the controller: a `Belief`, or
+                whatever pytree the cost expects.
         """
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the cost of the last state; none unless a cost says otherwise."""
+        """Compute the cost of the last state; 0 by default."""
         return jnp.zeros(())
 
     def sequence(
@@ -46,18 +46,19 @@ class Cost(eqx.Module):
         dt: Scalar,
         dynamics: Dynamics,
     ) -> Scalar:
-        """Return the cost of the controls as a sequence; none unless a cost says otherwise.
+        """Compute the cost of the control sequence as a whole; 0 by default.
 
         Args:
-            controls: (T, nu) those of the rollout.
-            applied: (nu,) the control before them, the last one that was given out.
+            controls: (T, nu) controls of the rollout.
+            applied: (nu,) control of the last step, before the first of these.
             dt: model step [s].
-            dynamics: the model.
+            dynamics: model of the robot.
         """
         return jnp.zeros(())
 
     def terms(self) -> Iterator[tuple[str, "Cost"]]:
-        """Yield the terms that add up to this cost, each with its name."""
+        """Yield the name and the cost of each term that adds up to this cost."""
+        # A cost without parts is one term; sums override this.
         yield type(self).__name__, self
 
     def __add__(self, other: "Cost") -> "SumCost":
@@ -70,22 +71,22 @@ class Cost(eqx.Module):
         return self * weight
 
     def named(self, name: str) -> "NamedCost":
-        """Return this cost as one term of that name, to tell it from others of its class."""
+        """Return this cost as one term with a name, to distinguish it from others of its class."""
         return NamedCost(name, self)
 
 
 class WeightedCost(Cost):
-    """A cost times a weight; changing the weight never recompiles."""
+    """A cost times a weight. The weight is a leaf: changing it does not recompile."""
 
     weight: Scalar
     cost: Cost
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the weighted stage cost."""
+        """Compute the weighted stage cost."""
         return self.weight * self.cost.stage(state, control, t, belief)
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the weighted terminal cost."""
+        """Compute the weighted terminal cost."""
         return self.weight * self.cost.terminal(state, belief)
 
     def sequence(
@@ -95,7 +96,7 @@ class WeightedCost(Cost):
         dt: Scalar,
         dynamics: Dynamics,
     ) -> Scalar:
-        """Return the weighted cost of the sequence."""
+        """Compute the weighted cost of the sequence."""
         return self.weight * self.cost.sequence(controls, applied, dt, dynamics)
 
     def terms(self) -> Iterator[tuple[str, Cost]]:
@@ -110,14 +111,14 @@ class SumCost(Cost):
     costs: tuple[Cost, ...]
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the sum of the stage costs."""
+        """Compute the sum of the stage costs."""
         total = jnp.zeros(())
         for cost in self.costs:
             total = total + cost.stage(state, control, t, belief)
         return total
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the sum of the terminal costs."""
+        """Compute the sum of the terminal costs."""
         total = jnp.zeros(())
         for cost in self.costs:
             total = total + cost.terminal(state, belief)
@@ -130,7 +131,7 @@ class SumCost(Cost):
         dt: Scalar,
         dynamics: Dynamics,
     ) -> Scalar:
-        """Return the sum of the costs of the sequence."""
+        """Compute the sum of the costs of the sequence."""
         total = jnp.zeros(())
         for cost in self.costs:
             total = total + cost.sequence(controls, applied, dt, dynamics)
@@ -143,16 +144,16 @@ class SumCost(Cost):
 
 
 class NamedCost(Cost):
-    """A cost under a name of its own: `ObstacleCost().named("left wall")`.
+    """A cost with a name: `ObstacleCost().named("left wall")`.
 
-    A sum that is named is one term. Weights may be inside or outside the name.
+    A named sum is one term. Weights may be applied inside or outside the name.
 
     Args:
-        name: of the term; static.
-        cost: what is paid.
+        name: name of the term; static.
+        cost: cost of the term.
 
     Raises:
-        ValueError: a name that is empty or no text.
+        ValueError: a name that is empty or not a string.
     """
 
     cost: Cost
@@ -165,11 +166,11 @@ class NamedCost(Cost):
         self.cost = cost
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the stage cost."""
+        """Compute the stage cost."""
         return self.cost.stage(state, control, t, belief)
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the terminal cost."""
+        """Compute the terminal cost."""
         return self.cost.terminal(state, belief)
 
     def sequence(
@@ -179,7 +180,7 @@ class NamedCost(Cost):
         dt: Scalar,
         dynamics: Dynamics,
     ) -> Scalar:
-        """Return the cost of the sequence."""
+        """Compute the cost of the sequence."""
         return self.cost.sequence(controls, applied, dt, dynamics)
 
     def terms(self) -> Iterator[tuple[str, Cost]]:

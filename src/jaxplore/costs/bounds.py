@@ -1,4 +1,4 @@
-"""Costs of leaving what a state should stay within."""
+"""Costs of leaving the bounds of a state or the speed limit."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,20 +14,20 @@ from jaxplore.dynamics.base import State
 
 
 class StateBoundsCost(Cost):
-    """How far named state components are outside their bounds,
+    """Squared distance of named state components outside their bounds,
 
         sum_i ((lower_i - x_i)_+^2 + (x_i - upper_i)_+^2) / scale_i^2
 
-    Nothing within, and no step at the bound: what matters is how deep. A box for the position are
-    bounds of `x`, `y` and `z`. Angles are compared as they are, without wrapping.
+    The cost is 0 inside the bounds and continuous at them. A box for the position is given by
+    bounds of `x`, `y` and `z`. Angles are compared without wrapping.
 
     Args:
-        lower: lowest value by name of the component [its unit]; the names are static.
-        upper: greatest value by name. A component may have one bound or both.
-        scale: depth that costs 1, by name [unit of the component]; 1 where absent.
+        lower: lower bounds by name of the component [unit of the component]; the names are static.
+        upper: upper bounds by name. A component may have one bound or both.
+        scale: distance outside that costs 1, by name [unit of the component]; 1 where absent.
 
     Raises:
-        ValueError: no bound at all, a lower one above the upper one, a scale that is not positive
+        ValueError: no bound at all, a lower bound above the upper one, a scale that is not positive
             or of a component without bounds. When traced, a name that the model does not have.
     """
 
@@ -59,7 +59,7 @@ class StateBoundsCost(Cost):
         self.scale = {name: given.get(name, jnp.ones(())) for name in sorted(bounded)}
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared depths."""
+        """Compute the sum of the squared distances outside the bounds."""
         total = jnp.zeros(())
         for name, scale in self.scale.items():
             value, inverse = state[name], 1.0 / scale
@@ -68,17 +68,18 @@ class StateBoundsCost(Cost):
                 depth = depth + jnp.maximum(self.lower[name] - value, 0.0)
             if name in self.upper:
                 depth = depth + jnp.maximum(value - self.upper[name], 0.0)
+            # At most one of the two terms is positive, so their sum is squared.
             depth = inverse * depth
             total = total + depth * depth
         return total
 
 
 class SpeedLimitCost(Cost):
-    """How much too fast the robot is, `((|v| - limit)_+ / scale)^2`.
+    """Squared speed above a limit, `((|v| - limit)_+ / scale)^2`.
 
     Args:
-        limit: greatest speed that costs nothing [m/s].
-        scale: excess that costs 1 [m/s].
+        limit: speed up to which the cost is 0 [m/s].
+        scale: excess speed that costs 1 [m/s].
 
     Raises:
         ValueError: a value that is not positive.
@@ -92,6 +93,6 @@ class SpeedLimitCost(Cost):
         self.scale = _checks.scalar("scale", scale, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared excess."""
+        """Compute the squared excess speed."""
         excess = jnp.maximum(jnp.abs(state.speed) - self.limit, 0.0) / self.scale
         return excess * excess

@@ -1,4 +1,4 @@
-"""The cost of colliding, and nothing else: what no objective is worth."""
+"""The cost of collisions alone, which no objective of a portfolio is traded against."""
 
 import functools
 
@@ -17,11 +17,11 @@ from jaxplore.geometry.outlines import nearest
 
 
 class CollisionCost(Cost):
-    """How deep the robot is in what it must not touch; 0 for one that keeps clear.
+    """Squared penetration depth of the robot into obstacles; 0 without a collision.
 
-    With d the least clearance on the belief of the discs that cover the robot, r their radius, v
-    its speed and, for each moving obstacle, g_n the least distance of a disc's centre from where
-    its surface is expected,
+    With d the least clearance of the discs that cover the robot, r their radius, v the speed of the
+    robot and, for each moving obstacle, g_n the least distance of a disc's centre from the expected
+    surface of the obstacle,
 
         ((c - d)_+ / 0.05 m)^2 + sum_n ((c + caution s_n(t) - g_n)_+ / 0.05 m)^2,
         c = r + margin + reaction_time |v|,   s_n(t) = standard deviation of its position
@@ -30,21 +30,21 @@ class CollisionCost(Cost):
     members weigh how far to keep from obstacles, but not whether to hit them. Moving obstacles are
     those of `belief.obstacles`; where it is absent there are none.
 
-    What moves may turn at any time. With v_n an obstacle's speed and h_n the distance of a disc's
-    centre from where its surface is now, a rollout pays beside that, far less,
+    A moving obstacle may turn at any time. With v_n its speed and h_n the distance of a disc's
+    centre from its current surface, a much smaller second cost
 
         reach sum_n (c + v_n t - h_n)_+^2
 
-    for being where the obstacle could be by then, whichever way it went. (The reachable set of a
-    point with bounded speed, as in Fraichard and Asama, "Inevitable collision states - a step
-    towards safer robots?", Advanced Robotics 2004. As a price, not a bound: near what cannot be
-    avoided, to pass may be better.)
+    is added for being where the obstacle could be by then in any direction. This is the reachable
+    set of a point with bounded speed, as in Fraichard and Asama, "Inevitable collision states - a
+    step towards safer robots?", Advanced Robotics 2004. It is a cost and not a constraint, since
+    near an obstacle that cannot be avoided it may be better to pass.
 
     Args:
-        margin: kept beyond the radius [m].
-        reaction_time: [s].
-        caution: standard deviations of where an obstacle will be that are kept free.
-        reach: cost of each step that is a metre deep in where an obstacle could be [1/m^2].
+        margin: distance to keep beyond the radius [m].
+        reaction_time: time by which the speed enlarges the distance [s].
+        caution: number of standard deviations of an obstacle's position to keep free.
+        reach: cost of each step that is 1 m deep in the reachable set of an obstacle [1/m^2].
 
     Raises:
         ValueError: a negative value. When traced, a belief without a clearance.
@@ -68,7 +68,7 @@ class CollisionCost(Cost):
         self.reach = _checks.scalar("reach", reach, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the squared depth, in 5 cm."""
+        """Compute the squared depth, in units of 5 cm, plus the cost of the reachable sets."""
         too_close = contact(state, self.margin, self.reaction_time)
         field, parts = part(belief, "clearance"), levers(state)
 
@@ -87,7 +87,7 @@ class CollisionCost(Cost):
             distances = [nearest(corners, radius, x, y).distance for x, y in points]
             return functools.reduce(jnp.minimum, distances)
 
-        def price(obstacle: tuple[Array, Array, Scalar, Scalar, Scalar]) -> Scalar:
+        def penalty(obstacle: tuple[Array, Array, Scalar, Scalar, Scalar]) -> Scalar:
             expected, now, radius, spread, speed = obstacle
             inside = depth(gap(expected, radius), too_close + spread)
             within = jnp.maximum(too_close + speed * t - gap(now, radius), 0.0)
@@ -96,4 +96,4 @@ class CollisionCost(Cost):
         expected, now = obstacles.predicted(t), obstacles.predicted(jnp.zeros(()))
         spreads = self.caution * obstacles.deviation(t)
         things = (expected.corners, now.corners, expected.radii, spreads, obstacles.speeds)
-        return total + add_up(price, things)
+        return total + add_up(penalty, things)

@@ -1,4 +1,4 @@
-"""The cost of accelerations: what passengers and loads feel, and tyres have to hold."""
+"""The cost of accelerations, which passengers and loads feel and tyres have to transmit."""
 
 from typing import Any
 
@@ -21,15 +21,16 @@ class ComfortCost(Cost):
         ((|a_lat| - free_lateral)_+ / lateral)^2
             + ((|a_lon| - free_longitudinal)_+ / longitudinal)^2
 
-    with (a_lon, a_lat) the second time derivative of the position (x, y) under the control, held,
-    turned by minus the heading. In a bend driven at speed v with curvature k, a_lat = v^2 k. What
-    jerks instead are the controls: `ControlRateCost` and `ControlJerkCost`.
+    with (a_lon, a_lat) the second time derivative of the position (x, y) under a constant control,
+    rotated to the frame of the robot. In a bend of curvature k at speed v, a_lat = v^2 k. Changes
+    of the controls are penalised by `ControlRateCost` and `ControlJerkCost`.
 
     Args:
-        lateral: that costs 1 beyond what is free [m/s^2].
-        longitudinal: likewise [m/s^2].
-        free_lateral: costs nothing, such as what the tyres hold [m/s^2].
-        free_longitudinal: likewise [m/s^2].
+        lateral: lateral acceleration beyond the free one that costs 1 [m/s^2].
+        longitudinal: longitudinal acceleration beyond the free one that costs 1 [m/s^2].
+        free_lateral: lateral acceleration that costs nothing, such as the grip of the tyres
+            [m/s^2].
+        free_longitudinal: longitudinal acceleration that costs nothing [m/s^2].
 
     Raises:
         ValueError: a scale that is not positive, a negative free acceleration. When traced, a model
@@ -56,7 +57,7 @@ class ComfortCost(Cost):
         )
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of the accelerations."""
+        """Compute the cost of the accelerations."""
         along, across = acceleration(state.values, control, state.dynamics)
         hard = jnp.maximum(jnp.abs(along) - self.free_longitudinal, 0.0) / self.longitudinal
         sideways = jnp.maximum(jnp.abs(across) - self.free_lateral, 0.0) / self.lateral
@@ -68,7 +69,7 @@ class ComfortCost(Cost):
         controls: Float[Array, "T nu"],
         dynamics: Dynamics,
     ) -> Float[Array, "T 2"]:
-        """Return (a_lon, a_lat) (T, 2) in each of many states under its control [m/s^2]."""
+        """Compute (a_lon, a_lat) of each of T states under its control (T, 2) [m/s^2]."""
 
         def one(values: Array, control: Array) -> Array:
             return jnp.stack(acceleration(values, control, dynamics))
@@ -79,12 +80,12 @@ class ComfortCost(Cost):
 def acceleration(
     state: StateVector, control: ControlVector, dynamics: Dynamics
 ) -> tuple[Scalar, Scalar]:
-    """Return the acceleration of a robot's position along its heading and to its left [m/s^2].
+    """Compute the acceleration of a robot's position along its heading and to its left [m/s^2].
 
     Args:
-        state: (nx,).
-        control: (nu,), held.
-        dynamics: the model; of an `Augmented` one the physical part counts.
+        state: (nx,) state of the robot.
+        control: (nu,) control, taken as constant.
+        dynamics: model of the robot; of an `Augmented` model the physical part is used.
 
     Raises:
         ValueError: a model that is not given by its time derivative.
@@ -97,6 +98,8 @@ def acceleration(
             f"dynamics is {type(dynamics).__name__}, whose accelerations are not known; accepted: "
             "a ContinuousDynamics"
         )
+    # The position may be any function of the state. Its second time derivative is a derivative
+    # along the flow taken twice: no model has to provide accelerations.
     model = dynamics
 
     def velocity(values: Array) -> Array:

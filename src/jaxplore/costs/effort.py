@@ -1,4 +1,4 @@
-"""Costs of the controls: effort, and how much they change from step to step."""
+"""Costs of the controls: effort, and changes from step to step."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ class ControlCost(Cost):
     """
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the effort."""
+        """Compute the control effort."""
         low, high = state.dynamics.control_min, state.dynamics.control_max
         largest = jnp.maximum(jnp.abs(low), jnp.abs(high))
         share = control / jnp.where(largest > 0.0, largest, 1.0)
@@ -33,13 +33,13 @@ class QuadraticControlCost(Cost):
     """Quadratic control effort, `(u - u*)^T R (u - u*)`.
 
     Args:
-        weights: R, (nu, nu), or its diagonal (nu,) [1 / unit of the control squared].
-        target: u*, (nu,); the model's `default_control` when absent, which costs a robot that is
-            left alone nothing.
+        weights: matrix R (nu, nu), or its diagonal (nu,) [1 / unit of the control squared].
+        target: (nu,) control that costs nothing, u*; the `default_control` of the model when
+            absent.
 
     Raises:
-        ValueError: weights that are negative or, as a matrix, reward some control; sizes that
-            differ. When traced, sizes that do not fit the model.
+        ValueError: negative weights, a matrix with a negative eigenvalue, sizes that differ. When
+            traced, sizes that do not fit the model.
     """
 
     weights: Float[Array, " nu"] | Float[Array, "nu nu"]
@@ -52,10 +52,11 @@ class QuadraticControlCost(Cost):
         self.target = None if target is None else array("target", target, (size,))
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the effort."""
+        """Compute the control effort."""
         _check_size("weights", self.weights, state.dynamics)
         target = state.dynamics.default_control if self.target is None else self.target
         error = [value - wanted for value, wanted in zip(control, target, strict=True)]
+        # Component by component: mapped over samples, each is one vector, as in `costs._distance`.
         total = jnp.zeros(())
         for i, row in enumerate(error):
             if self.weights.ndim == 1:
@@ -67,59 +68,16 @@ class QuadraticControlCost(Cost):
 
 
 class ControlRateCost(Cost):
-    """Changes of the controls from step to step, `sum_t sum_i ((u_t,i - u_{t-1,i}) / s_i)^2`.
+    """Squared changes of the controls from step to step:
 
-    `u_{-1}` is the control that was applied last. It is a sum over steps, not over time: `dt` does
-    not enter.
+        sum_t sum_i ((u_t,i - u_{t-1,i}) / s_i)^2
 
-    Args:
-        scale: s, (nu,) or one number, the change that costs 1 [unit of the control]; the range
-            between the model's bounds when absent. A control whose range is 0 or infinite then
-            costs nothing.
-        include_applied: whether the first control is compared with the one applied before; static.
-
-    Raises:
-        ValueError: a scale that is not positive. When traced, one that does not fit the model.
-    """
-
-    scale: Scalar | ControlVector | None
-    include_applied: bool = eqx.field(static=True)
-
-    def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
-        self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
-        self.include_applied = include_applied
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return nothing: one step does not say how controls change."""
-        return jnp.zeros(())
-
-    def sequence(
-        self,
-        controls: Float[Array, "T nu"],
-        applied: ControlVector,
-        dt: Scalar,
-        dynamics: Dynamics,
-    ) -> Scalar:
-        """Return the sum over steps and controls."""
-        changes = controls[1:] - controls[:-1]
-        paid = jnp.sum(changes * changes, axis=0)
-        if self.include_applied:
-            first = controls[0] - applied
-            paid = paid + first * first
-        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
-
-
-class ControlJerkCost(Cost):
-    """Changes of the changes, `sum_t sum_i ((u_t,i - 2 u_{t-1,i} + u_{t-2,i}) / s_i)^2`.
-
-    A control that rises evenly costs nothing. `u_{-1}` is the control that was applied last; the
-    sum begins where it is u_{t-2}. `dt` does not enter.
+    with `u_{-1}` the control applied last. The sum is over steps and does not depend on `dt`.
 
     Args:
-        scale: s, (nu,) or one number, the second difference that costs 1 [unit of the control]; the
-            range between the model's bounds when absent. A control whose range is 0 or infinite
-            then costs nothing.
-        include_applied: whether the control applied before counts, or the sum begins a step later;
+        scale: change that costs 1, s, (nu,) or one number [unit of the control]; the range between
+            the bounds when absent. A control whose range is 0 or infinite then costs nothing.
+        include_applied: whether the first control is compared with the control applied last;
             static.
 
     Raises:
@@ -134,7 +92,7 @@ class ControlJerkCost(Cost):
         self.include_applied = include_applied
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return nothing: one step does not say how controls change."""
+        """Return 0: changes are a property of the sequence."""
         return jnp.zeros(())
 
     def sequence(
@@ -144,7 +102,53 @@ class ControlJerkCost(Cost):
         dt: Scalar,
         dynamics: Dynamics,
     ) -> Scalar:
-        """Return the sum over steps and controls."""
+        """Compute the sum over steps and controls."""
+        changes = controls[1:] - controls[:-1]
+        paid = jnp.sum(changes * changes, axis=0)
+        if self.include_applied:
+            first = controls[0] - applied
+            paid = paid + first * first
+        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+
+
+class ControlJerkCost(Cost):
+    """Squared second differences of the controls:
+
+        sum_t sum_i ((u_t,i - 2 u_{t-1,i} + u_{t-2,i}) / s_i)^2
+
+    with `u_{-1}` the control applied last, where the sum begins. A control that changes at a
+    constant rate costs nothing. The sum does not depend on `dt`.
+
+    Args:
+        scale: second difference that costs 1, s, (nu,) or one number [unit of the control]; the
+            range between the bounds when absent. A control whose range is 0 or infinite then costs
+            nothing.
+        include_applied: whether the sum includes the control applied last, or begins one step
+            later; static.
+
+    Raises:
+        ValueError: a scale that is not positive. When traced, one that does not fit the model.
+    """
+
+    scale: Scalar | ControlVector | None
+    include_applied: bool = eqx.field(static=True)
+
+    def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
+        self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
+        self.include_applied = include_applied
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return 0: changes are a property of the sequence."""
+        return jnp.zeros(())
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Compute the sum over steps and controls."""
         changes = controls[1:] - controls[:-1]
         bends = changes[1:] - changes[:-1]
         paid = jnp.sum(bends * bends, axis=0)
@@ -155,8 +159,9 @@ class ControlJerkCost(Cost):
 
 
 def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
-    """Return 1 / scale^2 (nu,)."""
+    """Compute 1 / scale^2 (nu,)."""
     if scale is None:
+        # A fixed control has no range. An infinite range gives an inverse of 0.
         span = dynamics.control_max - dynamics.control_min
         inverse = jnp.where(span > 0.0, 1.0 / jnp.where(span > 0.0, span, 1.0), 0.0)
     else:
@@ -167,6 +172,7 @@ def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:
 
 
 def _check_size(name: str, value: Array, dynamics: Dynamics) -> None:
+    """Raise a `ValueError` if a vector does not have one entry per control of the model."""
     size = dynamics.control_size
     if value.shape[0] != size:
         raise ValueError(
@@ -176,13 +182,13 @@ def _check_size(name: str, value: Array, dynamics: Dynamics) -> None:
 
 
 def _check_no_reward(weights: Array) -> None:
-    """Raise where the quadratic form of the weights falls without bound in some direction."""
+    """Raise a `ValueError` if the quadratic form of the weights is not bounded below."""
     if _checks.is_traced(weights):
         return
     given = np.asarray(weights, np.float64)
     matrix = np.diag(given) if given.ndim == 1 else 0.5 * (given + given.T)
     lowest = np.linalg.eigvalsh(matrix).min()
-    # Rounding to float32 can take a zero eigenvalue a little below.
+    # Rounding to float32 can make a zero eigenvalue slightly negative.
     if lowest < -1e-6 * np.abs(matrix).max():
         raise ValueError(
             f"weights is {given.tolist()}, which rewards some controls (eigenvalue {lowest:.3g}); "

@@ -1,4 +1,4 @@
-"""Costs of an exploring robot: go where there is something to learn, and face the way there."""
+"""Costs of exploration: information of scans, guidance to the remaining information, goals."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,21 +22,22 @@ from jaxplore.maps.field import ScalarField
 
 
 class InformationCost(Cost):
-    """Reward for what a scan taken here would tell, `-I(x, y, yaw) / num_beams` [nat per beam].
+    """Reward for the information of a scan from this pose, `-I(x, y, yaw) / num_beams` [nat/beam].
 
     The field of view is that of the sensor that the belief was made for.
 
-    Fading, it is worth `exp(-dwell(x, y) / patience)` of that, as places are to guidance: what
-    cannot be seen after all, such as the far side of a hill, is not looked at for ever.
+    With `is_fading` the reward is multiplied by `exp(-dwell(x, y) / patience)`, as it is for
+    guidance. A robot then stops looking at what it cannot see after all, such as the far side of a
+    hill.
 
     Args:
-        is_fading: static.
+        is_fading: whether the reward is discounted by the time spent nearby; static.
     """
 
     is_fading: bool = eqx.field(static=True, default=False)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return minus the information of a scan per beam."""
+        """Compute the negative information of a scan per beam."""
         field: InformationField = part(belief, "information")
         reward = field(state.position, state.heading) / field.num_beams
         if not self.is_fading:
@@ -46,27 +47,29 @@ class InformationCost(Cost):
 
 
 class GuidanceCost(Cost):
-    """Cost to go to the remaining information, and of not facing the way there [m].
+    """Cost to go to the remaining information, plus a cost of not facing the way there [m].
 
         max(U(x), U(x_0) - reach) + turning * (1 - h . g(x))
 
-    with x_0 the place where the field was made (`Belief.pose`), h the heading and g the direction
-    in which U falls, both unit vectors. Where a robot cannot move sideways, position alone does not
-    reward turning. The second term rises all the way from facing the way to facing away from it, so
-    there is no heading to be stuck in; a look-up ahead of the robot would have one in an alcove,
-    where turning leads past walls, and could see the far side of a thin wall.
+    with U the cost to go, x_0 the position for which the belief was made (`Belief.pose`), h the
+    heading and g the direction of descent of U, both unit vectors.
 
-    No way that the robot can take within its horizon leads farther down than `reach`: what does is
-    behind a wall, or across a gap into a room where there is something to see while here there is
-    not. Without a bound such a cliff, of up to a kilometre, outweighs a collision.
+    The second term makes a robot that cannot move sideways turn, which U alone does not reward. It
+    grows from facing the way to facing away from it, so there is no local minimum in the heading.
+    Evaluating U ahead of the robot instead would have one in an alcove, where turning leads past
+    walls, and could read the far side of a thin wall.
+
+    U cannot fall by more than `reach` along a path within the horizon. Where it does, the lower
+    value lies behind a wall, or across a gap in a room with information. Without the bound such a
+    cliff, of up to a kilometre, would outweigh a collision.
 
     Args:
-        turning: what facing sideways costs [m].
-        reach: of the cost to go that counts [m]; more than twice the way within the horizon, since
-            tight places count double.
+        turning: cost of facing sideways [m].
+        reach: largest decrease of the cost to go that counts [m]. It must exceed twice the path
+            within the horizon, since narrow places count double.
 
     Raises:
-        ValueError: a negative value, no reach.
+        ValueError: a negative value, a reach of 0.
     """
 
     turning: Scalar
@@ -77,28 +80,28 @@ class GuidanceCost(Cost):
         self.reach = _checks.scalar("reach", reach, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the cost to go and of the heading."""
+        """Compute the bounded cost to go plus the cost of the heading."""
         position, heading = state.position, state.heading
         guidance: GuidanceField = part(belief, "guidance")
-        way = guidance.direction(position)
+        direction = guidance.direction(position)
         sin, cos = sin_cos(heading)
-        facing = cos * way[0] + sin * way[1]
+        facing = cos * direction[0] + sin * direction[1]
         here = guidance(belief.pose[:2])
-        # Off the lattice there is nothing to compare with.
+        # Outside the field there is no cost to go at the robot that could bound it.
         least = jnp.where(here < guidance.outside, here - self.reach, -jnp.inf)
         return jnp.maximum(guidance(position), least) + self.turning * (1.0 - facing)
 
 
 class PotentialCost(Cost):
-    """Reward for being where a scan is worth much, `-I(x, y)` or `-I(x, y, yaw)` [nat].
+    """Reward for the information in the strategic field, `-I(x, y)` or `-I(x, y, yaw)` [nat].
 
-    Reads the field around the robot that the strategic layer of `InformativeMPPI` keeps: its
-    greatest value over headings, or that of the robot's own heading.
+    The field is that of the strategic layer of `InformativeMPPI`. `I(x, y)` is its greatest value
+    over headings, `I(x, y, yaw)` its value at the heading of the robot.
 
     Source: the parallel architecture of the quadrotor design notes, `J_field`.
 
     Args:
-        by_heading: read the field at the robot's heading; static.
+        by_heading: whether to read the field at the heading of the robot; static.
     """
 
     by_heading: bool = eqx.field(static=True, default=False)
@@ -106,7 +109,7 @@ class PotentialCost(Cost):
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
-        """Return minus the information."""
+        """Compute the negative information."""
         if self.by_heading:
             by_heading: HeadingField = part(belief, "potential")
             return -by_heading(state.position, state.heading)
@@ -115,28 +118,28 @@ class PotentialCost(Cost):
 
 
 class LocalInformationCost(Cost):
-    """Reward for what a short look from this pose tells, `-I(x, y, yaw)` [nat].
+    """Reward for the information of a short-range scan from this pose, `-I(x, y, yaw)` [nat].
 
-    Source: the quadrotor design notes, `J_local`: Uniform-FSMI of 6 beams up to 2.5 m, here read
-    from a field of the map as it is now instead of cast for every sample.
+    Source: the quadrotor design notes, `J_local`: Uniform-FSMI of 6 beams up to 2.5 m. The notes
+    cast the beams for every sample; here the samples read a field, see `ShortRangeField`.
     """
 
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
-        """Return minus the information."""
+        """Compute the negative information."""
         local: HeadingField = part(belief, "local")
         return -local(state.position, state.heading)
 
 
 class StrategyReferenceCost(Cost):
-    """Squared distance from the reference of the strategic layer, `|p - r(t)|^2` [m^2], over
-    ground."""
+    """Squared horizontal distance from the reference of the strategic layer, `|p - r(t)|^2`
+    [m^2]."""
 
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
-        """Return the squared distance at the time when the state is reached."""
+        """Compute the squared distance at the time when the state is reached."""
         part(belief, "reference")
         position, wanted = state.position, belief.reference_at(t)
         x, y = position[0] - wanted[0], position[1] - wanted[1]
@@ -144,15 +147,15 @@ class StrategyReferenceCost(Cost):
 
 
 class HomingCost(Cost):
-    """Distance to the goal once nothing worthwhile is left to see, 0 before [m].
+    """Distance to the goal once nothing worthwhile is left to see, and 0 before [m].
 
-    Source: the quadrotor design notes, where the goal attracts only when the field is spent.
+    Source: the quadrotor design notes, where the goal attracts only after exploration.
 
     Args:
-        goal: (x, y) or (x, y, z) [m].
+        goal: goal position (x, y) or (x, y, z) [m].
 
     Raises:
-        ValueError: a goal of another shape or not finite.
+        ValueError: a goal of the wrong shape or one that is not finite.
     """
 
     goal: Float[Array, " n"]
@@ -161,5 +164,5 @@ class HomingCost(Cost):
         self.goal = array("goal", goal, (2,), (3,))
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the distance, or 0."""
+        """Compute the distance to the goal, or 0 before everything is explored."""
         return jnp.where(belief.is_explored, length(*offset(state, self.goal)), 0.0)

@@ -1,13 +1,12 @@
-"""Extractors: what a cost reads of a state, by name or by a function of one's own.
+"""Extractors: functions that read a number or a position from a `State`.
 
-A cost never indexes a state. It asks an extractor, a function from a `State` to a number or a
-position, so that one cost serves every model:
+A cost does not index the state vector. It calls an extractor, so that one cost serves all models:
 
 | extractor | reads |
 | --- | --- |
-| `position`, `heading`, `speed` | what the model calls so |
-| `component("phi")` | the component of that name |
-| `from_physical(f)`, `from_virtual(f)` | `f` of that part of an `Augmented` state |
+| `position`, `heading`, `speed` | the quantity that the model defines under this name |
+| `component("phi")` | the state component of this name |
+| `from_physical(f)`, `from_virtual(f)` | `f` of one part of an `Augmented` state |
 """
 
 from collections.abc import Callable
@@ -42,7 +41,8 @@ def component(name: str) -> Extractor:
     """Return the extractor of the state component called `name`.
 
     Raises:
-        ValueError: a name that is empty or no text. When traced, one that the model does not have.
+        ValueError: a name that is empty or not a string. When traced, a name that the model does
+            not have.
     """
     if not isinstance(name, str) or not name:
         raise ValueError(f"name is {name!r}; accepted: the name of a state component")
@@ -50,33 +50,33 @@ def component(name: str) -> Extractor:
 
 
 def from_physical(extractor: Extractor) -> Extractor:
-    """Return what an extractor reads of the physical part of an `Augmented` state.
+    """Apply an extractor to the physical part of an `Augmented` state.
 
-    Of a model that has no parts it is what the extractor reads.
+    For a model without parts it is applied to the whole state.
     """
     return _Part(extractor, is_physical=True)
 
 
 def from_virtual(extractor: Extractor) -> Extractor:
-    """Return what an extractor reads of the virtual part of an `Augmented` state.
+    """Apply an extractor to the virtual part of an `Augmented` state.
 
     Raises:
-        ValueError: when traced, a model that has no parts.
+        ValueError: when traced, a model without parts.
     """
     return _Part(extractor, is_physical=False)
 
 
 def extract(name: str, extractor: Extractor, state: State, shape: tuple[int, ...]) -> Any:
-    """Return what an extractor reads.
+    """Apply an extractor and check the shape of the result.
 
     Args:
-        name: of the argument that the extractor was given as, for messages.
-        extractor: reads it.
-        state: of the robot.
-        shape: that it is to have.
+        name: name of the argument that holds the extractor, for error messages.
+        extractor: extractor to apply.
+        state: state of the robot.
+        shape: required shape of the result.
 
     Raises:
-        ValueError: it has another shape.
+        ValueError: a result of another shape.
     """
     value = extractor(state)
     if jnp.shape(value) != shape:
@@ -87,7 +87,7 @@ def extract(name: str, extractor: Extractor, state: State, shape: tuple[int, ...
     return value
 
 
-# Modules without arrays: equal ones are the same program to the compiler, lambdas are not.
+# Modules instead of lambdas: two equal modules have the same hash and share a compiled program.
 class _Component(eqx.Module):
     name: str = eqx.field(static=True)
 

@@ -1,4 +1,4 @@
-"""Costs of not going somewhere: to a goal along its field, or into one of several regions."""
+"""Costs of direction: the cost to go to a goal, and a preferred direction of motion."""
 
 from jax.typing import ArrayLike
 
@@ -13,20 +13,20 @@ from jaxplore.geometry.vectors import length
 
 
 class ToGoalCost(Cost):
-    """Cost to go to the goal around what is known to be in the way, and of not facing it [m].
+    """Cost to go to the goal around known obstacles, plus a cost of not facing the way there [m].
 
         U(x) + turning * (|g(x)| - h . g(x))
 
-    with h the heading, and the cost to go U and the way to go g of the goal's field,
-    `Belief.to_goal`, which a `Perception` with `is_goal_apart` keeps. g is of length 1, and 0 at
-    the goal. `GuidanceCost` has 1 instead of |g|: a robot would pay for being where it is to
-    stop, and stop before.
+    with h the heading, U the cost to go to the goal and g its direction of descent, of length 1,
+    and 0 at the goal. Both are read from `Belief.to_goal`, which a `Perception` with
+    `is_goal_apart` provides. In `GuidanceCost` the term |g| is 1. At the goal that would cost
+    `turning` for any heading, and the robot would stop before the goal.
 
     Args:
-        turning: what facing sideways costs [m].
+        turning: cost of facing sideways [m].
 
     Raises:
-        ValueError: a negative value. When traced, a belief without that field.
+        ValueError: a negative value. When traced, a belief without the field of the goal.
     """
 
     turning: Scalar
@@ -35,26 +35,27 @@ class ToGoalCost(Cost):
         self.turning = _checks.scalar("turning", turning, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the cost to go and of the heading."""
+        """Compute the cost to go plus the cost of the heading."""
         to_goal: GuidanceField = part(belief, "to_goal")
         position, heading = state.position, state.heading
-        way = to_goal.direction(position)
+        direction = to_goal.direction(position)
         sin, cos = sin_cos(heading)
-        facing = cos * way[0] + sin * way[1]
-        return to_goal(position) + self.turning * (length(way[0], way[1]) - facing)
+        facing = cos * direction[0] + sin * direction[1]
+        return to_goal(position) + self.turning * (length(direction[0], direction[1]) - facing)
 
 
 class RegionCost(Cost):
-    """How far the robot has gone without going in a direction, `|d| - d . n` [m].
+    """Distance travelled in other directions than a preferred one, `|d| - d . n` [m].
 
-    d is its way from where it is now and n a unit vector, `direction` from its heading now: 0 for
-    one that goes that way, twice the distance for one that goes the other way. With one direction
-    for each member of a `Portfolio`, ahead, left and right, members search different regions.
+    d is the displacement from the current position, and n the unit vector at the angle `direction`
+    from the current heading. The cost is 0 for motion along n and twice the distance for motion
+    against it. With a different direction for each member of a `Portfolio`, such as ahead, left and
+    right, the members search different regions.
 
     Source: the design notes for ground vehicles, "regional decomposition".
 
     Args:
-        direction: from the heading, counter-clockwise [rad].
+        direction: angle from the current heading, counter-clockwise [rad].
 
     Raises:
         ValueError: a direction that is not a finite number.
@@ -66,9 +67,10 @@ class RegionCost(Cost):
         self.direction = _checks.scalar("direction", direction)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the distance gone elsewhere."""
+        """Compute the distance travelled in other directions."""
         position, pose = state.position, part(belief, "pose")
         x, y = position[0] - pose[0], position[1] - pose[1]
+        # Relative to the pose at the start of the rollout, so that the direction is fixed.
         angle = pose[2] + self.direction
         sin, cos = sin_cos(angle)
         return length(x, y) - (x * cos + y * sin)

@@ -1,4 +1,4 @@
-"""Costs of being near obstacles that stay: those of the map, and discs."""
+"""Costs of being near static obstacles: those of the map, and discs."""
 
 import functools
 from typing import Any
@@ -20,25 +20,25 @@ from jaxplore.geometry.vectors import length
 
 
 class ObstacleCost(Cost):
-    """Distance kept from whatever is not known to be free.
+    """Cost of being near whatever is not known to be free.
 
-    With d the clearance of the robot's centre on the belief, r its radius and v its speed,
+    With d the clearance of the robot's centre in the belief, r its radius and v its speed,
 
         ((clearance - d)_+ / clearance)^2 + collision * ((c - d)_+ / 0.05 m)^2,
         c = r + margin + reaction_time * |v|
 
-    Of a robot that several discs cover (`Footprint`), d is the least clearance of their centres and
-    r their radius.
+    For a robot covered by several discs (`Footprint`), d is the least clearance of their centres
+    and r their radius.
 
-    The faster, the more room it needs, so it slows down where it is narrow. The second term has no
-    step: what matters is how deep. A robot that finds itself too close, because the map changed
-    under it, does not take all ways for equally bad and push on.
+    A faster robot needs more distance, so it slows down in narrow places. The second term grows
+    with the depth and has no step. A robot that is suddenly too close, because the map changed,
+    then still sees which way leads out.
 
     Args:
-        clearance: distance from the centre below which it costs [m].
+        clearance: distance of the centre below which the first term counts [m].
         collision: cost of each step that is 5 cm too close.
-        margin: kept beyond the radius [m].
-        reaction_time: [s].
+        margin: distance to keep beyond the radius [m].
+        reaction_time: time by which the speed enlarges the distance [s].
 
     Raises:
         ValueError: a clearance that is not positive, another value that is negative.
@@ -62,7 +62,7 @@ class ObstacleCost(Cost):
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the cost of being this close."""
+        """Compute the cost of the distance to the nearest obstacle."""
         field = part(belief, "clearance")
 
         def clearance(lever: Lever) -> Scalar:
@@ -72,29 +72,31 @@ class ObstacleCost(Cost):
             cleared: Scalar = field(centre)
             return cleared
 
+        # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         distance = functools.reduce(jnp.minimum, map(clearance, levers(state)))
         too_close = contact(state, self.margin, self.reaction_time)
         return penalty(distance, self.clearance, too_close, self.collision)
 
 
 class DiscObstacleCost(Cost):
-    """Distance kept from discs, or spheres: the cost of obstacles where there is no map.
+    """Cost of being near discs or spheres, for obstacles that are given without a map.
 
-    With d the distance of the robot's centre from the nearest surface, negative inside,
+    The cost is that of `ObstacleCost`, with d the distance of the robot's centre from the nearest
+    surface, negative inside:
 
         d = min_n |p - c_n| - r_n
 
-    it costs what `ObstacleCost` does; `belief` is not read. Of a robot that several discs cover, d
-    is the least over their centres, whose height is the robot's.
+    `belief` is not read. For a robot covered by several discs, d is the least over their centres,
+    which have the height of the robot.
 
     Args:
-        centres: (N, 2) or (N, 3) [m]; the third column is compared with `state["z"]`. None of them,
-            N = 0, costs nothing.
-        radii: (N,) or one number [m].
-        clearance: distance from the robot's centre below which it costs [m].
+        centres: (N, 2) or (N, 3) centres of the obstacles [m]; the third column is compared with
+            `state["z"]`. With N = 0 the cost is 0.
+        radii: (N,) radii of the obstacles, or one number [m].
+        clearance: distance of the robot's centre below which the first term counts [m].
         collision: cost of each step that is 5 cm too close.
-        margin: kept beyond the robot's radius [m].
-        reaction_time: [s].
+        margin: distance to keep beyond the robot's radius [m].
+        reaction_time: time by which the speed enlarges the distance [s].
 
     Raises:
         ValueError: a clearance that is not positive, another value that is negative, shapes that do
@@ -126,7 +128,7 @@ class DiscObstacleCost(Cost):
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of being this close."""
+        """Compute the cost of the distance to the nearest obstacle."""
 
         parts = levers(state)
 

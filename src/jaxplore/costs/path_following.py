@@ -1,14 +1,14 @@
-"""Costs of following a path whose arc length is part of the state: contouring control.
+"""Costs of contouring control: follow a path whose parameter is part of the state.
 
     J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate
 
 (Lam, Manzie and Good, "Model predictive contouring control", CDC 2010; Liniger, Domahidi and
-Morari, "Optimization-based autonomous racing of 1:43 scale RC cars", OCAM 2015.) The robot chooses
-phi as it chooses its controls: `ContouringCost` keeps it beside the point at phi, `LagCost` keeps
-that point beside the robot, and `ProgressCost` pulls the point ahead. Without the lag the point
-would run away, and the robot would be measured against where it is not.
+Morari, "Optimization-based autonomous racing of 1:43 scale RC cars", OCAM 2015.) The path parameter
+phi is a state with a control of its own. `ContouringCost` keeps the robot close to the path,
+`LagCost` keeps the point at phi close to the robot, and `ProgressCost` moves that point forward.
+Without the lag the point would run ahead, and the error would be measured at the wrong place.
 
-The objects that plan are the ones that measure: `errors` of a trajectory.
+The same objects evaluate a finished trajectory: see `errors`.
 """
 
 import abc
@@ -35,16 +35,16 @@ PHI = extract.component("phi")
 
 
 class PathErrorCost(Cost):
-    """Square of one of the errors of a position beside a path [m^2].
+    """Square of one component of the position error relative to a path [m^2].
 
     Args:
-        path: to follow.
-        position: reads (x, y) of a state; the model's position when absent.
-        parameter: reads phi; the component of that name when absent.
+        path: path to follow.
+        position: extractor of (x, y); the position of the model when absent.
+        parameter: extractor of phi; the state component `phi` when absent.
 
     Raises:
-        ValueError: when traced, an extractor that returns another shape, a model without phi, one
-            whose phi ends before the path does.
+        ValueError: when traced, an extractor that returns the wrong shape, a model without phi, or
+            a model whose phi ends before the path does.
     """
 
     path: Path
@@ -53,31 +53,32 @@ class PathErrorCost(Cost):
 
     @abc.abstractmethod
     def chosen(self, errors: PathErrors) -> Scalar:
-        """Return the error that is paid for."""
+        """Select the error component that the cost squares."""
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared error."""
+        """Compute the squared error."""
         error = self.error(state)
         return error * error
 
     def error(self, state: State) -> Scalar:
-        """Return the error of a state, with its sign [m]."""
+        """Compute the signed error of a state [m]."""
         _check_reach(self.path, state.dynamics)
         phi = extract.extract("parameter", self.parameter, state, ())
         where = extract.extract("position", self.position, state, (2,))
         return self.chosen(self.path.errors(where, phi))
 
     def errors(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
-        """Return the error of each of many states (T,) [m]."""
+        """Compute the signed error of each of T states (T,) [m]."""
         return jax.vmap(lambda values: self.error(State(values, dynamics)))(states)
 
 
 class ContouringCost(PathErrorCost):
-    """Square of the distance from a path, measured across it at phi [m^2]:
+    """Square of the distance from a path, measured perpendicular to it at phi [m^2]:
 
         e_c = sin(theta) (x - x_phi) - cos(theta) (y - y_phi)
 
-    positive to the right of the path. Arguments and errors are those of `PathErrorCost`.
+    with (x_phi, y_phi) the point of the path at phi and theta its direction there. The error is
+    positive to the right of the path. See `PathErrorCost` for arguments and errors.
     """
 
     def chosen(self, errors: PathErrors) -> Scalar:
@@ -86,11 +87,12 @@ class ContouringCost(PathErrorCost):
 
 
 class LagCost(PathErrorCost):
-    """Square of how far a robot is behind the point of a path at phi, along the path [m^2]:
+    """Square of the distance behind the point of a path at phi, measured along the path [m^2]:
 
         e_l = -cos(theta) (x - x_phi) - sin(theta) (y - y_phi)
 
-    positive behind the point. Arguments and errors are those of `PathErrorCost`.
+    with (x_phi, y_phi) the point of the path at phi and theta its direction there. The error is
+    positive behind the point. See `PathErrorCost` for arguments and errors.
     """
 
     def chosen(self, errors: PathErrors) -> Scalar:
@@ -99,12 +101,12 @@ class LagCost(PathErrorCost):
 
 
 class ProgressCost(Cost):
-    """What is gained by moving on along the path, negative: `-rate`, the control of that name.
+    """Reward for progress along the path, the negative of the control `rate` [m/s].
 
-    The rate is the one that is applied, within its bounds: see `PathParameter`.
+    The rate is read as applied, within its bounds: see `PathParameter`.
 
     Args:
-        rate: name of the control [m/s]; static.
+        rate: name of the control that moves phi [m/s]; static.
 
     Raises:
         ValueError: when traced, a model without that control.
@@ -113,7 +115,7 @@ class ProgressCost(Cost):
     rate: str = eqx.field(static=True, default="phi_rate")
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return minus the rate [m/s]."""
+        """Compute the negative rate [m/s]."""
         names = state.dynamics.control_names
         if self.rate not in names:
             raise ValueError(
@@ -124,19 +126,19 @@ class ProgressCost(Cost):
 
 
 class CorridorCost(Cost):
-    """How far a robot is out of the room beside a path:
+    """Squared distance of a robot beyond the edges of the corridor around a path:
 
         ((margin - a)_+ / scale)^2,  a = min over its discs of min(left + e_c, right - e_c) - r
 
-    with r the discs' radius, `left` and `right` the path's half widths at phi and e_c the
-    contouring error of a disc's centre. Nothing is paid inside. At a wall that may not be touched
-    a small scale makes it steep.
+    with a the clearance, r the radius of the discs, `left` and `right` the half widths of the path
+    at phi, and e_c the contouring error of a disc's centre. The cost is 0 inside the corridor. At
+    walls that must not be touched, a small scale makes the cost steep.
 
     Args:
-        path: with half widths.
-        margin: kept beyond the radius [m].
-        scale: that costs 1 [m].
-        parameter: reads phi; the component of that name when absent.
+        path: path with half widths.
+        margin: distance to keep beyond the radius [m].
+        scale: distance beyond the edge that costs 1 [m].
+        parameter: extractor of phi; the state component `phi` when absent.
 
     Raises:
         ValueError: a negative margin, a scale that is not positive, a path without half widths.
@@ -162,7 +164,7 @@ class CorridorCost(Cost):
         self.parameter = PHI if parameter is None else parameter
 
     def check(self, dynamics: Dynamics) -> None:
-        """Raise a `ValueError` if the robot does not fit between the edges."""
+        """Raise a `ValueError` if the robot does not fit into the corridor."""
         radius, widths = dynamics.footprint.radius, self.path.half_widths
         if _checks.is_traced(radius, self.margin, widths):
             return
@@ -174,13 +176,14 @@ class CorridorCost(Cost):
             )
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared depth beyond the room."""
+        """Compute the squared distance beyond the edge."""
         deep = jnp.maximum(self.margin - self.clearance(state), 0.0) / self.scale
         return deep * deep
 
     def clearance(self, state: State) -> Scalar:
-        """Return the least distance of the robot's discs from the edge, negative beyond it [m]."""
+        """Compute the least distance of the robot's discs from the edge, negative beyond it [m]."""
         phi = extract.extract("parameter", self.parameter, state, ())
+        # The path is read once at phi; all discs are measured against the same point.
         point, (left, right) = self.path.at(phi), self.path.room(phi)
         room = jnp.full((), jnp.inf)
         for lever in levers(state):
@@ -190,7 +193,7 @@ class CorridorCost(Cost):
         return room - state.dynamics.footprint.radius
 
     def clearances(self, states: Float[Array, "T nx"], dynamics: Dynamics) -> Float[Array, " T"]:
-        """Return the clearance of each of many states (T,) [m]; negative is a violation."""
+        """Compute the clearance of each of T states (T,) [m]; negative is a violation."""
         return jax.vmap(lambda values: self.clearance(State(values, dynamics)))(states)
 
 

@@ -1,4 +1,4 @@
-"""Costs of the ground: how hard it is to drive on, and how nearly it cannot be."""
+"""Costs of the ground: slope and roughness, and low traversability."""
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -11,12 +11,12 @@ from jaxplore.dynamics.base import State
 
 
 class TerrainCost(Cost):
-    """Slope and roughness of the ground under the robot,
+    """Cost of the slope and roughness of the ground under the robot,
 
         (slope / steep)^2 + roughness / rough
 
-    so that it goes around a hill if the detour is worth it, and keeps to smooth ground. Reads
-    `belief.ground`; where it is absent the ground is level and costs nothing.
+    The robot then drives around a hill if the detour is worth it, and prefers smooth ground. Reads
+    `belief.ground`; without it the ground is level and the cost is 0.
 
     Args:
         steep: slope that costs 1 [m/m].
@@ -34,7 +34,7 @@ class TerrainCost(Cost):
         self.rough = _checks.scalar("rough", rough, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the cost of driving here."""
+        """Compute the cost of the ground at the position of the robot."""
         if belief.ground is None:
             return jnp.zeros(())
         slope = belief.ground.slope_field(state.position) / self.steep
@@ -42,17 +42,17 @@ class TerrainCost(Cost):
 
 
 class TraversabilityCost(Cost):
-    """How little of the ground's traversability is left, and how far it is below what is allowed,
+    """Cost of low traversability, with a barrier near the lowest one that is allowed,
 
         (1 - traversability)^2 + barrier * ((threshold + margin - traversability)_+ / margin)^2
 
-    Reads `belief.ground`; where it is absent all ground can be driven on and costs nothing. Cells
-    below the threshold are closed to the robot's paths anyway, as walls are: this keeps it from
-    driving along their edge.
+    Reads `belief.ground`; without it all ground is traversable and the cost is 0. Cells below the
+    threshold are obstacles to the robot in any case. The barrier keeps it from driving along their
+    edge.
 
     Args:
         barrier: cost of being at the threshold.
-        margin: traversability above the threshold from which the barrier counts.
+        margin: traversability above the threshold below which the barrier counts.
 
     Raises:
         ValueError: a negative barrier, a margin that is not positive.
@@ -66,7 +66,7 @@ class TraversabilityCost(Cost):
         self.margin = _checks.scalar("margin", margin, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
-        """Return the cost of driving here."""
+        """Compute the cost of the ground at the position of the robot."""
         if belief.ground is None:
             return jnp.zeros(())
         left = belief.ground.traversability_field(state.position)

@@ -1,12 +1,12 @@
-"""Costs of not being where, or as, the robot should be: points, paths, states.
+"""Costs of tracking errors: to points, references, paths and target states.
 
-| cost | the robot should | grows with the distance |
+| cost | the robot should | growth with the error |
 | --- | --- | --- |
-| `GoalCost` | get somewhere, from far away | evenly, or up to a bound |
-| `WaypointCost` | settle at a pose | with its square |
-| `ReferenceCost` | be at a place at a time | with its square |
-| `PathCost` | be on a line, at any time | with its square |
-| `StateCost` | have any state components | with their squares |
+| `GoalCost` | reach a goal from far away | linear, or up to a bound |
+| `WaypointCost` | settle at a pose | quadratic |
+| `ReferenceCost` | be at a position at a given time | quadratic |
+| `PathCost` | be on a polyline, at any time | quadratic |
+| `StateCost` | have given values of state components | quadratic |
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,20 +31,20 @@ from jaxplore.geometry.vectors import length, squared_length
 
 
 class GoalCost(Cost):
-    """Distance to go to a goal, straight [m]: `d`, or with a saturation s `s d / (s + d)`.
+    """Straight-line distance d to a goal [m], or with a saturation s, `s d / (s + d)`.
 
-    The pull is the same at any distance, so that a goal far away does not drown the other costs, as
-    a squared distance does. With a saturation it weakens but never ends: `s d / (s + d)` is d near
-    the goal and tends to s far from it. To settle at a pose, use `WaypointCost`.
+    The gradient does not grow with the distance, so a goal far away does not dominate the other
+    costs, as a squared distance would. With a saturation the gradient falls but never vanishes:
+    the cost is d near the goal and tends to s far from it. To settle at a pose, use `WaypointCost`.
 
     Args:
-        goal: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
-        saturation: s [m]; none when absent.
-        terminal_weight: how many times the last state pays it on top.
+        goal: (2,) or (3,) goal position [m]; the third component is compared with `state["z"]`.
+        saturation: upper bound of the cost, s [m]; none when absent.
+        terminal_weight: factor on the additional cost of the last state.
 
     Raises:
-        ValueError: a goal of another shape, a saturation that is not positive, a negative weight.
-            When traced, a third component where the model has no `z`.
+        ValueError: a goal of the wrong shape, a saturation that is not positive, a negative weight.
+            When traced, a third component for a model without `z`.
     """
 
     goal: Float[Array, " D"]
@@ -64,14 +64,15 @@ class GoalCost(Cost):
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the distance to go."""
+        """Compute the cost of the distance to the goal."""
         return self._to_go(state)
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the multiple of the distance to go."""
+        """Compute the cost of the last distance to the goal."""
         return self.terminal_weight * self._to_go(state)
 
     def _to_go(self, state: State) -> Scalar:
+        """Compute the distance, with the saturation if there is one [m]."""
         distance = length(*offset(state, self.goal))
         if self.saturation is None:
             return distance
@@ -79,24 +80,25 @@ class GoalCost(Cost):
 
 
 class WaypointCost(Cost):
-    """Squared distance from a waypoint, and near it the wrong heading:
+    """Squared distance from a waypoint, plus a heading error that counts near it:
 
         d^2 + heading_weight * exp(-(d / decay)^2) * (1 - cos(yaw - heading))
 
-    The heading counts only near the waypoint, so that a robot far away is free to face where it
-    drives. Smooth everywhere: the pull fades with the distance and the robot settles. It grows with
-    the distance, so far away it drowns other costs: to get there from far, use `GoalCost`.
+    The heading counts only near the waypoint, so a robot far away may face where it drives. The
+    cost is smooth everywhere and its gradient vanishes at the waypoint, so the robot settles there.
+    Far away the squared distance dominates other costs: to approach from afar, use `GoalCost`.
 
     Args:
-        waypoint: (2,) or (3,) [m]; the third component is compared with `state["z"]`.
-        heading: [rad]; any when absent.
-        heading_weight: half of what facing away costs at the waypoint [m^2].
+        waypoint: (2,) or (3,) position of the waypoint [m]; the third component is compared with
+            `state["z"]`.
+        heading: heading at the waypoint [rad]; any heading when absent.
+        heading_weight: half the cost of facing the opposite way at the waypoint [m^2].
         decay: distance at which the heading counts 1/e as much as at the waypoint [m].
-        terminal_weight: how many times the last state pays all that on top.
+        terminal_weight: factor on the additional cost of the last state.
 
     Raises:
-        ValueError: a waypoint of another shape, a decay that is not positive, a negative weight.
-            When traced, a third component where the model has no `z`.
+        ValueError: a waypoint of the wrong shape, a decay that is not positive, a negative weight.
+            When traced, a third component for a model without `z`.
     """
 
     waypoint: Float[Array, " D"]
@@ -120,11 +122,11 @@ class WaypointCost(Cost):
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of not being there."""
+        """Compute the cost of the position and heading errors."""
         return self._error(state)
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the multiple of the cost of not being there."""
+        """Compute the cost of the last position and heading errors."""
         return self.terminal_weight * self._error(state)
 
     def _error(self, state: State) -> Scalar:
@@ -132,23 +134,25 @@ class WaypointCost(Cost):
         if self.heading is None:
             return square
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
+        # 1 - cos is smooth and does not jump where angles wrap.
         turned = 1.0 - sin_cos(state.heading - self.heading)[1]
         return square + self.heading_weight * nearness * turned
 
 
 class ReferenceCost(Cost):
-    """Squared distance from where to be at each time, `|p - r(t)|^2` [m^2].
+    """Squared distance from a reference position at each time, `|p - r(t)|^2` [m^2].
 
-    `r(t)` is linear between rows; the last row holds beyond its time.
+    `r(t)` is linear between rows, and the last row holds after its time.
 
     Args:
-        reference: (T, 2) or (T, 3) row i is where to be `i * period` from now [m]; the third column
-            is compared with `state["z"]`. A leaf: another one of T rows does not recompile.
+        reference: (T, 2) or (T, 3) reference positions, row i at `i * period` from now [m]; the
+            third column is compared with `state["z"]`. It is a leaf: another reference of T rows
+            does not recompile.
         period: time between rows [s].
 
     Raises:
-        ValueError: a reference of another shape, a period that is not positive. When traced, a
-            third column where the model has no `z`.
+        ValueError: a reference of the wrong shape, a period that is not positive. When traced, a
+            third column for a model without `z`.
     """
 
     reference: Float[Array, "T D"]
@@ -159,7 +163,8 @@ class ReferenceCost(Cost):
         self.period = _checks.scalar("period", period, above=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the squared distance at the time when the state is reached."""
+        """Compute the squared distance at the time when the state is reached."""
+        # Clipped before interpolating, so that the last row holds after its time.
         last = self.reference.shape[0] - 1
         row = jnp.clip(t / self.period, 0.0, last)
         before = jnp.floor(row)
@@ -169,24 +174,25 @@ class ReferenceCost(Cost):
 
 
 class PathCost(Cost):
-    """Squared distance from a polyline, and on request the wrong heading and speed along it:
+    """Squared distance from a polyline, with optional errors of heading and speed along it:
 
         |p - q|^2 + heading_weight * (1 - cos(yaw - psi))
                   + speed_weight * (v cos(yaw - psi) - speed)^2
 
-    with q the nearest point of all segments and psi the direction of its segment, the first of
-    those that are equally near. Without `speed` nothing makes the robot go. It asks for the speed
-    at the end too: to arrive there, use `ReferenceCost`, or the last point as a goal.
+    with q the nearest point on the polyline and psi the direction of its segment; of segments that
+    are equally near, the first counts. Without `speed` nothing makes the robot move. The speed is
+    also wanted at the end of the path: to stop there, use `ReferenceCost`, or the last point as a
+    goal.
 
     Args:
-        points: (N, 2) corners in the order in which to pass them, N >= 2 [m]. A repeated corner
-            changes nothing, so short paths can be filled up to N with their last one.
-        heading_weight: half of what facing backwards costs [m^2]; any heading when absent.
-        speed: along the path [m/s]; any when absent.
-        speed_weight: what 1 m/s too slow or too fast costs [m^2].
+        points: (N, 2) corners in the order in which to pass them, N >= 2 [m]. Repeated corners do
+            not change the cost, so a short path can be padded to N with its last corner.
+        heading_weight: half the cost of facing backwards [m^2]; any heading when absent.
+        speed: wanted speed along the path [m/s]; any speed when absent.
+        speed_weight: cost of a speed error of 1 m/s [m^2].
 
     Raises:
-        ValueError: fewer points than two or another shape, a negative weight.
+        ValueError: fewer than two points or a wrong shape, a negative weight.
     """
 
     points: Float[Array, "N 2"]
@@ -213,22 +219,24 @@ class PathCost(Cost):
         self.speed_weight = _checks.scalar("speed_weight", speed_weight, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of not being on the path, or not following it."""
+        """Compute the cost of the errors of position, heading and speed."""
         segments = self.points[1:] - self.points[:-1]
         squares = jnp.sum(segments * segments, axis=1)
         is_line = squares > 0.0
+        # Repeated corners make segments of length 0, whose inverse must not become infinite.
         inverse = jnp.where(is_line, 1.0 / jnp.where(is_line, squares, 1.0), 0.0)
 
-        def off(segment: tuple[Array, Array, Array]) -> Scalar:
+        def squared_distance(segment: tuple[Array, Array, Array]) -> Scalar:
             start, along, scale = segment
             x, y = offset(state, start)
             share = jnp.clip((x * along[0] + y * along[1]) * scale, 0.0, 1.0)
             return squared_length(x - share * along[0], y - share * along[1])
 
-        total, nearest = least(off, (self.points[:-1], segments, inverse))
+        total, nearest = least(squared_distance, (self.points[:-1], segments, inverse))
         if self.heading_weight is None and self.speed is None:
             return total
-        # A point is no line and has no direction: it takes that of the last line before it.
+        # A repeated corner makes a segment of length 0, which has no direction. It takes that of
+        # the last segment before it that has one.
         lines = jnp.where(is_line, jnp.arange(is_line.size), jnp.argmax(is_line))
         source = jax.lax.cummax(lines)
         direction = (segments * jnp.sqrt(inverse)[:, None])[source][nearest]
@@ -246,15 +254,16 @@ class PathCost(Cost):
 class StateCost(Cost):
     """Squared error of named state components: the diagonal Q of a linear-quadratic regulator.
 
-        sum_i w_i e_i,   e_i = (x_i - target_i)^2,  or 2 (1 - cos(x_i - target_i)) of an angle
+        sum_i w_i e_i,   e_i = (x_i - target_i)^2,  or 2 (1 - cos(x_i - target_i)) for an angle
 
-    Of an angle whole turns do not count; small errors cost the same either way.
+    For an angle, full turns do not count; small errors cost the same in both forms.
 
     Args:
-        weights: w_i by name of the component [1 / its unit squared]; the names are static.
-        target: by name; 0 where absent.
+        weights: weights w_i by name of the component [1 / unit of the component squared]; the names
+            are static.
+        target: target values by name; 0 where absent.
         angles: names of the components that are angles; static.
-        terminal_weight: how many times the last state pays it on top.
+        terminal_weight: factor on the additional cost of the last state.
 
     Raises:
         ValueError: no weight at all or a negative one, a target or angle without a weight. When
@@ -284,11 +293,11 @@ class StateCost(Cost):
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the weighted squared errors."""
+        """Compute the weighted squared errors."""
         return self._error(state)
 
     def terminal(self, state: State, belief: Any) -> Scalar:
-        """Return the multiple of the weighted squared errors."""
+        """Compute the weighted squared errors of the last state."""
         return self.terminal_weight * self._error(state)
 
     def _error(self, state: State) -> Scalar:

@@ -1,1 +1,1 @@
-"""Several MPPI controllers side by side, and the fusion of their plans."""
+"""Portfolios: several MPPI controllers in parallel, whose plans are fused into one."""

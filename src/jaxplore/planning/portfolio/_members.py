@@ -1,4 +1,4 @@
-"""What a portfolio is given for its members: weights by number or by name, one number for each."""
+"""Checks of the arguments of a portfolio that differ between its members."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -14,8 +14,8 @@ from jaxplore._types import Rows, Vector
 from jaxplore.costs.base import Cost
 
 
-def stacked(name: str, costs: Sequence[Cost], number: int) -> Cost:
-    """Return N costs of one kind as one whose arrays have a leading axis of N."""
+def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
+    """Stack N costs of one kind into one cost whose arrays have a leading axis of N."""
     given = tuple(costs)
     structures = {
         (jax.tree.structure(cost), tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost)))
@@ -34,18 +34,30 @@ def stacked(name: str, costs: Sequence[Cost], number: int) -> Cost:
     return stack_trees(given)
 
 
-def weight_rows(
+def normalised_weights(
     weights: Rows | Mapping[str, Mapping[str, float]],
     names: Sequence[str] | None,
     objectives: tuple[str, ...],
     argument: str = "weights",
 ) -> tuple[Float[Array, "N O"], tuple[str, ...]]:
-    """Return the weights (N, O), rows adding up to 1, and the members' names."""
+    """Return the weights (N, O) with rows that add up to 1, and the names of the members.
+
+    Args:
+        weights: (N, O) weights, or a mapping from member and objective to weights; absent ones
+            are 0.
+        names: names of the members; with weights by number, "1", "2" ... when absent.
+        objectives: names of the O objectives.
+        argument: name of the argument, for error messages.
+
+    Raises:
+        ValueError: weights of the wrong shape, negative ones, a row of zeros, an unknown objective,
+            names that are repeated or given twice.
+    """
     if isinstance(weights, Mapping):
         if names is not None:
             raise ValueError(f"names is {names!r} beside weights by name; accepted: one of them")
         names = tuple(weights)
-        weights = [named_row(row, objectives) for row in weights.values()]
+        weights = [values_in_order(row, objectives) for row in weights.values()]
     if isinstance(weights, jax.core.Tracer):
         given: Any = weights
     else:
@@ -73,7 +85,8 @@ def weight_rows(
     return rows / jnp.sum(rows, axis=1, keepdims=True), labels
 
 
-def named_row(row: Any, objectives: tuple[str, ...], absent: float = 0.0) -> Any:
+def values_in_order(row: Any, objectives: tuple[str, ...], absent: float = 0.0) -> Any:
+    """Return the values of a mapping in the order of the objectives; pass anything else through."""
     if not isinstance(row, Mapping):
         return row
     for name in row:
@@ -82,7 +95,8 @@ def named_row(row: Any, objectives: tuple[str, ...], absent: float = 0.0) -> Any
     return [row.get(name, absent) for name in objectives]
 
 
-def one_each(name: str, value: Vector | None, number: int) -> Float[Array, " N"] | None:
+def positive_each(name: str, value: Vector | None, number: int) -> Float[Array, " N"] | None:
+    """Return one positive number for each of N members, or None where none are given."""
     if value is None:
         return None
     given = _checks.vector(name, value, number)

@@ -1,4 +1,4 @@
-"""One objective by which the plans of several controllers compare."""
+"""The common objective: one cost that makes the plans of all members comparable."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -14,17 +14,17 @@ from jaxplore.dynamics.base import Dynamics
 
 
 class CommonObjective(eqx.Module):
-    """Prices plans from where the robot is by one common objective, `sum_o f_o J_o + J_hard`.
+    """Evaluates plans from the current state under `sum_o f_o J_o + J_hard`.
 
     Args:
-        dynamics: the model.
-        hard: J_hard, what is never traded.
-        objectives: J_o by name.
-        factors: (O,) f_o.
+        dynamics: model of the robot.
+        hard: cost that no member trades for an objective, J_hard.
+        objectives: objectives J_o by name.
+        factors: (O,) factors f_o of the objectives.
         dt: model step of the plans [s].
-        observation: (nx,) the robot's state.
-        belief: what it knows.
-        applied: (nu,) the control given out last.
+        observation: (nx,) observed state of the robot.
+        belief: what the robot knows of the world.
+        applied: (nu,) control of the last step.
     """
 
     dynamics: Dynamics
@@ -39,7 +39,8 @@ class CommonObjective(eqx.Module):
     def __call__(
         self, controls: Float[Array, "N T nu"]
     ) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
-        """Return what plans cost (N,), and how much of it is hard (N,)."""
+        """Evaluate N plans and return their costs (N,) and the hard part of these costs (N,)."""
+        # One rollout for all plans, hard cost first; samples are on the last axis there.
         paid = rollout_objectives(
             self.dynamics,
             (self.hard, *self.objectives.values()),
@@ -49,12 +50,12 @@ class CommonObjective(eqx.Module):
             self.belief,
             applied=self.applied,
         )
-        # What has no weight may be anything, also no number.
+        # An objective without weight may be infinite or NaN, and 0 times that is NaN.
         counted = jnp.where(self.factors[:, None] > 0.0, paid[1:], 0.0)
         return paid[0] + self.factors @ counted, paid[0]
 
-    def follow(self, controls: Float[Array, "T nu"], dt: Scalar) -> Trajectory:
-        """Return what a plan with steps of `dt` leads to, and its cost term by term."""
+    def trajectory(self, controls: Float[Array, "T nu"], dt: Scalar) -> Trajectory:
+        """Simulate a plan with steps of `dt` [s] and return its trajectory and the cost by term."""
         terms = tuple(
             WeightedCost(factor, cost.named(name))
             for factor, (name, cost) in zip(self.factors, self.objectives.items(), strict=True)

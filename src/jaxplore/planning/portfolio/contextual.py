@@ -1,4 +1,4 @@
-"""Fusion by situation: the role that suits where the robot is."""
+"""Contextual fusion: select a member by the situation of the robot."""
 
 from typing import Any
 
@@ -10,38 +10,39 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import Scalar, Vector
-from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation, one_of
+from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation, select_member
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
-"""What a contextual fusion chooses among."""
+"""Names of the members that a contextual fusion selects from."""
 
 
 class Contextual(Fusion):
-    """The plan of the role that the situation asks for, the first of these that holds:
+    """Selects the plan of one member by rules on the situation. The first rule that holds counts:
 
-    | situation | role |
+    | situation | member |
     | --- | --- |
     | the goal is nearer than `near_goal` | exploiter |
     | the nearest obstacle is nearer than `near_obstacle` | cautious |
-    | a scan from here tells more than `rich_information` | explorer |
+    | a scan from here has more information than `rich_information` | explorer |
     | otherwise | balanced |
 
-    A situation that has begun ends only when its quantity is `hysteresis` beyond the threshold, so
-    that a robot on the edge of one does not change its mind at every step.
+    A rule that holds stops holding only when its quantity is `hysteresis` beyond the threshold.
+    This keeps a robot near a threshold from switching at every step.
 
     Source: the design notes for ground vehicles, "contextual switching".
 
     Args:
-        names: of the members, in their order; each role must be one of them.
-        goal: (x, y) [m]; never near it when absent.
-        near_goal: [m].
-        near_obstacle: from the robot's covering discs to the nearest cell not known to be free [m].
-        rich_information: [nat per beam].
-        hysteresis: share of each threshold.
+        names: names of all members in their order; each of `ROLES` must be among them.
+        goal: goal position (x, y) [m]; without one the first rule never holds.
+        near_goal: distance to the goal below which it is near [m].
+        near_obstacle: distance from the discs that cover the robot to the nearest cell not known to
+            be free, below which an obstacle is near [m].
+        rich_information: information of a scan above which the place is rich [nat per beam].
+        hysteresis: width of the hysteresis, as a share of each threshold.
 
     Raises:
-        ValueError: a role that is no member's name, a threshold that is not positive, a negative
-            hysteresis.
+        ValueError: a role that is not among the names, a threshold that is not positive, a
+            negative hysteresis.
     """
 
     goal: Float[Array, "2"] | None
@@ -75,25 +76,26 @@ class Contextual(Fusion):
         self.hysteresis = _checks.scalar("hysteresis", hysteresis, at_least=0.0)
 
     def init(self) -> Bool[Array, "3"]:
-        """Return which situations hold: none."""
+        """Return the initial memory: no rule holds."""
         return jnp.zeros(3, bool)
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the plan of the role that is asked for."""
+        """Select the plan of the member whose rule holds first."""
         holds = self.situations(memory, situation)
         explorer, balanced, exploiter, cautious = self.members
         roles = jnp.asarray([exploiter, cautious, explorer, balanced])
+        # The appended true selects `balanced` where no rule holds.
         first = jnp.argmax(jnp.append(holds, True))
-        return one_of(candidates, roles[first]), holds
+        return select_member(candidates, roles[first]), holds
 
     def situations(self, held: Bool[Array, "3"], situation: Situation) -> Bool[Array, "3"]:
-        """Say whether the robot is near its goal, near an obstacle, and where a scan is rich.
+        """Evaluate the three rules: near the goal, near an obstacle, rich in information.
 
         Args:
-            held: which of them held before.
-            situation: as it is now.
+            held: (3,) which rules held in the last step.
+            situation: current state and belief of the robot.
         """
         state, belief = situation.state, situation.belief
         position, heading = state.position, state.heading
@@ -102,10 +104,12 @@ class Contextual(Fusion):
         if self.goal is not None:
             distance = jnp.linalg.norm(position - self.goal)
         ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
+        # The discs of the footprint lie along the heading.
         centres = position + footprint.offsets[:, None] * ahead
         room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
         field = belief.information
         information = field(position, heading) / field.num_beams
+        # A rule that holds gets a threshold that is easier to meet.
         wider, narrower = 1.0 + self.hysteresis, 1.0 / (1.0 + self.hysteresis)
         near_goal = distance < self.near_goal * jnp.where(held[0], wider, 1.0)
         near_obstacle = room < self.near_obstacle * jnp.where(held[1], wider, 1.0)
@@ -113,7 +117,7 @@ class Contextual(Fusion):
         return jnp.stack([near_goal, near_obstacle, is_rich])
 
     def check(self, names: tuple[str, ...]) -> None:
-        """Raise a `ValueError` if the fusion was made for members of other names."""
+        """Raise a `ValueError` if the fusion was made for other member names."""
         chosen = [names[index] if index < len(names) else None for index in self.members]
         if chosen != list(ROLES):
             raise ValueError(

@@ -1,4 +1,4 @@
-"""Fusion: one control sequence from those of several controllers."""
+"""Fusion: make one control sequence of those of several members."""
 
 import abc
 from collections.abc import Callable
@@ -15,17 +15,17 @@ from jaxplore.dynamics.base import State
 Sequences = Float[Array, "N T nu"]
 Plan = Float[Array, "T nu"]
 Evaluate = Callable[[Sequences], tuple[Float[Array, " N"], Float[Array, " N"]]]
-"""Gives the cost of control sequences under the common objective, and how far they collide."""
+"""Evaluates control sequences: cost under the common objective, and the part for collisions."""
 
 
 class Candidates(NamedTuple):
-    """What the members of a portfolio propose.
+    """Plans of the N members of a portfolio, and their costs.
 
     Args:
-        controls: (N, T, nu) on one time grid.
-        costs: (N,) under the common objective, what collides included; not finite if a plan is not.
-        hazards: (N,) the share of it that is paid for collisions and the risk of one; 0 for a plan
-            without.
+        controls: (N, T, nu) control sequences on one time grid.
+        costs: (N,) costs under the common objective, including collisions; not finite for a plan
+            that is not finite.
+        hazards: (N,) part of these costs that is due to collisions or their risk; 0 without any.
         uncertainties: (N,) spread of the weighted samples, in half ranges of the controls.
     """
 
@@ -36,12 +36,12 @@ class Candidates(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """Where the robot is while it chooses.
+    """State and belief of the robot at the time of a fusion.
 
     Args:
-        state: of the robot.
-        belief: what it knows.
-        evaluate: rolls out other control sequences under the same objective.
+        state: state of the robot.
+        belief: what the robot knows of the world.
+        evaluate: function that evaluates other control sequences under the same objective.
     """
 
     state: State
@@ -50,12 +50,12 @@ class Situation(NamedTuple):
 
 
 class Fused(NamedTuple):
-    """What a fusion makes of the candidates.
+    """Fused plan.
 
     Args:
-        controls: (T, nu).
-        shares: (N,) how much each member has in it; adds up to 1.
-        is_replaced: whether a safer plan took the place of the mixture.
+        controls: (T, nu) control sequence.
+        shares: (N,) weight of each member in it; adds up to 1.
+        is_replaced: whether a member's plan replaced the mixture because it is safer or cheaper.
     """
 
     controls: Plan
@@ -64,30 +64,34 @@ class Fused(NamedTuple):
 
 
 class Fusion(eqx.Module):
-    """Makes one plan of several. To permute the members permutes the shares and nothing else."""
+    """A rule that makes one plan of N.
+
+    Except where members have roles by name, a permutation of the members permutes the shares and
+    changes nothing else.
+    """
 
     def init(self) -> Any:
-        """Return what the fusion remembers between steps: nothing by default."""
+        """Return the initial memory; empty for a fusion without one."""
         return ()
 
     @abc.abstractmethod
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the plan and the new memory."""
+        """Fuse the candidates; return the fused plan and the new memory."""
 
     def check(self, names: tuple[str, ...]) -> None:
         """Raise a `ValueError` if the fusion does not fit members of these names."""
         return
 
 
-def cheapest(costs: Float[Array, " N"]) -> Count:
-    """Return the index of the least finite cost; 0 if there is none."""
+def least_finite(costs: Float[Array, " N"]) -> Count:
+    """Return the index of the least finite cost; 0 if no cost is finite."""
     return jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf)).astype(jnp.int32)
 
 
-def mixture(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
-    """Return the mean with these weights; without any weight, that of all alike."""
+def weighted_mean(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
+    """Average the plans with these votes (N,), or with equal weights if all votes are 0."""
     total = jnp.sum(votes)
     alike = jnp.full_like(votes, 1.0 / votes.shape[0])
     shares = jnp.where(total > 0.0, votes / jnp.where(total > 0.0, total, 1.0), alike)
@@ -95,7 +99,7 @@ def mixture(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
     return Fused(controls, shares, jnp.array(False))
 
 
-def one_of(candidates: Candidates, index: Count) -> Fused:
-    """Return the plan of one member."""
+def select_member(candidates: Candidates, index: Count) -> Fused:
+    """Return the plan of one member as the fused plan."""
     shares = jax.nn.one_hot(index, candidates.costs.shape[0])
     return Fused(candidates.controls[index], shares, jnp.array(False))

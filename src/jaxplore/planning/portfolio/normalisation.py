@@ -1,4 +1,4 @@
-"""Objectives divided by what they vary, so that weights say how much each counts."""
+"""Normalisation: divide each objective by its spread, so that weights are comparable."""
 
 import equinox as eqx
 import jax
@@ -8,18 +8,18 @@ from jaxtyping import Array, Float
 from jaxplore._types import Scalar
 
 FLOOR = 1e-3
-"""Least spread that an objective is divided by, unless others are given."""
+"""Default lower bound of the spread that an objective is divided by."""
 
 
 class Normalisation(eqx.Module):
-    """The scale of each objective: its spread among rollouts, smoothed over time, above a floor.
+    """Scale of each objective: its mean absolute deviation among rollouts, smoothed over time.
 
         s_o = max(floor_o, spread_o),   spread_o = mean of |J_o - mean J_o|
 
     Args:
-        floors: (O,).
-        smoothing_time: of the spread [s].
-        is_on: whether objectives are divided at all; static.
+        floors: (O,) lower bounds of the scales.
+        smoothing_time: time constant of the smoothing [s].
+        is_on: whether objectives are divided by their scale; static.
     """
 
     floors: Float[Array, " O"]
@@ -27,7 +27,7 @@ class Normalisation(eqx.Module):
     is_on: bool = eqx.field(static=True)
 
     def scale(self, spread: Float[Array, " O"]) -> Float[Array, " O"]:
-        """Return what objectives of this spread are divided by (O,)."""
+        """Return the divisors (O,) of objectives with this spread (O,)."""
         return jnp.maximum(spread, self.floors) if self.is_on else jnp.ones_like(spread)
 
     def updated(
@@ -38,19 +38,21 @@ class Normalisation(eqx.Module):
         elapsed: Scalar,
         axis: str,
     ) -> Float[Array, " O"]:
-        """Return the spread (O,) after a step; nothing new leaves it, the first is taken as it is.
+        """Update the spread of the objectives (O,) with the rollouts of a step.
 
-        Over the rollouts of all members that pay nothing hard, if there are any: those that run
-        into a wall would say how bad the worst is, not how much the others differ. Each value is
-        compared with the mean of its own member, since members that look farther pay more.
+            spread <- spread + (1 - exp(-elapsed / smoothing_time)) (new - spread)
+
+        The first spread is taken unsmoothed. A new spread that is 0 or not finite is ignored.
 
         Args:
-            spread: (O,) before; 0 before the first step.
-            values: (O, K) of this member's rollouts.
-            hard: (K,) what they pay that is not weighed.
+            spread: (O,) spread before; 0 before the first step.
+            values: (O, K) objectives of the rollouts of this member.
+            hard: (K,) hard costs of these rollouts.
             elapsed: time since the last step [s].
             axis: name of the mapped axis of members.
         """
+        # Rollouts that collide do not count, as long as others are left: the depth of a collision
+        # would hide the differences between the rollouts that are worth choosing from.
         is_free = hard <= 0.0
         num_free = jax.lax.psum(  # type: ignore[no-untyped-call]
             jnp.sum(is_free, dtype=jnp.float32), axis
@@ -58,10 +60,12 @@ class Normalisation(eqx.Module):
         is_counted = jnp.isfinite(values) & (is_free | (num_free == 0.0))
         count = jnp.sum(is_counted, axis=1, dtype=jnp.float32)
         kept = jnp.where(is_counted, values, 0.0)
+        # Each member is compared with its own mean, since a longer horizon costs more.
         mean = (jnp.sum(kept, axis=1) / jnp.maximum(count, 1.0))[:, None]
         away = jnp.sum(jnp.where(is_counted, jnp.abs(values - mean), 0.0), axis=1)
         total, number = jax.lax.psum((away, count), axis)  # type: ignore[no-untyped-call]
         now: Array = total / jnp.maximum(number, 1.0)
+        # Exponential smoothing for any control period: the share of a step grows with its length.
         share = -jnp.expm1(-elapsed / self.smoothing_time)
         after = jnp.where(spread > 0.0, spread + share * (now - spread), now)
         return jnp.where((now > 0.0) & jnp.isfinite(now), after, spread)

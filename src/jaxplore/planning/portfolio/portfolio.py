@@ -1,4 +1,4 @@
-"""A portfolio: MPPI controllers with different objectives side by side, and their fusion."""
+"""The portfolio: several MPPI controllers with different weights, and the fusion of their plans."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -14,24 +14,24 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
-from jaxplore.control.draft import MPPIState
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
-from jaxplore.planning.portfolio._members import named_row, weight_rows
+from jaxplore.planning.portfolio._members import normalised_weights, values_in_order
 from jaxplore.planning.portfolio.common_objective import CommonObjective
 from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation
+from jaxplore.planning.portfolio.member_controllers import MemberControllers, MemberPlans
 from jaxplore.planning.portfolio.safe_fusion import SafeFusion, fusion_by_name
-from jaxplore.planning.portfolio.team import Proposed, Team
 
 
 class PortfolioState(NamedTuple):
-    """What a portfolio remembers.
+    """State of a portfolio.
 
     Args:
-        members: of each member, stacked.
-        spread: (O,) of each objective, smoothed over time; 0 before the first step.
-        fusion: of the fusion.
+        members: states of the members, stacked.
+        spread: (O,) smoothed spread of each objective; 0 before the first step.
+        fusion: memory of the fusion.
     """
 
     members: MPPIState
@@ -40,52 +40,56 @@ class PortfolioState(NamedTuple):
 
 
 class Portfolio(Controller):
-    """N MPPI controllers with different weights of the same objectives, in one `vmap`, fused.
+    """N MPPI controllers with different weights of the same objectives, fused into one plan.
 
-    Member n minimises, over its own samples, with objectives J_o and what all pay alike J_hard,
+    Member n minimises over its own samples
 
         sum_o w_no J_o / s_o + J_hard,     s_o = max(floor_o, mean of |J_o - mean J_o|)
 
-    The spread s_o is that over the rollouts of all members that do not collide, smoothed over
-    `smoothing_time`: so every objective moves the costs equally, whatever its unit, and the weights
-    say how much each counts. Rows of the weights are made to add up to 1.
+    with J_o the objectives and J_hard the cost that all members share. The scale s_o is the spread
+    over the rollouts of all members that do not collide, smoothed over `smoothing_time`. It removes
+    the units, so the weights alone say how much each objective counts. Rows of the weights are
+    normalised to a sum of 1. All members run in one `vmap`.
 
-    Members share model, belief and noise; they may differ in temperature, size of the noise,
-    horizon and, for objectives that are given one for each member, in those. A member's horizon is
-    its number of model steps times its own step, so short and long ones cost the same.
+    Members share the model, the belief and the noise. They may differ in temperature, noise
+    scale, horizon, and in objectives that are given for each member. A member's horizon is the
+    number of model steps times a step of its own, so long and short horizons take the same time to
+    compute.
 
-    Each member's plan is rolled out under a common objective, `sum_o c_o J_o / s_o + J_hard`, which
-    makes their costs comparable; `fusion` makes one plan of them.
+    The plan of each member is then evaluated under a common objective,
+    `sum_o c_o J_o / s_o + J_hard`, which makes their costs comparable. `fusion` makes one plan of
+    them.
 
-    Source: the design notes for ground vehicles ("parallel MPPI portfolio"); there the objectives
-    are added up as they are.
+    Source: the design notes for ground vehicles ("parallel MPPI portfolio"), which add the
+    objectives without normalisation.
 
     Args:
-        mppi: what the members have in common. Its cost is J_hard: what no member trades for
-            anything, such as `CollisionCost`, in multiples of an objective's spread.
-        objectives: by name: a cost, or one for each member.
-        weights: (N, O), or by member's name a mapping from objectives to weights; absent is 0.
-        names: of the members; those of the mapping, or "1", "2" ... when absent.
-        common: (O,) or a mapping, c of the common objective; the mean over members when absent.
-            Objectives that differ between members are not part of it.
-        fusion: how plans become one, or its name in `FUSIONS`; `SafeFusion()` when absent.
-        temperatures: (N,) of each member; the template's when absent.
-        noise_scales: (N,) by which the noise is multiplied; 1 when absent.
-        horizons: (N,) how far each looks ahead [s]; the template's when absent.
-        floors: (O,) or a mapping, the least spread by which each is divided [its unit, summed over
-            the horizon]. One that rarely matters, such as nearness to obstacles, has no spread in
-            the open; divided by that, the first wall would outweigh everything.
-        is_normalised: whether objectives are divided by their spread; static.
-        smoothing_time: of the spread [s].
+        mppi: template of the members. Its cost is J_hard, which no member trades for an objective,
+            such as `CollisionCost` [spreads of an objective].
+        objectives: objectives by name; each is one cost, or one cost for each member.
+        weights: (N, O) weights, or a mapping from member to a mapping from objective to weight;
+            absent weights are 0.
+        names: names of the members; those of the mapping, or "1", "2" ... when absent.
+        common: (O,) weights c of the common objective, or a mapping; the mean over members when
+            absent. Objectives that differ between members are not part of it.
+        fusion: fusion of the plans, or its name in `FUSIONS`; `SafeFusion()` when absent.
+        temperatures: (N,) temperature of each member; that of the template when absent.
+        noise_scales: (N,) factor on the noise of each member; 1 when absent.
+        horizons: (N,) horizon of each member [s]; that of the template when absent.
+        floors: (O,) lower bounds of the scales, or a mapping [unit of the objective, summed over
+            the horizon]. An objective that rarely matters, such as nearness to obstacles, has no
+            spread in the open. Divided by it, the first wall would outweigh everything.
+        is_normalised: whether objectives are divided by their scale; static.
+        smoothing_time: time constant of the smoothed spread [s].
 
     Raises:
-        ValueError: weights of another shape, negative or all zero in a row; an objective that is
-            not known; temperatures without a `Softmax`, noise scales without a `GaussianProposal`;
+        ValueError: weights of the wrong shape, negative ones or a row of zeros; an unknown
+            objective; temperatures without a `Softmax`, noise scales without a `GaussianProposal`;
             numbers that are not positive; a fusion that does not fit the names; a template with a
             disturbance or a mesh.
     """
 
-    team: Team
+    members: MemberControllers
     common: Float[Array, " O"]
     fusion: Fusion
 
@@ -105,7 +109,7 @@ class Portfolio(Controller):
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
-        self.team = Team(
+        self.members = MemberControllers(
             mppi,
             objectives,
             weights,
@@ -117,7 +121,7 @@ class Portfolio(Controller):
             is_normalised=is_normalised,
             smoothing_time=smoothing_time,
         )
-        self.common = self._common(common)
+        self.common = self._common_weights(common)
         if fusion is None or isinstance(fusion, str):
             fusion = SafeFusion() if fusion is None else fusion_by_name(fusion)
         fusion.check(self.member_names)
@@ -126,31 +130,30 @@ class Portfolio(Controller):
     @property
     def member_names(self) -> tuple[str, ...]:
         """Names of the members."""
-        return self.team.names
+        return self.members.names
 
     @property
     def objective_names(self) -> tuple[str, ...]:
         """Names of the objectives, in the order of the weights' columns."""
-        return self.team.objective_names
+        return self.members.objective_names
 
     def init(self) -> PortfolioState:
-        """Return the state before the first step."""
+        """Return the initial state."""
         spread = jnp.zeros(len(self.objective_names))
-        return PortfolioState(self.team.init(), spread, self.fusion.init())
+        return PortfolioState(self.members.init(), spread, self.fusion.init())
 
     def at_period(self, control_period: ArrayLike) -> "Portfolio":
-        """Return this controller for commands that are `control_period` seconds apart."""
-        same: Portfolio = eqx.tree_at(
-            lambda portfolio: portfolio.team.mppi, self, self.team.mppi.at_period(control_period)
-        )
+        """Return a copy of this controller that is called every `control_period` seconds."""
+        mppi = self.members.mppi.at_period(control_period)
+        same: Portfolio = eqx.tree_at(lambda portfolio: portfolio.members.mppi, self, mppi)
         return same
 
     def single(self, name: str, spread: Vector | None = None) -> MPPI:
-        """Return a member alone: MPPI that minimises the sum of its weighted objectives.
+        """Return one member as an MPPI controller of its own, with its weighted objectives.
 
         Args:
-            name: of the member.
-            spread: (O,) by which objectives are divided; 1 when absent.
+            name: name of the member.
+            spread: (O,) scales that the objectives are divided by; 1 when absent.
 
         Raises:
             ValueError: an unknown name.
@@ -159,12 +162,12 @@ class Portfolio(Controller):
             raise ValueError(f"name is {name!r}; accepted: {', '.join(self.member_names)}")
         index, count = self.member_names.index(name), len(self.objective_names)
         scale = jnp.ones(count) if spread is None else _checks.vector("spread", spread, count)
-        member = self.team.member(index)
-        factors = self.team.weights[index] / scale
+        member = self.members.member(index)
+        factors = self.members.weights[index] / scale
         terms = tuple(
             WeightedCost(factors[number], cost.named(label))
             for number, (label, cost) in enumerate(
-                zip(self.objective_names, self.team.objectives(index), strict=True)
+                zip(self.objective_names, self.members.objectives(index), strict=True)
             )
         )
         total = SumCost((*terms, member.cost))
@@ -179,23 +182,24 @@ class Portfolio(Controller):
         *,
         key: Key,
     ) -> tuple[ControlVector, PortfolioState, Info]:
-        """Plan once: all members, then the fusion.
+        """Plan with all members and fuse their plans.
 
         Args:
-            state: from `init` or the last step.
-            observation: (nx,) the robot's state.
-            belief: what the robot knows.
-            key: randomness; the same for all members.
+            state: state from `init` or the last step.
+            observation: (nx,) observed state of the robot.
+            belief: what the robot knows of the world.
+            key: random key of this step, shared by all members.
+
+        Returns:
+            The control (nu,), the new state, and `Info` with the diagnostics of each member.
         """
-        proposed, spread = self.team.propose(
-            state.members, state.spread, observation, belief, key=key
-        )
-        candidates, fused, memory = self._fuse(state, proposed, spread, observation, belief)
+        plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
+        candidates, fused, memory = self._fuse(state, plans, spread, observation, belief)
         control = fused.controls[0]
-        # What was given out is the fused control: that is what changes are counted from.
-        applied = jnp.broadcast_to(control, proposed.states.applied.shape)
-        after = PortfolioState(proposed.states._replace(applied=applied), spread, memory)
-        return control, after, self._info(proposed, candidates, fused)
+        # The robot applies the fused control, so the members must count changes from that one.
+        applied = jnp.broadcast_to(control, plans.states.applied.shape)
+        after = PortfolioState(plans.states._replace(applied=applied), spread, memory)
+        return control, after, self._info(plans, candidates, fused)
 
     def inspect(
         self,
@@ -206,50 +210,55 @@ class Portfolio(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` sees: the fused plan, the best member's, and all members' rollouts.
+        """Return the fused plan, the best member's plan, and sampled rollouts of all members.
 
-        Costs by term are the weighted objectives of the common objective.
+        The costs by term are the weighted objectives of the common objective. See
+        `Controller.inspect` for the arguments.
         """
-        proposed, spread = self.team.propose(
-            state.members, state.spread, observation, belief, key=key
+        plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
+        candidates, fused, _ = self._fuse(state, plans, spread, observation, belief)
+        each = min(
+            max(1, num_trajectories // len(self.member_names)), self.members.mppi.num_samples
         )
-        candidates, fused, _ = self._fuse(state, proposed, spread, observation, belief)
-        each = min(max(1, num_trajectories // len(self.member_names)), self.team.mppi.num_samples)
-        chosen = np.linspace(0, self.team.mppi.num_samples - 1, each).round().astype(int)
-        judge = self._judge(state, spread, observation, belief)
+        chosen = np.linspace(0, self.members.mppi.num_samples - 1, each).round().astype(int)
+        objective = self._common_objective(state, spread, observation, belief)
 
         def drawn(index: Array, member_state: MPPIState) -> tuple[Array, Array]:
-            member = self.team.member(index)
-            controls = member.draft(member_state, key=key).controls[:, :, chosen]
+            member = self.members.member(index)
+            controls = member.sample(member_state, key=key).controls[:, :, chosen]
             return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, each)
 
-        sampled, steps = jax.vmap(drawn)(self.team.indices, state.members)
+        sampled, steps = jax.vmap(drawn)(self.members.indices, state.members)
         best = jnp.argmin(jnp.where(jnp.isfinite(candidates.costs), candidates.costs, jnp.inf))
         shown = jnp.stack([fused.controls, candidates.controls[best]])
-        followed = jax.vmap(judge.follow)(
+        # All are simulated under the common objective, the samples with the steps of their member.
+        trajectories = jax.vmap(objective.trajectory)(
             jnp.concatenate([shown, sampled.reshape(-1, *shown.shape[1:])]),
-            jnp.concatenate([jnp.broadcast_to(judge.dt, 2), steps.reshape(-1)]),
+            jnp.concatenate([jnp.broadcast_to(objective.dt, 2), steps.reshape(-1)]),
         )
-        weights = proposed.infos.weights[:, chosen] * fused.shares[:, None]
-        return SampledPlan.of(followed, weights.reshape(-1))
+        weights = plans.infos.weights[:, chosen] * fused.shares[:, None]
+        return SampledPlan.from_trajectories(trajectories, weights.reshape(-1))
 
     def _fuse(
         self,
         state: PortfolioState,
-        proposed: Proposed,
+        plans: MemberPlans,
         spread: Float[Array, " O"],
         observation: StateVector,
         belief: Any,
     ) -> tuple[Candidates, Fused, Any]:
-        judge = self._judge(state, spread, observation, belief)
-        costs, hazards = judge(proposed.plans)
-        candidates = Candidates(proposed.plans, costs, hazards, proposed.uncertainties)
-        situation = Situation(State(observation, self.team.mppi.dynamics), belief, judge)
+        """Evaluate the plans under the common objective and fuse them."""
+        objective = self._common_objective(state, spread, observation, belief)
+        costs, hazards = objective(plans.controls)
+        candidates = Candidates(plans.controls, costs, hazards, plans.uncertainties)
+        situation = Situation(State(observation, self.members.mppi.dynamics), belief, objective)
         fused, memory = self.fusion(state.fusion, candidates, situation)
         return candidates, fused, memory
 
-    def _info(self, proposed: Proposed, candidates: Candidates, fused: Fused) -> Info:
-        infos, number = proposed.infos, len(self.member_names)
+    def _info(self, plans: MemberPlans, candidates: Candidates, fused: Fused) -> Info:
+        """Collect the diagnostics of a step."""
+        infos, number = plans.infos, len(self.member_names)
+        # The rollouts of all members count as one set, in which each member has the same share.
         share = jnp.full(number, 1.0 / number)[:, None]
         weights, costs = (share * infos.weights).reshape(-1), infos.costs.reshape(-1)
         first = candidates.controls[:, 0]
@@ -262,43 +271,46 @@ class Portfolio(Controller):
             members=Members(
                 controls=first,
                 costs=candidates.costs,
-                uncertainties=proposed.uncertainties,
+                uncertainties=plans.uncertainties,
                 effective_sample_sizes=infos.effective_sample_size,
                 shares=fused.shares,
-                diversity=diversity(first / self.team.half_range),
+                diversity=diversity(first / self.members.half_range),
                 is_replaced=fused.is_replaced,
             ),
         )
 
-    def _judge(
+    def _common_objective(
         self,
         state: PortfolioState,
         spread: Float[Array, " O"],
         observation: StateVector,
         belief: Any,
     ) -> CommonObjective:
-        """Return the common objective, of what all members share."""
-        pairs = zip(self.objective_names, self.team.shared, strict=True)
-        judged = {name: cost for name, cost in pairs if cost is not None}
-        shared = np.flatnonzero([cost is not None for cost in self.team.shared])
+        """Return the common objective, which is made of the objectives that all members share."""
+        # An objective that differs between members cannot compare their plans.
+        pairs = zip(self.objective_names, self.members.shared, strict=True)
+        objectives = {name: cost for name, cost in pairs if cost is not None}
+        shared = np.flatnonzero([cost is not None for cost in self.members.shared])
         return CommonObjective(
-            self.team.mppi.dynamics,
-            self.team.mppi.cost,
-            judged,
-            (self.common / self.team.normalisation.scale(spread))[shared],
-            self.team.mppi.dt,
+            self.members.mppi.dynamics,
+            self.members.mppi.cost,
+            objectives,
+            (self.common / self.members.normalisation.scale(spread))[shared],
+            self.members.mppi.dt,
             observation,
             belief,
             state.members.applied[0],
         )
 
-    def _common(self, common: Vector | Mapping[str, float] | None) -> Float[Array, " O"]:
-        is_shared = np.asarray([cost is not None for cost in self.team.shared], np.float32)
+    def _common_weights(self, common: Vector | Mapping[str, float] | None) -> Float[Array, " O"]:
+        """Return the weights of the common objective (O,), which add up to 1."""
+        is_shared = np.asarray([cost is not None for cost in self.members.shared], np.float32)
         if common is None:
-            mean = self.team.weights.mean(axis=0) * is_shared
+            # Without a shared objective the weights stay 0, and plans compare by J_hard alone.
+            mean = self.members.weights.mean(axis=0) * is_shared
             return mean / jnp.maximum(jnp.sum(mean), 1e-6)
-        given, _ = weight_rows(
-            [named_row(common, self.objective_names)], None, self.objective_names, "common"
+        given, _ = normalised_weights(
+            [values_in_order(common, self.objective_names)], None, self.objective_names, "common"
         )
         if (np.asarray(given[0]) * (1.0 - is_shared) > 0.0).any():
             raise ValueError(
@@ -309,10 +321,12 @@ class Portfolio(Controller):
 
 
 def diversity(controls: Float[Array, "N nu"]) -> Scalar:
-    """Return the mean over pairs of rows of the root mean square of their difference; 0 of one row.
+    """Compute the mean distance between two members' controls; 0 for a single member.
+
+    The distance is the root mean square over the nu components.
 
     Args:
-        controls: (N, nu) in units in which components compare.
+        controls: (N, nu) control of each member, in units that make components comparable.
     """
     number = controls.shape[0]
     if number < 2:
@@ -320,5 +334,6 @@ def diversity(controls: Float[Array, "N nu"]) -> Scalar:
     first, second = np.triu_indices(number, 1)
     away = controls[first] - controls[second]
     square = jnp.mean(away * away, axis=1)
+    # The derivative of the root at 0 is infinite: equal rows must not pass through it.
     is_equal = square <= 0.0
     return jnp.mean(jnp.where(is_equal, 0.0, jnp.sqrt(jnp.where(is_equal, 1.0, square))))

@@ -1,4 +1,4 @@
-"""A fusion whose plan is checked before it is followed, and all fusions by name."""
+"""A fusion that checks its plan against those of the members, and all fusions by name."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,8 +14,8 @@ from jaxplore.planning.portfolio.fusion import (
     Fused,
     Fusion,
     Situation,
-    cheapest,
-    one_of,
+    least_finite,
+    select_member,
 )
 from jaxplore.planning.portfolio.voting import (
     Average,
@@ -27,22 +27,22 @@ from jaxplore.planning.portfolio.voting import (
 
 
 class SafeFusion(Fusion):
-    """Another fusion, whose plan is rolled out itself, and replaced if it is worse than a member's.
+    """Evaluates the plan of another fusion, and replaces it if the best member's plan is better.
 
-    A mixture of plans that are good may be bad: the average of passing a pillar on the left and on
-    the right runs into the pillar. So the fused sequence is evaluated beside the members'. The best
-    member takes its place if
+    A mixture of good plans may be bad: the average of passing a pillar on the left and on the right
+    runs into the pillar. The fused sequence is therefore rolled out too. The plan of the best
+    member replaces it if
 
-    - it collides and that member collides less, or
-    - it costs `regret` more than that member.
+    - the fused plan collides and the member's plan collides less, or
+    - the fused plan costs more than the member's plan plus `regret`.
 
-    The best member is that of least cost among those that do not collide; if all do, the one that
-    collides least.
+    The best member is the one of least cost among those that do not collide. If all collide, it is
+    the one of least hazard.
 
     Args:
-        fusion: makes the mixture.
-        regret: cost by which the mixture may exceed the best member's [units of the common
-            objective]; None to look at collisions only.
+        fusion: fusion that makes the mixture; `WeightedVote()` when absent.
+        regret: excess cost of the mixture that is accepted [units of the common objective]; with
+            None only collisions are compared.
         tolerated: hazard that counts as no collision.
 
     Raises:
@@ -65,23 +65,24 @@ class SafeFusion(Fusion):
         self.tolerated = _checks.scalar("tolerated", tolerated, at_least=0.0)
 
     def init(self) -> Any:
-        """Return what the inner fusion remembers."""
+        """Return the initial memory of the inner fusion."""
         return self.fusion.init()
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the mixture, or the best member's plan."""
+        """Fuse the plans, and replace the mixture if the best member's plan is better."""
         mixed, memory = self.fusion(memory, candidates, situation)
         costs, hazards = situation.evaluate(mixed.controls[None])
         best = self.best(candidates)
-        alternative = one_of(candidates, best)
+        alternative = select_member(candidates, best)
+        # Negated comparisons, so that a hazard or a cost that is NaN counts as worse.
         is_unsafe = ~(hazards[0] <= self.tolerated)
         is_safer = candidates.hazards[best] < jnp.where(jnp.isnan(hazards[0]), jnp.inf, hazards[0])
         is_replaced = is_unsafe & is_safer
         if self.regret is not None:
             is_dear = ~(costs[0] <= candidates.costs[best] + self.regret)
-            # A dear mixture that is safe is better than a cheap member that collides.
+            # A safe mixture is never replaced by a member that costs less but collides.
             worst = jnp.maximum(hazards[0], self.tolerated)
             is_replaced |= is_dear & (candidates.hazards[best] <= worst)
         pick = jnp.where(is_replaced, 1.0, 0.0)
@@ -92,14 +93,14 @@ class SafeFusion(Fusion):
         ), memory
 
     def best(self, candidates: Candidates) -> Count:
-        """Return the index of the best member."""
+        """Return the index of the best member: safe first, then of least cost."""
         hazards = jnp.where(jnp.isfinite(candidates.hazards), candidates.hazards, jnp.inf)
         is_safe = hazards <= self.tolerated
-        is_priced = is_safe & jnp.isfinite(candidates.costs)
-        among = jnp.where(is_priced, candidates.costs, jnp.inf)
-        return jnp.where(jnp.isfinite(jnp.min(among)), jnp.argmin(among), cheapest(hazards)).astype(
-            jnp.int32
-        )
+        is_choice = is_safe & jnp.isfinite(candidates.costs)
+        costs = jnp.where(is_choice, candidates.costs, jnp.inf)
+        is_any_safe = jnp.isfinite(jnp.min(costs))
+        index = jnp.where(is_any_safe, jnp.argmin(costs), least_finite(hazards))
+        return index.astype(jnp.int32)
 
     def check(self, names: tuple[str, ...]) -> None:
         """Raise a `ValueError` if the inner fusion does not fit the members."""
@@ -115,14 +116,14 @@ FUSIONS: Mapping[str, Callable[[], Fusion]] = {
     "contextual": Contextual,
     "safe": SafeFusion,
 }
-"""By name, with their default numbers."""
+"""Fusions by name."""
 
 
 def fusion_by_name(name: str) -> Fusion:
-    """Return a fusion with its default numbers.
+    """Return the fusion of a name, with its default parameters.
 
     Raises:
-        ValueError: a name that is none of `FUSIONS`.
+        ValueError: a name that is not in `FUSIONS`.
     """
     if name not in FUSIONS:
         raise ValueError(f"fusion is {name!r}; accepted: {', '.join(FUSIONS)}")

@@ -1,4 +1,4 @@
-"""Fusions that mix plans by their costs or their uncertainty, or take one of them."""
+"""Fusions that average plans by cost or uncertainty, or select the best one."""
 
 from typing import Any
 
@@ -12,20 +12,21 @@ from jaxplore.planning.portfolio.fusion import (
     Fused,
     Fusion,
     Situation,
-    cheapest,
-    mixture,
-    one_of,
+    least_finite,
+    select_member,
+    weighted_mean,
 )
 
 
 class WeightedVote(Fusion):
-    """The mean of the plans, weighted by `softmax(-cost / temperature)`.
+    """Mean of the plans, weighted by `softmax(-cost / temperature)`.
 
-    Costs are those of the common objective, so they can be compared, whatever each member itself
-    minimises. A plan whose cost is not finite has no vote.
+    The costs are those of the common objective, which makes them comparable although each member
+    minimises another one. A plan whose cost is not finite has no weight.
 
     Args:
-        temperature: in units of cost; small for the best plan alone, large for the average.
+        temperature: temperature of the softmax, in units of cost. A small one selects the best
+            plan, a large one averages all.
 
     Raises:
         ValueError: a temperature that is not positive.
@@ -39,56 +40,58 @@ class WeightedVote(Fusion):
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the weighted mean."""
+        """Average the plans with weights by cost."""
         is_finite = jnp.isfinite(candidates.costs)
+        # Differences to the best plan, so that the exponential does not underflow for all plans.
         least = jnp.min(jnp.where(is_finite, candidates.costs, jnp.inf))
         above = jnp.where(is_finite, candidates.costs - least, 0.0)
         votes = jnp.where(is_finite, jnp.exp(-above / self.temperature), 0.0)
-        return mixture(candidates, votes), memory
+        return weighted_mean(candidates, votes), memory
 
 
 class BestOnly(Fusion):
-    """The plan of least cost under the common objective."""
+    """Plan of least cost under the common objective."""
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the best plan."""
-        return one_of(candidates, cheapest(candidates.costs)), memory
+        """Select the plan of least cost."""
+        return select_member(candidates, least_finite(candidates.costs)), memory
 
 
 class Average(Fusion):
-    """The mean of all plans."""
+    """Mean of all plans."""
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the mean."""
-        return mixture(candidates, jnp.ones_like(candidates.costs)), memory
+        """Average all plans."""
+        return weighted_mean(candidates, jnp.ones_like(candidates.costs)), memory
 
 
 class Median(Fusion):
-    """The median of each control at each time: one member that is far off does not move it.
+    """Median over members of each control at each time, robust against a single outlier.
 
-    Of an even number of members it is the mean of the middle two. Shares are equal.
+    With an even number of members it is the mean of the middle two. The reported shares are equal.
     """
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the median."""
+        """Take the median of the plans."""
         number = candidates.costs.shape[0]
         shares = jnp.full(number, 1.0 / number)
         return Fused(jnp.median(candidates.controls, axis=0), shares, jnp.array(False)), memory
 
 
 class TrustWeighted(Fusion):
-    """The mean of the plans, each weighted by `1 / (uncertainty + least)`.
+    """Mean of the plans, weighted by `1 / (uncertainty + least)`.
 
-    A member whose good samples agree is surer of what to do than one whose good samples differ.
+    The uncertainty of a member is the spread of its weighted samples: it is low where the good
+    samples agree.
 
     Args:
-        least: uncertainty that is as good as none, in half ranges of the controls.
+        least: uncertainty that counts as none, in half ranges of the controls.
 
     Raises:
         ValueError: a value that is not positive.
@@ -102,7 +105,7 @@ class TrustWeighted(Fusion):
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
-        """Return the weighted mean."""
+        """Average the plans with weights by trust."""
         trust = 1.0 / (candidates.uncertainties + self.least)
         is_finite = jnp.isfinite(candidates.costs) & jnp.isfinite(trust)
-        return mixture(candidates, jnp.where(is_finite, trust, 0.0)), memory
+        return weighted_mean(candidates, jnp.where(is_finite, trust, 0.0)), memory

@@ -24,12 +24,12 @@ def explorer(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
 ) -> MPPI:
-    """Return MPPI with the costs of an exploring robot, weighted to work on any map.
+    """Build MPPI with the costs of an exploring robot, with weights that work on any map.
 
-    Guidance is a distance to go in metres, summed over the horizon: of two rollouts, the one that
-    is 1 cm nearer on average over 40 steps costs 0.4 less and weighs four times as much at the
-    temperature of 0.3. Information is in nats per beam and chooses between ways; being 5 cm too
-    close costs 100 a step.
+    Guidance is a distance to go in metres, summed over the horizon. Of two rollouts, the one that
+    is 1 cm nearer on average over 40 steps costs 0.4 less, and at the temperature 0.3 its weight is
+    four times as high. Information, in nats per beam, decides between paths of similar guidance.
+    Being 5 cm too close to an obstacle costs 100 per step.
 
     Args:
         robot: its model.

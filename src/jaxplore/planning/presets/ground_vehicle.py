@@ -1,4 +1,4 @@
-"""Portfolios for ground vehicles: the objectives of the design notes, and three ways to divide."""
+"""Portfolios for ground vehicles: the objectives of the design notes, and three decompositions."""
 
 import math
 from collections.abc import Mapping
@@ -37,13 +37,13 @@ ROLE_WEIGHTS: Weights = {
     "exploiter": {"information": 0.1, "goal": 0.7, "safety": 0.2},
     "cautious": {"information": 0.2, "goal": 0.2, "safety": 0.4, "terrain": 0.2},
 }
-"""Of the four roles, from the design notes for ground vehicles."""
+"""Weights of the four roles, from the design notes for ground vehicles."""
 HORIZONS = {"short": 0.5, "middle": 1.0, "long": 2.0}
-"""Of a temporal decomposition, as multiples of the horizon."""
+"""Horizons of a temporal decomposition, as multiples of the horizon of the template."""
 REGIONS = {"left": 0.5 * math.pi, "forward": 0.0, "right": -0.5 * math.pi}
-"""Of a regional decomposition: directions from the heading [rad]."""
+"""Preferred directions of a regional decomposition, from the current heading [rad]."""
 REGION_WEIGHT = 0.3
-"""Of a member's own region, beside the balanced weights."""
+"""Weight of the region of a member, in addition to the balanced weights."""
 FLOORS = {
     "information": 0.02,
     "goal": 0.02,
@@ -53,18 +53,18 @@ FLOORS = {
     "effort": 0.05,
     "region": 0.02,
 }
-"""Least spread of each objective, for each step of the horizon [its own unit]."""
+"""Lower bound of the spread of each objective, per step of the horizon [unit of the objective]."""
 COLLISION = 100.0
-"""Cost of a rollout that is 5 cm too deep in something all along, in spreads of an objective."""
+"""Cost of a rollout that is 5 cm deep in an obstacle in all steps, in spreads of an objective."""
 
 
 class Mission(NamedTuple):
-    """What a vehicle is out for, which decides what its members weigh.
+    """The task of a vehicle, which decides on the objectives of the members.
 
     Args:
-        goal: (x, y) to reach [m]; none for one that only explores.
-        has_terrain: whether the ground is more than level.
-        has_movers: whether anything moves.
+        goal: goal position (x, y) [m]; None for exploration alone.
+        has_terrain: whether the ground has slopes or rough parts.
+        has_movers: whether there are moving obstacles.
     """
 
     goal: Vector | None = None
@@ -73,9 +73,9 @@ class Mission(NamedTuple):
 
 
 def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
-    """Return the objectives of a mission by name.
+    """Build the objectives of a mission by name.
 
-    | name | is | where |
+    | name | cost | when |
     | --- | --- | --- |
     | information | 2 `InformationCost`, fading, + `GuidanceCost` | always |
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
@@ -84,7 +84,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     | movers | `MovingObstacleCost` without its collision term | if something moves |
     | effort | `ControlCost` | always |
 
-    Without a goal, what there is to exploit is what is known of where information remains.
+    Without a goal, the exploiter uses what is known about where information remains.
 
     Args:
         mission: what the vehicle is out for.
@@ -121,10 +121,10 @@ def ground_portfolio(
     clearance: ArrayLike = 0.4,
     margin: ArrayLike = 0.02,
 ) -> Portfolio:
-    """Return a portfolio for a ground vehicle.
+    """Build a portfolio for a ground vehicle.
 
-    Its members' weights are divided by what each objective varies, see `Portfolio`; the temperature
-    is in the same units. No member trades a collision for anything (`CollisionCost`).
+    Objectives are divided by their spread, see `Portfolio`, and the temperature is in the same
+    unit. No member trades a collision for an objective (`CollisionCost`).
 
     | decomposition | members | what differs |
     | --- | --- | --- |
@@ -143,10 +143,10 @@ def ground_portfolio(
         decomposition: how members divide the work.
         fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
             by name has the mission's goal.
-        common: weights of the common objective, by which plans compare; those of the exploiter when
-            absent. What there is to exploit is a cost to go, to the goal or to what is worth a
-            look, and so knows what lies beyond the horizon, as the information of a plan does not.
-            Of members that have none of these objectives, the mean of theirs.
+        common: weights of the common objective; those of the exploiter when absent. Its cost to go,
+            to the goal or to remaining information, includes what lies beyond the horizon, which
+            the information along a plan does not. If no member has these objectives, the mean of
+            the weights of the members.
         effort: weight of "effort" in every member that does not give one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
@@ -207,9 +207,11 @@ def _template(
     dt: ArrayLike,
     parameterisation: Parameterisation,
 ) -> MPPI:
+    """Build the MPPI controller that the members are copies of."""
     share = _checks.scalar("noise_share", noise_share, above=0.0)
     std = share * robot.control_half_range
-    # As much in sum over the horizon as noise on every control: see `Flight.noise_std`.
+    # The sum of the controls over the horizon then varies as with noise on every control, see
+    # `Flight.noise_std`.
     if isinstance(parameterisation, Smooth):
         std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))
     elif isinstance(parameterisation, Knots):
@@ -222,7 +224,8 @@ def _template(
         dt=dt,
         proposal=GaussianProposal(std),
         parameterisation=parameterisation,
-        # Likelihood ratios of tens of steps would leave one sample in a thousand.
+        # Over tens of steps the likelihood ratio alone would reduce the effective sample size to
+        # about one in a thousand.
         weighting=Softmax(temperature, importance=0.0),
     )
 
@@ -233,7 +236,7 @@ def _weights(
     mission: Mission,
     effort: float,
 ) -> dict[str, dict[str, float]]:
-    """Return the weights by member and objective."""
+    """Return the weights of the objectives of each member."""
     balanced = ROLE_WEIGHTS["balanced"]
     known: dict[str, Weights] = {
         "roles": ROLE_WEIGHTS,
@@ -265,10 +268,10 @@ def _weights(
 
 
 def _fitted(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
-    """Return a role's weights for a mission: who keeps from walls keeps from what moves as well."""
+    """Adapt the weights of a role to a mission; moving obstacles weigh as much as static ones."""
     fitted = dict(row)
     if not mission.has_terrain:
-        # To go carefully on level ground is to keep clear.
+        # On level ground the weight of the terrain is spent on keeping clear.
         fitted["safety"] = fitted["safety"] + fitted.pop("terrain", 0.0)
     if mission.has_movers:
         fitted["movers"] = row["safety"]

@@ -24,7 +24,7 @@ from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
 KNOTS = 5
-"""Of the controls' splines: noise that lasts turns a car, noise that is new each step shakes it."""
+"""Knots of the control splines: smooth noise turns a car, white noise shakes it."""
 
 
 class PathFollowing(NamedTuple):

@@ -1,4 +1,4 @@
-"""Both architectures of informative MPPI for a quadrotor, with the design notes' numbers."""
+"""Informative MPPI for a quadrotor in both architectures, with the numbers of the design notes."""
 
 import math
 from typing import Any, NamedTuple
@@ -58,10 +58,10 @@ BASELINE_WEIGHT = 10.0
 
 
 class Flight(NamedTuple):
-    """What all controllers of a comparison share: how they sample, and how they keep safe.
+    """Parameters that all controllers of a comparison share: sampling and safety.
 
-    The cost of a rollout is the mean over its steps: so the temperature is in units of the cost of
-    a step, whatever the horizon.
+    The cost of a rollout is the mean over its steps, so the temperature is in units of the cost of
+    one step, for any horizon.
 
     Args:
         horizon: model steps ahead, T.
@@ -100,7 +100,7 @@ class Flight(NamedTuple):
     control_weight: ArrayLike = 0.01
 
     def cost(self, robot: Dynamics) -> Cost:
-        """Return what keeps a robot safe."""
+        """Build the safety costs of a robot."""
         total: Cost = (
             self.obstacle_weight * ObstacleCost(self.clearance)
             + self.speed_weight * SpeedLimitCost(self.max_speed)
@@ -111,7 +111,7 @@ class Flight(NamedTuple):
         return total
 
     def noise(self, robot: Dynamics) -> GaussianProposal:
-        """Return the proposal around the last solution.
+        """Build the Gaussian proposal around the last solution.
 
         Raises:
             ValueError: a horizon, a model step or a standard deviation that is not positive.
@@ -133,7 +133,7 @@ class Flight(NamedTuple):
         return GaussianProposal(std)
 
     def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal) -> MPPI:
-        """Return MPPI with these numbers."""
+        """Build MPPI with these parameters."""
         return MPPI(
             robot,
             (1.0 / self.horizon) * cost,
@@ -148,7 +148,7 @@ class Flight(NamedTuple):
 
 
 class FieldNumbers(NamedTuple):
-    """The information fields of informative MPPI.
+    """Parameters of the information fields of informative MPPI.
 
     Args:
         field_of_view: of both sensors [rad].
@@ -178,7 +178,7 @@ class FieldNumbers(NamedTuple):
     local_extent: float = 4.0
 
     def sensor(self, model: CellSensor, resolution: float) -> LocalFieldSensor:
-        """Return the sensor of the field around the robot."""
+        """Build the sensor of the field around the robot."""
         far = Lidar(self.field_beams, self.field_range, self.field_of_view)
         noise = GaussianNoise(self.field_noise, truncation=3.0) if self.field_noise > 0.0 else None
         return LocalFieldSensor(
@@ -189,10 +189,10 @@ class FieldNumbers(NamedTuple):
             num_headings=self.field_headings,
         )
 
-    def lookout(self, resolution: float) -> ShortRangeField:
-        """Return the field of short looks."""
+    def short_range_field(self, resolution: float) -> ShortRangeField:
+        """Build the field of short-range scans."""
         near = Lidar(self.local_beams, self.local_range, self.field_of_view)
-        # As many directions as there are beams in a full turn.
+        # The directions have the spacing of the beams, so that each scan is a sum of directions.
         turn = max(1, round(2.0 * math.pi / near.beam_spacing))
         stride = max(1, round(0.2 / resolution))
         nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
@@ -223,12 +223,13 @@ def informative_mppi(
     guidance_weight: ArrayLike = 10.0,
     goal_weight: ArrayLike = 0.2,
 ) -> InformativeMPPI:
-    """Return informative MPPI with the costs and numbers of the quadrotor design notes.
+    """Build informative MPPI with the costs and numbers of the quadrotor design notes.
 
-    Two-layer: MPPI tracks a reference that climbs the information field, half of its samples around
-    the controls that follow it. Parallel: MPPI reads the field, without reference and bias. Both
-    also pay for guidance, the way through the whole map to what remains, which the notes do not
-    have. With a `target_choice`, two-layer goes from zone to zone: the sequential architecture.
+    Two-layer: MPPI tracks a reference that ascends the information field, with half of its samples
+    around the controls that follow it. Parallel: MPPI reads the field, without reference and bias.
+    Both also have a guidance cost, the cost to go through the whole map to the remaining
+    information, which is an addition to the notes. With a `target_choice`, two-layer goes from zone
+    to zone: the sequential architecture.
 
     The function has more than 60 lines because it is the one place of these numbers.
 
@@ -294,7 +295,7 @@ def informative_mppi(
     return InformativeMPPI(
         flight.mppi(robot, cost, proposal),
         fields.sensor(model, resolution),
-        fields.lookout(resolution),
+        fields.short_range_field(resolution),
         model,
         reference=reference,
         follower=follower,
@@ -341,7 +342,7 @@ def zone_choice(
 
 
 def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MPPI:
-    """Return MPPI that goes to a goal and knows of no information: a baseline.
+    """Build MPPI that drives to a goal and ignores information, as a baseline.
 
     Args:
         robot: its model.
@@ -354,7 +355,7 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
 
 
 def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
-    """Return a robot that wanders as fast and as safely as an explorer: a baseline.
+    """Build a random walk with the speed and the safety of an explorer, as a baseline.
 
     Args:
         robot: its model.

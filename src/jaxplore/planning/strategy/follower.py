@@ -1,7 +1,7 @@
-"""From where a robot should be to the controls that take it there.
+"""Followers: turn a reference of positions into controls by simulating a feedback law.
 
-A planner says positions, a proposal wants controls: a feedback law, simulated along the positions
-with the model itself, gives the controls that the model can execute.
+A strategic layer gives positions, a proposal needs controls. The law is simulated with the model
+itself, so the model can execute the controls.
 """
 
 import abc
@@ -17,19 +17,20 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 
 SLOW = 0.1
-"""Speed below which the direction of a motion says little [m/s]."""
+"""Speed below which the direction of a velocity is taken as unreliable [m/s]."""
 
 
 class Follower(eqx.Module):
-    """A feedback law that turns a position reference into controls, by simulating the model.
+    """A feedback law, and its simulation along a reference of positions.
 
         u_i = clip(control(x_i, r_{i-1}, (r_i - r_{i-1}) / dt)),   x_{i+1} = step(x_i, u_i, dt)
 
-    Row r_i is where to be at (i + 1) dt, so r_{i-1} is where to be at the time of x_i. Before its
-    first row the reference moves as it does after it; a single row stands still.
+    Row r_i is the target at (i + 1) dt, so r_{i-1} is the target at the time of x_i. Before its
+    first row the reference has the velocity of the first interval; a single row stands still.
 
-    The result is what `BiasedProposal` takes as its reference, for the same horizon and step.
-    Written for one robot; `vmap` it. One class for each model: see `follower_for`.
+    The controls can be given to `BiasedProposal` as its reference, for the same horizon and step.
+    The code is written for one robot and can be mapped by `vmap`. Each model has a follower class
+    of its own, see `follower_for`.
     """
 
     @abc.abstractmethod
@@ -40,16 +41,16 @@ class Follower(eqx.Module):
         target: Float[Array, " D"],
         velocity: Float[Array, " D"],
     ) -> ControlVector:
-        """Return the control (nu,) of the law, which may be out of bounds.
+        """Evaluate the feedback law (nu,); the result may exceed the bounds.
 
         Args:
-            dynamics: the model.
-            state: (nx,).
-            target: (2,) where to be now, (3,) for a model with `z` [m].
-            velocity: of the target, of the same shape [m/s].
+            dynamics: model of the robot.
+            state: (nx,) state of the robot.
+            target: (2,) position to be at now, or (3,) for a model with `z` [m].
+            velocity: velocity of the target, of the same shape [m/s].
 
         Raises:
-            ValueError: a model of another class, a target without z where the model has it.
+            ValueError: a model of another class, a target without z for a model with z.
         """
 
     def __call__(
@@ -59,35 +60,35 @@ class Follower(eqx.Module):
         reference: Float[Array, "T D"],
         dt: ArrayLike,
     ) -> Float[Array, "T nu"]:
-        """Return the controls (T, nu), within the bounds, that follow a reference.
+        """Simulate the law along a reference and return its controls (T, nu), within the bounds.
 
-        Where the law gives no finite control, or the state is not finite, it is the default
-        control; where the model gives no finite state, the rollout goes on from the last one.
+        Where the control of the law or the state is not finite, the default control is used. Where
+        the model returns a state that is not finite, the simulation continues from the last one.
 
         Args:
-            dynamics: the model.
-            state: (nx,) where the robot is.
-            reference: (T, 2) or (T, 3) where to be after 1 ... T steps [m]. A model with `z` holds
-                its own where there is no third column; others do not read it.
+            dynamics: model of the robot.
+            state: (nx,) initial state of the robot.
+            reference: (T, 2) or (T, 3) positions after 1 ... T steps [m]. Without a third column, a
+                model with `z` keeps its height; a model without `z` ignores the column.
             dt: model step [s].
 
         Raises:
-            ValueError: a model of another class, a reference of another shape, a step that is not
+            ValueError: a model of another class, a reference of the wrong shape, a step that is not
                 positive.
         """
         step = _checks.scalar("dt", dt, above=0.0)
         points = _points(dynamics, state, reference)
-        following = points[1:] - points[:-1]
-        # A velocity that made up for the robot's distance from the first row would be a kick, and
-        # where the plan is made anew at each step, nothing but kicks would be applied.
-        first = following[:1] if points.shape[0] > 1 else jnp.zeros_like(points)
-        moves = jnp.concatenate([first, following])
+        intervals = points[1:] - points[:-1]
+        # The first velocity is not that from the robot to the first row: it would be a kick, and a
+        # controller that plans anew at each step would apply nothing but kicks.
+        first = intervals[:1] if points.shape[0] > 1 else jnp.zeros_like(points)
+        moves = jnp.concatenate([first, intervals])
         times = step * jnp.arange(points.shape[0], dtype=jnp.float32)
 
         def advance(state: Array, inputs: tuple[Array, Array, Array]) -> tuple[Array, Array]:
             target, velocity, t = inputs
             wanted = self.control(dynamics, state, target, velocity)
-            # A law need not read all of a state that is not finite.
+            # A law may ignore a component of the state that is not finite, so both are checked.
             control = jnp.where(
                 jnp.all(jnp.isfinite(wanted)) & jnp.all(jnp.isfinite(state)),
                 jnp.clip(wanted, dynamics.control_min, dynamics.control_max),
@@ -101,8 +102,8 @@ class Follower(eqx.Module):
         return controls
 
 
-def expected[Model: Dynamics](dynamics: Dynamics, accepted: type[Model]) -> Model:
-    """Return the model, which is of the class that a law was made for."""
+def require_model[Model: Dynamics](dynamics: Dynamics, accepted: type[Model]) -> Model:
+    """Return the model if it is of the class that a law is made for; otherwise raise."""
     if not isinstance(dynamics, accepted):
         raise ValueError(
             f"dynamics is a {type(dynamics).__name__}; accepted: a {accepted.__name__}"
@@ -113,7 +114,7 @@ def expected[Model: Dynamics](dynamics: Dynamics, accepted: type[Model]) -> Mode
 def _points(
     dynamics: Dynamics, state: StateVector, reference: Float[Array, "T D"]
 ) -> Float[Array, "T columns"]:
-    """Return the reference with as many columns as the model's positions."""
+    """Return the reference with as many columns as the model has position components."""
     if reference.ndim != 2 or reference.shape[0] < 1 or reference.shape[1] not in (2, 3):
         raise ValueError(
             f"reference has shape {reference.shape}; accepted: (T, 2) or (T, 3) with T >= 1"
@@ -126,11 +127,19 @@ def _points(
     return jnp.concatenate([reference, height], axis=1)
 
 
-def nearing(gain: Scalar, distance: Scalar, braking: Scalar) -> Scalar:
-    """Return the speed per distance at which to near something [1/s].
+def approach_gain(gain: Scalar, distance: Scalar, braking: Scalar) -> Scalar:
+    """Compute the ratio of speed to distance at which to approach a target [1/s].
 
-    It is the gain up to the distance where stopping takes `braking`, and from there on what stops
-    with `braking`: `v = sqrt(2 braking (d - braking / (2 gain^2)))`, the same value and slope.
+        v / d = gain                                               for d <= braking / gain^2
+        v = sqrt(2 braking (d - braking / (2 gain^2)))             beyond
+
+    Near the target the approach is exponential. Farther away the gain falls, so that the robot can
+    stop with the deceleration `braking`. Value and slope of v are continuous.
+
+    Args:
+        gain: ratio near the target [1/s].
+        distance: distance to the target, d [m], or an angle [rad].
+        braking: deceleration [m/s^2] or [rad/s^2].
     """
     near = braking / (gain * gain)
     is_far = distance > near

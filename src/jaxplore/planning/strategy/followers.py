@@ -1,4 +1,4 @@
-"""The laws by which ground robots follow positions, and which law is for which model."""
+"""Followers of ground robots, and the choice of a follower for a model."""
 
 import jax.numpy as jnp
 from jax.typing import ArrayLike
@@ -12,7 +12,7 @@ from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import angle, length
-from jaxplore.planning.strategy.follower import SLOW, Follower, expected, nearing
+from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 
 
@@ -22,16 +22,16 @@ class UnicycleFollower(Follower):
         (u_x, u_y) = R(-yaw) (velocity + k (target - p))
         v = max(u_x, 0),   omega = k_yaw atan2(u_y, u_x) |u|^2 / (|u|^2 + 0.1^2)
 
-    The speed is that of Kanayama et al.; their turn rate needs a target that moves, this one turns
-    to where the robot should go, so that it also reaches a point. It fades with |u|: at rest on the
-    target no direction is preferred. A target behind is turned to on the spot.
+    The speed is that of Kanayama et al. Their turn rate needs a moving target. This one turns the
+    robot towards u, so it also reaches a fixed point. It fades with |u|, since at rest on the
+    target no direction is preferred. For a target behind it, the robot turns on the spot.
 
     Source: Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous
     mobile robot", ICRA 1990, whose v is u_x.
 
     Args:
-        position_gain: k [1/s].
-        heading_gain: k_yaw [1/s]; below `1 / dt`.
+        position_gain: gain on the position error, k [1/s].
+        heading_gain: gain on the heading error, k_yaw [1/s]; below `1 / dt`.
 
     Raises:
         ValueError: a gain that is not positive.
@@ -51,8 +51,8 @@ class UnicycleFollower(Follower):
         target: Float[Array, " D"],
         velocity: Float[Array, " D"],
     ) -> ControlVector:
-        """Return speed and turn rate (2,)."""
-        expected(dynamics, Unicycle)
+        """Evaluate the law: speed and turn rate (2,)."""
+        require_model(dynamics, Unicycle)
         x, y, yaw = state
         wanted = [
             velocity[i] + self.position_gain * (target[i] - place) for i, place in enumerate((x, y))
@@ -62,21 +62,22 @@ class UnicycleFollower(Follower):
 
 
 class DifferentialDriveFollower(Follower):
-    """Tracking law for `DifferentialDrive`: that of `UnicycleFollower`, and a loop for each speed:
+    """Tracking law for `DifferentialDrive`: `UnicycleFollower` with an inner loop for each speed:
 
         a = k_v (v_wanted - v) + drag v,   alpha = k_omega (omega_wanted - omega) + drag omega
 
-    with v_wanted and omega_wanted as there, but for k and k_yaw that fall with the distance and the
-    angle to go, so that braking takes about half of the greatest acceleration.
+    with v_wanted and omega_wanted those of `UnicycleFollower`. There k and k_yaw fall with the
+    distance and the angle to go, so that braking takes about half of the greatest acceleration.
 
     Source: Kanayama, Kimura, Miyazaki, Noguchi, "A stable tracking control method for an autonomous
     mobile robot", ICRA 1990.
 
     Args:
-        position_gain: k [1/s]; half of `speed_gain` or less, a quarter for no overshoot.
-        heading_gain: k_yaw [1/s]; half of `turn_rate_gain` or less.
-        speed_gain: k_v [1/s]; below `1 / dt`.
-        turn_rate_gain: k_omega [1/s]; below `1 / dt`.
+        position_gain: gain on the position error, k [1/s]; at most half of `speed_gain`, a quarter
+            for no overshoot.
+        heading_gain: gain on the heading error, k_yaw [1/s]; at most half of `turn_rate_gain`.
+        speed_gain: gain on the speed error, k_v [1/s]; below `1 / dt`.
+        turn_rate_gain: gain on the turn-rate error, k_omega [1/s]; below `1 / dt`.
 
     Raises:
         ValueError: a gain that is not positive.
@@ -106,16 +107,17 @@ class DifferentialDriveFollower(Follower):
         target: Float[Array, " D"],
         velocity: Float[Array, " D"],
     ) -> ControlVector:
-        """Return both accelerations (2,)."""
-        model = expected(dynamics, DifferentialDrive)
+        """Evaluate the law: linear and angular acceleration (2,)."""
+        model = require_model(dynamics, DifferentialDrive)
         x, y, yaw, v, omega = state
         braking, turn_braking = 0.5 * model.control_max
         away = (target[0] - x, target[1] - y)
-        gain = nearing(self.position_gain, length(*away), braking)
+        gain = approach_gain(self.position_gain, length(*away), braking)
         speed, turn, confidence = _steering(
             yaw, velocity[0] + gain * away[0], velocity[1] + gain * away[1]
         )
-        turn_rate = confidence * nearing(self.heading_gain, jnp.abs(turn), turn_braking) * turn
+        turn_gain = approach_gain(self.heading_gain, jnp.abs(turn), turn_braking)
+        turn_rate = confidence * turn_gain * turn
         return jnp.stack(
             [
                 self.speed_gain * (speed - v) + model.drag * v,
@@ -125,10 +127,10 @@ class DifferentialDriveFollower(Follower):
 
 
 def follower_for(dynamics: Dynamics) -> Follower:
-    """Return the follower of a model, with its default gains.
+    """Return the follower for a model, with its default gains.
 
     Raises:
-        ValueError: a model that has none.
+        ValueError: a model without a follower.
     """
     followers: dict[type[Dynamics], type[Follower]] = {
         Quadrotor: QuadrotorFollower,
@@ -145,9 +147,10 @@ def follower_for(dynamics: Dynamics) -> Follower:
 
 
 def _steering(yaw: Scalar, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Return how a robot that drives forwards takes up a velocity (x, y) of the world.
+    """Convert a wanted velocity (x, y) in the world to speed and turn of a forward-driving robot.
 
-    Its speed [m/s], the angle to turn by [rad], and how much the angle counts, between 0 and 1.
+    Returns:
+        The speed [m/s], the angle to turn by [rad], and the weight of the angle between 0 and 1.
     """
     sin, cos = sin_cos(yaw)
     ahead, aside = cos * x + sin * y, cos * y - sin * x

@@ -1,4 +1,4 @@
-"""Where an exploring robot could go next: frontiers and views, by the ways that lead there."""
+"""Frontiers: the places where an exploring robot could go next, and the distances to them."""
 
 from typing import NamedTuple
 
@@ -8,26 +8,26 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import Position, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import Roadmap, geodesic, point_sources, roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
 class Frontiers(NamedTuple):
-    """The nodes of the guidance's lattice as places to go to.
+    """Candidate places on the nodes of the guidance lattice.
 
-    A frontier cell is free and has an unknown one beside it (Yamauchi, "A frontier-based approach
-    for autonomous exploration", CIRA 1997). The robot cannot get onto it, since it keeps from what
-    is unknown: a frontier is an open node as near as it gets, and a node, to frontier cells of some
-    length together. Single cells are left to noise.
+    A frontier cell is free and has an unknown neighbour (Yamauchi, "A frontier-based approach for
+    autonomous exploration", CIRA 1997). The robot cannot reach it, since it keeps clear of unknown
+    space. A frontier node is therefore a reachable node next to frontier cells of a minimum total
+    length. Isolated frontier cells, which are often noise, do not make a frontier.
 
     Args:
-        roads: where the robot fits.
-        distance: (H, W) length of the way there [m]; infinite where none leads.
-        worth: (H, W) information of a scan there, less what dwelling near it has taken away [nat].
-        is_frontier: (H, W) frontiers that can be reached and are worth a look.
-        is_view: (H, W) nodes that can be reached and are worth a look.
-        is_leftover: (H, W) nodes that can be reached and are worth a little.
+        roads: road map of the places where the robot fits.
+        distance: (H, W) length of the shortest path to each node [m]; infinite where there is none.
+        worth: (H, W) information of a scan from each node, discounted by the time spent near it
+            [nat].
+        is_frontier: (H, W) frontier nodes that can be reached and are worth a visit.
+        is_view: (H, W) nodes that can be reached and are worth a visit.
+        is_leftover: (H, W) nodes that can be reached and have a little information left.
     """
 
     roads: Roadmap
@@ -38,7 +38,7 @@ class Frontiers(NamedTuple):
     is_leftover: Bool[Array, "H W"]
 
 
-def prospects(
+def find_frontiers(
     belief: Belief,
     position: Position,
     *,
@@ -49,22 +49,23 @@ def prospects(
     stride: int,
     near: int,
 ) -> Frontiers:
-    """Return where a robot could go.
+    """Find the frontiers and views that a robot can reach.
 
     Args:
-        belief: what it knows.
-        position: where it is (x, y) [m].
-        required_clearance: that it needs [m].
-        min_information: below which a place is not worth a look [nat].
-        leftover_share: of that, below which it is worth nothing.
-        min_frontier: length of a frontier at least [m].
-        stride: cells between nodes, as of the belief's fields; static.
-        near: nodes between a frontier and a frontier cell at most; static.
+        belief: what the robot knows of the world.
+        position: position of the robot (x, y) [m].
+        required_clearance: clearance that the robot needs [m].
+        min_information: worth below which a place is not visited [nat].
+        leftover_share: share of `min_information` below which a place has nothing left.
+        min_frontier: minimum length of a frontier [m].
+        stride: cells between nodes, as in the fields of the belief; static.
+        near: largest number of nodes between a frontier node and its frontier cells; static.
     """
+    # The same road map as the guidance uses, so that every candidate can be driven to.
     roads = roadmap(belief.clearance, required_clearance, stride)
     start = point_sources(position, roads.frame, roads.is_open)
     distance = geodesic(start, roads.slowness, roads.is_open)
-    worth = belief.information.total * dwell_discount(belief.dwell, belief.patience)
+    worth = belief.worth
     can_reach = roads.is_open & jnp.isfinite(distance)
     length = _frontier_length(belief.grid, stride, near, roads.is_open.shape)
     is_view = can_reach & (worth >= min_information)
@@ -81,15 +82,17 @@ def prospects(
 def _frontier_length(
     grid: OccupancyGrid, stride: int, near: int, shape: tuple[int, ...]
 ) -> Float[Array, "H W"]:
-    """Return the sides of the frontier cells in blocks up to `near` away from each node [m]."""
+    """Compute the length of the frontier cells within `near` blocks of each node [m]."""
     p = grid.probability
+    # A cell counts as unknown above a variance of half the maximum, p between 0.15 and 0.85.
     unknown = jnp.pad(4.0 * p * (1.0 - p) > 0.5, 1)
     beside = unknown[2:, 1:-1] | unknown[:-2, 1:-1] | unknown[1:-1, 2:] | unknown[1:-1, :-2]
     (rows, columns), (height, width) = shape, p.shape
+    # Frontier cells are counted per block of the lattice, then over a window of blocks.
     padded = jnp.pad(
         grid.is_free & beside, ((0, rows * stride - height), (0, columns * stride - width))
     )
     blocks = padded.reshape(rows, stride, columns, stride).sum(axis=(1, 3), dtype=jnp.float32)
     window = (2 * near + 1, 2 * near + 1)
-    around: Array = jax.lax.reduce_window(blocks, 0.0, jax.lax.add, window, (1, 1), "SAME")
-    return grid.resolution * around
+    count: Array = jax.lax.reduce_window(blocks, 0.0, jax.lax.add, window, (1, 1), "SAME")
+    return grid.resolution * count

@@ -1,4 +1,4 @@
-"""A reference that climbs an information field."""
+"""Gradient ascent on a field, as a reference of positions."""
 
 import equinox as eqx
 import jax
@@ -13,25 +13,24 @@ from jaxplore.maps.field import ScalarField, gather, stencil
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 
 FLAT = 1e-5
-"""Slope below which a field is flat, of its greatest value over a node spacing."""
+"""Slope below which a field counts as flat, in greatest values per node spacing."""
 
 
 class GradientReference(eqx.Module):
-    """Positions of a robot that climbs a field at constant speed:
+    """Gradient ascent on a field at constant speed:
 
         x_{t+1} = x_t + speed dt g(x_t) / |g(x_t)|
 
-    with g the central differences between nodes, interpolated. It stands still where the field is
-    flat and on top of it, off the field, and where the way up leads off the map or into a cell
-    known to be occupied; along a wall it goes on sideways as long as that leads up. Steps longer
-    than half a map cell are made of shorter ones, so no wall is stepped over, and the reference
-    follows a bend within a step.
+    with g the interpolated central differences between nodes. The reference stands still where the
+    field is flat, at a maximum, off the field, and where the next step would leave the map or enter
+    a cell known to be occupied. Along a wall it slides as long as the field rises. Steps longer
+    than half a map cell are divided, so that no wall is stepped over and bends are followed.
 
-    The reference of the two-layer controller of the quadrotor design notes.
+    Source: the two-layer controller of the quadrotor design notes.
 
     Args:
-        speed: [m/s].
-        num_steps: T; static.
+        speed: speed of the reference [m/s].
+        num_steps: number of positions, T; static.
         dt: time between positions [s].
 
     Raises:
@@ -50,12 +49,12 @@ class GradientReference(eqx.Module):
     def __call__(
         self, field: ScalarField, grid: OccupancyGrid, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Return the positions after 1 ... T steps.
+        """Compute the positions (x, y, z) after 1 ... T steps (T, 3) [m].
 
         Args:
-            field: to be climbed, such as `LocalFieldSensor(...).field(...).best`.
-            grid: what is known.
-            start: (x, y, z) [m]; z is kept.
+            field: field to ascend, such as `LocalFieldSensor(...).field(...).best`.
+            grid: map that the robot knows.
+            start: (3,) initial position (x, y, z) [m]; z is kept.
         """
         along_row, along_column = jnp.gradient(field.values, field.frame.resolution)
         slopes = jnp.stack([along_row, along_column])
@@ -83,14 +82,15 @@ def _climb(
     position: Position,
     length: Scalar,
 ) -> Position:
-    """Return where one short step up leads."""
+    """Take one short step up the field; stand still where none is allowed."""
     rows, columns = field.values.shape
-    around = stencil((rows, columns), field.frame.to_grid(position), field.margin)
-    up_row, up_column = (gather(slopes, around, 0.0, axis) for axis in (0, 1))
+    nodes = stencil((rows, columns), field.frame.to_grid(position), field.margin)
+    up_row, up_column = (gather(slopes, nodes, 0.0, axis) for axis in (0, 1))
     slope = jnp.sqrt(up_row * up_row + up_column * up_column)
     scale = jnp.where(slope > flat, length / jnp.where(slope > flat, slope, 1.0), 0.0)
     up = scale * _turned(up_column, up_row, field.frame.origin[2])
-    # The way up first; where it is blocked, along the map's axis that rises more, then the other.
+    # Try the gradient first. Where it is blocked, slide along the map axis that rises more, then
+    # along the other one.
     yaw = grid.frame.origin[2]
     along_x, along_y = _turned(up[0], up[1], -yaw)
     by_x = _turned(length * jnp.sign(along_x), jnp.zeros(()), yaw)
@@ -107,14 +107,15 @@ def _climb(
 
 
 def _turned(x: Scalar, y: Scalar, yaw: Scalar) -> Position:
+    """Rotate a vector by an angle [rad]."""
     cos, sin = jnp.cos(yaw), jnp.sin(yaw)
     return jnp.stack([cos * x - sin * y, sin * x + cos * y])
 
 
 def _is_clear(grid: OccupancyGrid, before: Position, after: Position) -> Flag:
-    """Say whether a step of at most half a cell keeps out of what is known to be occupied.
+    """Return whether a step of at most half a cell keeps out of cells known to be occupied.
 
-    Diagonally it passes one of the two cells between: both must be clear.
+    A diagonal step passes one of the two cells between. Both must be clear.
     """
     (row, column), (next_row, next_column) = (
         grid.frame.to_cell(position) for position in (before, after)

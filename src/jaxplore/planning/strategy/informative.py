@@ -1,4 +1,4 @@
-"""Informative MPPI: a slow strategic layer and fast MPPI in one controller."""
+"""Informative MPPI: a slow strategic layer and a fast MPPI layer in one controller."""
 
 import dataclasses
 from typing import Any, NamedTuple
@@ -13,9 +13,9 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.draft import MPPIState
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.mppi_state import MPPIState
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import CellSensor
 from jaxplore.information.heading_field import HeadingField
@@ -25,13 +25,13 @@ from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.references import StrategicReference
 
 
-class Strategy(NamedTuple):
-    """What the strategic layer found when it ran last.
+class StrategicPlan(NamedTuple):
+    """Result of the strategic layer.
 
     Args:
-        potential: information of a scan around the robot, by heading [nat].
-        best: its greatest value over headings [nat].
-        reference: (T, 3) positions to be at [m].
+        potential: information of a scan at each place around the robot, by heading [nat].
+        best: greatest value of `potential` over headings [nat].
+        reference: (T, 3) positions (x, y, z) for the robot to follow [m].
     """
 
     potential: HeadingField
@@ -40,31 +40,32 @@ class Strategy(NamedTuple):
 
 
 class InformativeState(NamedTuple):
-    """What the controller remembers.
+    """State of informative MPPI.
 
     Args:
-        mppi: of MPPI.
-        strategy: of the strategic layer; meaningless before the first step.
-        age: commands given since that strategy was made; as many as are given between strategies
-            when the next one is due.
+        mppi: state of the MPPI layer.
+        plan: last result of the strategic layer; meaningless before the first step.
+        age: number of commands since that result. The strategic layer runs again when it reaches
+            the number of commands per strategy period.
     """
 
     mppi: MPPIState
-    strategy: Strategy
+    plan: StrategicPlan
     age: Count
 
 
 class ShortRangeField(eqx.Module):
-    """The information of a short look from everywhere around the robot, by heading.
+    """Information of a short-range scan at each place around the robot, by heading.
 
-    The quadrotor design notes cast it for every sample (Uniform-FSMI, 6 beams of 2.5 m). A map
-    holds it: beams in all directions from every other cell, once per command. Like any
-    `InformationField` it is an integral over the view: beams on its edges count half.
+    The quadrotor design notes cast the beams for every sample (Uniform-FSMI, 6 beams of 2.5 m).
+    Here a field is computed once per command, with beams in all directions from every node, and
+    the samples read it. Like any `InformationField` it integrates over the field of view, so beams
+    on its edges count half.
 
     Args:
-        sensor: the beams; its field of view is that of a look.
-        num_nodes: nodes on a side of the window; static.
-        num_headings: headings for which looks are kept; static.
+        sensor: sensor that casts the beams; it sets the field of view of a scan.
+        num_nodes: number of nodes on a side of the window around the robot; static.
+        num_headings: number of headings for which scans are kept; static.
     """
 
     sensor: FieldSensor
@@ -72,33 +73,36 @@ class ShortRangeField(eqx.Module):
     num_headings: int = eqx.field(static=True)
 
     def __call__(self, belief: Belief, model: CellSensor, position: Array) -> HeadingField:
-        """Return the field around a position [nat]."""
+        """Compute the field around a position [nat]."""
         window = self.sensor.window(belief.grid, model, position, (self.num_nodes, self.num_nodes))
         return window.at_headings(self.num_headings)
 
 
 class InformativeMPPI(Controller):
-    """Both architectures of informative MPPI: strategy at 5 Hz, reaction at every command.
+    """Informative MPPI in two architectures: strategy at 5 Hz, MPPI at every command.
 
-    Every n-th command the strategic layer computes the information field around the robot, and
-    with a `reference` a path that climbs it: the two-layer architecture. MPPI samples part of its
-    rollouts around the controls that follow this path. Without a `reference` MPPI reads the field
-    alone: the parallel architecture. In between the last strategy is kept.
+    At every n-th command the strategic layer computes the information field around the robot. In
+    the two-layer architecture, with a `reference`, it also computes positions that ascend this
+    field, and MPPI draws a share of its samples around the controls that follow them. In the
+    parallel architecture, without a `reference`, MPPI only reads the field. Between two runs of the
+    strategic layer its last result is kept.
 
-    Both fields fade where the robot stays (`Belief.pull`), as guidance does. Once all worthwhile is
-    explored (`Belief.is_explored`) they are zero: only guidance and goal count then.
+    The fields are discounted where the robot has stayed (`Belief.pull`), as guidance is. Once
+    everything worthwhile is explored (`Belief.is_explored`) they are zero, so that only guidance
+    and goal count.
 
-    Costs read a `StrategicBelief`: the robot's own belief, the `potential`, the `local`
-    information of a short look, and the reference.
+    Costs read a `StrategicBelief`: the belief of the robot, the fields `potential` and `local`, and
+    the reference.
 
     Args:
-        mppi: the reactive layer; its proposal is biased, if at all, by the reference.
-        potential_sensor: the strategic layer's field.
-        lookout: the field of short looks.
-        sensor_model: what a measurement does to a cell.
-        reference: where the robot is sent; the parallel architecture when absent.
-        follower: turns the reference into controls, for a `BiasedProposal`.
-        strategy_period: time between strategies [s]; whole control periods.
+        mppi: MPPI layer. If its proposal is a `BiasedProposal`, it is biased by the reference.
+        potential_sensor: sensor of the information field of the strategic layer.
+        short_range_field: field of short-range scans, computed at every command.
+        sensor_model: effect of a measurement on a map cell.
+        reference: rule that makes the reference; the parallel architecture when absent.
+        follower: follower that turns the reference into controls, for a `BiasedProposal`.
+        strategy_period: time between runs of the strategic layer [s]; a multiple of the control
+            period.
         altitude: z of the reference [m].
 
     Raises:
@@ -108,7 +112,7 @@ class InformativeMPPI(Controller):
 
     mppi: MPPI
     potential_sensor: LocalFieldSensor
-    lookout: ShortRangeField
+    short_range_field: ShortRangeField
     sensor_model: CellSensor
     reference: StrategicReference | None
     follower: Follower | None
@@ -119,7 +123,7 @@ class InformativeMPPI(Controller):
         self,
         mppi: MPPI,
         potential_sensor: LocalFieldSensor,
-        lookout: ShortRangeField,
+        short_range_field: ShortRangeField,
         sensor_model: CellSensor,
         *,
         reference: StrategicReference | None = None,
@@ -136,12 +140,13 @@ class InformativeMPPI(Controller):
             )
         self.mppi = mppi
         self.potential_sensor = potential_sensor
-        self.lookout = lookout
+        self.short_range_field = short_range_field
         self.sensor_model = sensor_model
         self.reference = reference
         self.follower = follower
         self.strategy_period = _checks.scalar("strategy_period", strategy_period, above=0.0)
         self.altitude = _checks.scalar("altitude", altitude)
+        # Compared with a tolerance: periods such as 0.2 and 0.02 are not exact in float32.
         if not _checks.is_traced(self.strategy_period, mppi.control_period):
             ratio = float(self.strategy_period) / float(mppi.control_period)
             if abs(ratio - round(ratio)) > 1e-3 * ratio or round(ratio) < 1:
@@ -151,18 +156,19 @@ class InformativeMPPI(Controller):
                 )
 
     def init(self) -> InformativeState:
-        """Return the state before the first step."""
-        count = 1 if self.reference is None else self.reference.walk.num_steps
+        """Return the initial state. The strategic layer runs in the first step."""
+        count = 1 if self.reference is None else self.reference.gradient_reference.num_steps
         potential = self.potential_sensor.empty()
-        strategy = Strategy(potential, potential.best, jnp.zeros((count, 3)))
-        return InformativeState(self.mppi.init(), strategy, self._commands_per_strategy)
+        plan = StrategicPlan(potential, potential.best, jnp.zeros((count, 3)))
+        return InformativeState(self.mppi.init(), plan, self._commands_per_strategy)
 
     def at_period(self, control_period: ArrayLike) -> "InformativeMPPI":
-        """Return this controller for commands that are `control_period` seconds apart."""
+        """Return a copy of this controller that is called every `control_period` seconds."""
+        # Built anew, not with `tree_at`: the strategy period must be a multiple of the new period.
         return InformativeMPPI(
             self.mppi.at_period(control_period),
             self.potential_sensor,
-            self.lookout,
+            self.short_range_field,
             self.sensor_model,
             reference=self.reference,
             follower=self.follower,
@@ -178,17 +184,23 @@ class InformativeMPPI(Controller):
         *,
         key: Key,
     ) -> tuple[ControlVector, InformativeState, Info]:
-        """Plan once: renew the strategy if it is due, then MPPI.
+        """Run the strategic layer if it is due, then plan with MPPI.
 
         Args:
-            state: from `init` or the last step.
-            observation: (nx,) the robot's state.
-            belief: what the robot knows.
-            key: randomness.
+            state: state from `init` or the last step.
+            observation: (nx,) observed state of the robot.
+            belief: what the robot knows of the world.
+            key: random key of this step.
+
+        Returns:
+            The control (nu,), the new state, and `Info`.
+
+        Raises:
+            ValueError: no belief.
         """
-        mppi, known, strategy, age = self._prepare(state, observation, belief)
+        mppi, known, plan, age = self._prepare(state, observation, belief)
         control, inner, info = mppi.step(state.mppi, observation, known, key=key)
-        return control, InformativeState(inner, strategy, age + 1), info
+        return control, InformativeState(inner, plan, age + 1), info
 
     def inspect(
         self,
@@ -199,70 +211,77 @@ class InformativeMPPI(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` sees with the same arguments: trajectories, and the cost by term."""
+        """Return the trajectories of MPPI and the reference; see `Controller.inspect`."""
         mppi, known, _, _ = self._prepare(state, observation, belief)
         plan = mppi.inspect(
             state.mppi, observation, known, key=key, num_trajectories=num_trajectories
         )
         return plan if self.reference is None else plan._replace(reference=known.reference)
 
-    def strategy(self, belief: Belief, observation: StateVector) -> Strategy:
-        """Return what the strategic layer makes of a belief, for a robot at a state."""
+    def strategic_plan(self, belief: Belief, observation: StateVector) -> StrategicPlan:
+        """Run the strategic layer: compute the information field and the reference.
+
+        Args:
+            belief: what the robot knows of the world.
+            observation: (nx,) observed state of the robot.
+        """
         position = self.mppi.dynamics.position(observation)
         field = self.potential_sensor.field(belief.grid, position)
         potential = self._remaining(field, belief)
         best = potential.best
         if self.reference is None:
-            return Strategy(potential, best, jnp.zeros((1, 3)))
+            return StrategicPlan(potential, best, jnp.zeros((1, 3)))
         start = jnp.append(position, self.altitude)
-        return Strategy(potential, best, self.reference(belief, best, start))
+        return StrategicPlan(potential, best, self.reference(belief, best, start))
 
     def _prepare(
         self, state: InformativeState, observation: StateVector, belief: Belief | None
-    ) -> tuple[MPPI, StrategicBelief, Strategy, Count]:
-        """Return the reactive layer, what its costs read, the strategy and its age."""
+    ) -> tuple[MPPI, StrategicBelief, StrategicPlan, Count]:
+        """Return MPPI with its bias, the belief of its costs, the strategic plan and its age."""
         if belief is None:
             raise ValueError("belief is None; accepted: a Belief, which this controller plans on")
         mppi = self.mppi
-        # A robot that does not know where it is keeps its strategy until it knows.
+        # A field around an unknown position would be meaningless, so a lost robot keeps its plan.
         is_placed = jnp.isfinite(mppi.dynamics.position(observation)).all()
         is_due = (state.age >= self._commands_per_strategy) & is_placed
-        strategy: Strategy = jax.lax.cond(
+        plan: StrategicPlan = jax.lax.cond(
             is_due,
-            lambda: self.strategy(belief, observation),
-            lambda: state.strategy,
+            lambda: self.strategic_plan(belief, observation),
+            lambda: state.plan,
         )
         age = jnp.where(is_due, 0, state.age)
-        period = jnp.ones(()) if self.reference is None else self.reference.walk.dt
+        period = jnp.ones(()) if self.reference is None else self.reference.gradient_reference.dt
+        # Costs read one belief, so the fields of the strategic layer are added to the robot's own.
         known = StrategicBelief(
             **{part.name: getattr(belief, part.name) for part in dataclasses.fields(Belief)},
-            potential=strategy.potential,
-            best=strategy.best,
-            local=self._local(belief, observation),
-            reference=strategy.reference,
+            potential=plan.potential,
+            best=plan.best,
+            local=self._short_range_information(belief, observation),
+            reference=plan.reference,
             reference_period=period,
             reference_age=age.astype(jnp.float32) * mppi.control_period,
         )
         if self.follower is not None:
+            # The reference has its own time grid and age: it is read at the times of the rollout.
             times = mppi.dt * jnp.arange(1, mppi.horizon + 1, dtype=jnp.float32)
-            wanted = jax.vmap(known.reference_at)(times)
-            controls = self.follower(mppi.dynamics, observation, wanted, mppi.dt)
+            positions = jax.vmap(known.reference_at)(times)
+            controls = self.follower(mppi.dynamics, observation, positions, mppi.dt)
             mppi = eqx.tree_at(_bias, mppi, controls)
-        return mppi, known, strategy, age
+        return mppi, known, plan, age
 
     @property
     def _commands_per_strategy(self) -> Count:
         return jnp.round(self.strategy_period / self.mppi.control_period).astype(jnp.int32)
 
-    def _local(self, belief: Belief, observation: StateVector) -> HeadingField:
+    def _short_range_information(self, belief: Belief, observation: StateVector) -> HeadingField:
+        """Compute the discounted field of short-range scans around the robot [nat]."""
         position = self.mppi.dynamics.position(observation)
-        return self._remaining(self.lookout(belief, self.sensor_model, position), belief)
+        return self._remaining(self.short_range_field(belief, self.sensor_model, position), belief)
 
     def _remaining(self, field: HeadingField, belief: Belief) -> HeadingField:
-        """Return what is still worth going for of a field.
+        """Discount a field by the time spent at each node; 0 everywhere once all is explored.
 
-        Nothing once all is explored; less where the robot has been for long, or it would stay at a
-        top of the field of which scans take nothing away.
+        Without the discount the robot would stay at a maximum whose information scans cannot get.
         """
         rows, columns = jnp.mgrid[: field.values.shape[0], : field.values.shape[1]]
         nodes = field.frame.cell_centre(jnp.stack([rows, columns], axis=-1).reshape(-1, 2))
@@ -272,5 +291,6 @@ class InformativeMPPI(Controller):
 
 
 def _bias(mppi: MPPI) -> Any:
+    """Return the leaf of the reference controls, for `eqx.tree_at`."""
     proposal: Any = mppi.proposal
     return proposal.reference

@@ -1,4 +1,4 @@
-"""The law by which a quadrotor follows positions."""
+"""The follower of quadrotors."""
 
 import math
 
@@ -11,27 +11,28 @@ from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.geometry.vectors import TINY, angle, length
-from jaxplore.planning.strategy.follower import SLOW, Follower, expected, nearing
+from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 
 LEAST_LIFT = 0.2
-"""Share of the weight that a descending quadrotor still carries, so that it can steer."""
+"""Lowest vertical thrust, as a share of the weight: without thrust a quadrotor cannot steer."""
 
 
 class QuadrotorFollower(Follower):
-    """Cascade for `Quadrotor`: position, velocity, attitude.
+    """Cascaded tracking law for `Quadrotor`: position, velocity, attitude.
 
         a = k_v (velocity + s e - v),   e = target - p,   s = k_p / k_v near the target
-        f = (0, 0, gravity) - a, leaning at most max_tilt;   thrust = mass f . b,   b = R(q) e_z
+        f = (0, 0, gravity) - a, tilted at most max_tilt;   thrust = mass f . b,   b = R(q) e_z
         (w_x, w_y) = k_R (angle from b to f about their common normal),   w_z = k_yaw (yaw error)
 
-    Near the target a is `k_p e + k_v (velocity - v)`; s falls with the distance, so that braking
-    takes about half of the acceleration that the tilt allows. The nose turns to where the target
-    moves, if it moves faster than 0.1 m/s over ground, and is not turned otherwise. Thrust
-    direction and yaw are apart: turning about the thrust leaves it where it is.
+    Near the target a is `k_p e + k_v (velocity - v)`. s falls with the distance, so that braking
+    takes about half of the acceleration that the tilt allows. The nose turns to the direction in
+    which the target moves over ground, if it moves faster than 0.1 m/s; otherwise the yaw is held.
+    Thrust direction and yaw are controlled separately, since a turn about the thrust does not
+    change the thrust.
 
-    The rate loop lags by `rate_time_constant` and a step holds each command: the tilt overshoots by
-    a tenth or so while `k_R (rate_time_constant + dt / 2)` is below 0.7. Each loop wants to be half
-    as fast as the one inside it or slower: k_v <= k_R / 2, k_p / k_v <= k_v / 2.
+    The rate loop lags by `rate_time_constant` and each command is held for a step. The tilt
+    overshoots by about a tenth while `k_R (rate_time_constant + dt / 2)` is below 0.7. Each loop
+    should be at most half as fast as the one inside it: k_v <= k_R / 2, k_p / k_v <= k_v / 2.
 
     Source: Lee, Leok and McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC
     2010: thrust and its direction; Mellinger and Kumar, "Minimum snap trajectory generation and
@@ -40,11 +41,11 @@ class QuadrotorFollower(Follower):
     vanishes upside down.
 
     Args:
-        position_gain: k_p [1/s^2].
-        velocity_gain: k_v [1/s].
-        attitude_gain: k_R [1/s].
-        yaw_gain: k_yaw [1/s].
-        max_tilt: greatest angle between thrust and vertical that is asked for, below pi/2 [rad].
+        position_gain: gain on the position error, k_p [1/s^2].
+        velocity_gain: gain on the velocity error, k_v [1/s].
+        attitude_gain: gain on the tilt error, k_R [1/s].
+        yaw_gain: gain on the yaw error, k_yaw [1/s].
+        max_tilt: largest commanded angle between thrust and vertical, below pi/2 [rad].
 
     Raises:
         ValueError: a gain or an angle that is not positive, an angle of pi/2 or more.
@@ -77,8 +78,8 @@ class QuadrotorFollower(Follower):
         target: Float[Array, " D"],
         velocity: Float[Array, " D"],
     ) -> ControlVector:
-        """Return thrust and body-rate commands (4,)."""
-        model = expected(dynamics, Quadrotor)
+        """Evaluate the law: thrust and body rates (4,)."""
+        model = require_model(dynamics, Quadrotor)
         if target.shape != (3,) or velocity.shape != (3,):
             raise ValueError(
                 f"target and velocity have shapes {target.shape} and {velocity.shape}; "
@@ -88,10 +89,10 @@ class QuadrotorFollower(Follower):
         fx, fy, fz = self._force(model, state, target, velocity)
 
         squared = qw * qw + qx * qx + qy * qy + qz * qz
-        # A quaternion of zeros is level, as for the model.
+        # The model treats a quaternion of zeros as level, and so does the law.
         is_zero = squared < TINY
         qw, squared = jnp.where(is_zero, 1.0, qw), jnp.where(is_zero, 1.0, squared)
-        # The body's axes in the world, the columns of R(q), times the squared length of q.
+        # Body axes in the world frame, times |q|^2: the state need not be normalised exactly.
         forward = (
             qw * qw + qx * qx - qy * qy - qz * qz,
             2.0 * (qx * qy + qw * qz),
@@ -114,7 +115,7 @@ class QuadrotorFollower(Follower):
         is_parallel = across <= 0.0
         lean = self.attitude_gain * angle(below, across)
         scale = jnp.where(is_parallel, 0.0, lean / jnp.where(is_parallel, 1.0, across))
-        # Upside down every way up is as long: it rolls.
+        # Exactly upside down, all rotations to level are equally long. The law then rolls.
         wx = jnp.where(is_parallel, lean, -scale * aside)
 
         facing, beside = (
@@ -127,15 +128,16 @@ class QuadrotorFollower(Follower):
     def _force(
         self, model: Quadrotor, state: StateVector, target: Array, velocity: Array
     ) -> tuple[Scalar, Scalar, Scalar]:
-        """Return the thrust per mass that is wanted, along the body's z axis (down) [m/s^2]."""
+        """Compute the wanted thrust per mass, with the sign of the body's z axis (down) [m/s^2]."""
         steepest = jnp.tan(self.max_tilt)
         away = [target[i] - state[i] for i in range(3)]
         braking = 0.5 * model.gravity * steepest
-        gain = nearing(self.position_gain / self.velocity_gain, length(*away), braking)
+        gain = approach_gain(self.position_gain / self.velocity_gain, length(*away), braking)
         ax, ay, az = (
             self.velocity_gain * (velocity[i] + gain * away[i] - state[3 + i]) for i in range(3)
         )
         fz = jnp.maximum(model.gravity - az, LEAST_LIFT * model.gravity)
+        # Beyond the largest tilt the horizontal part is shortened: height matters more.
         aside, most = length(ax, ay), steepest * fz
         is_steep = aside > most
         share = jnp.where(is_steep, most / jnp.where(is_steep, aside, 1.0), 1.0)

@@ -1,4 +1,4 @@
-"""A robot that wanders: what any explorer must beat."""
+"""Random walk: the baseline that any explorer must beat."""
 
 from typing import Any, NamedTuple
 
@@ -11,14 +11,20 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.draft import MPPIState
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import SumCost
 from jaxplore.costs.tracking import GoalCost
 
 
 class RandomWalkState(NamedTuple):
-    """The state of MPPI, the `target` (x, y) [m] and the commands given since the first one."""
+    """State of the random walk.
+
+    Args:
+        mppi: state of MPPI.
+        target: current target (x, y) [m].
+        step: number of commands since the first target was drawn.
+    """
 
     mppi: MPPIState
     target: Position
@@ -26,14 +32,15 @@ class RandomWalkState(NamedTuple):
 
 
 class RandomWalk(Controller):
-    """MPPI towards a target that is drawn anew every so often, in any direction.
+    """MPPI towards a target that is drawn at fixed intervals, in a uniformly random direction.
 
-    With the costs of an explorer that are not about information it keeps as clear and as slow.
+    Given the costs of an explorer other than those on information, it keeps the same clearance and
+    speed limit, which makes the comparison fair.
 
     Args:
-        mppi: with the costs besides the distance from the target.
-        weight: of the distance from the target [1/m].
-        distance: of targets from the robot [m].
+        mppi: MPPI with all costs except the distance to the target.
+        weight: weight of the distance to the target [1/m].
+        distance: distance from the robot at which targets are drawn [m].
         period: time between targets [s].
 
     Raises:
@@ -51,19 +58,20 @@ class RandomWalk(Controller):
         distance: ArrayLike = 3.0,
         period: ArrayLike = 2.0,
     ) -> None:
+        # The goal is a leaf of the cost: a new target does not recompile.
         pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
         self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))
         self.distance = _checks.scalar("distance", distance, above=0.0)
         self.period = _checks.scalar("period", period, above=0.0)
 
     def init(self) -> RandomWalkState:
-        """Return the state before the first step."""
+        """Return the initial state."""
         return RandomWalkState(self.mppi.init(), jnp.zeros(2), jnp.zeros((), jnp.int32))
 
     def at_period(self, control_period: ArrayLike) -> "RandomWalk":
-        """Return this controller for commands that are `control_period` seconds apart."""
+        """Return a copy of this controller that is called every `control_period` seconds."""
         mppi = self.mppi.at_period(control_period)
-        same: RandomWalk = eqx.tree_at(lambda walk: walk.mppi, self, mppi)
+        same: RandomWalk = eqx.tree_at(lambda controller: controller.mppi, self, mppi)
         return same
 
     def step(
@@ -74,10 +82,11 @@ class RandomWalk(Controller):
         *,
         key: Key,
     ) -> tuple[ControlVector, RandomWalkState, Info]:
-        """Plan once, towards a new target if one is due."""
+        """Draw a new target if one is due, and plan towards the target."""
         mppi, target, inner_key = self._prepare(state, observation, key)
         control, inner, info = mppi.step(state.mppi, observation, belief, key=inner_key)
-        # The count begins with the first target: who is lost at first draws one when found.
+        # Counting begins with the first target, so that a robot which is lost at first draws a
+        # target as soon as its position is known.
         has_target = (state.step > 0) | jnp.isfinite(self.mppi.dynamics.position(observation)).all()
         step = jnp.where(has_target, state.step + 1, 0)
         return control, RandomWalkState(inner, target, step), info
@@ -91,7 +100,7 @@ class RandomWalk(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` sees with the same arguments."""
+        """Return the trajectories of MPPI; see `Controller.inspect`."""
         mppi, _, inner_key = self._prepare(state, observation, key)
         return mppi.inspect(
             state.mppi, observation, belief, key=inner_key, num_trajectories=num_trajectories
@@ -100,6 +109,7 @@ class RandomWalk(Controller):
     def _prepare(
         self, state: RandomWalkState, observation: StateVector, key: Key
     ) -> tuple[MPPI, Position, Key]:
+        """Return MPPI with its target, the target, and the key for MPPI."""
         target_key, inner_key = jax.random.split(key)
         every = jnp.maximum(jnp.round(self.period / self.mppi.control_period), 1.0)
         angle = jax.random.uniform(target_key, maxval=2.0 * jnp.pi)
@@ -112,5 +122,6 @@ class RandomWalk(Controller):
 
 
 def _goal(mppi: MPPI) -> Any:
+    """Return the leaf of the goal, for `eqx.tree_at`."""
     cost: Any = mppi.cost
     return cost.costs[0].cost.goal

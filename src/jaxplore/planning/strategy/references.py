@@ -1,4 +1,4 @@
-"""Where a strategic layer sends the robot: references made from what it knows."""
+"""References of the strategic layer: positions for the robot to follow, made from the belief."""
 
 import abc
 
@@ -16,63 +16,81 @@ from jaxplore.planning.strategy.gradient_reference import GradientReference
 
 
 class StrategicReference(eqx.Module):
-    """A rule by which a strategic layer makes a reference.
+    """A rule by which the strategic layer makes a reference.
 
-    `walk` says how fast it goes and how long it is.
+    `gradient_reference` sets the speed, the number of steps and the time step.
     """
 
-    walk: eqx.AbstractVar[GradientReference]
+    gradient_reference: eqx.AbstractVar[GradientReference]
 
     @abc.abstractmethod
     def __call__(
         self, belief: Belief, potential: ScalarField, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Return the positions after 1 ... T steps [m].
+        """Compute the positions (x, y, z) after 1 ... T steps (T, 3) [m].
 
         Args:
-            belief: what the robot knows.
-            potential: information of a scan around the robot [nat].
-            start: (x, y, z) [m]; z is kept.
+            belief: what the robot knows of the world.
+            potential: information of a scan at each place around the robot [nat].
+            start: (3,) position of the robot (x, y, z) [m]; z is kept.
         """
 
 
 class ClimbingReference(StrategicReference):
-    """Climb the information field, or follow the guidance field where that leads to more.
+    """Ascend the information field, or descend the guidance field where that ends at more.
 
-    The field around the robot goes flat where all in reach is known, and has tops that are low:
-    a climb ends there. Guidance knows the way through the whole map to what remains, and to the
-    goal in the end. Of both walks the climb is taken if its end is worth `min_gain` more.
+    The field around the robot is flat where all within reach is known, and has low local maxima.
+    An ascent ends there. The guidance field leads through the whole map to the remaining
+    information, and in the end to the goal. Both references are computed. The ascent is chosen if
+    the information at its end is greater by more than `min_gain`.
 
-    Source: `field_gradient_trajectory` of the quadrotor design notes; the way out is ours.
+    Source: `field_gradient_trajectory` of the quadrotor design notes. The descent of the guidance
+    field is an addition.
 
     Args:
-        walk: how a field is climbed; the notes' 40 steps of 0.05 s at 2 m/s when absent.
-        min_gain: by how much the end of the climb must be worth more [nat].
+        gradient_reference: gradient ascent that makes the positions; the notes' 40 steps of 0.05 s
+            at 2 m/s when absent.
+        min_gain: information by which the ascent must exceed the descent [nat].
 
     Raises:
         ValueError: a negative gain.
     """
 
-    walk: GradientReference
+    gradient_reference: GradientReference
     min_gain: Scalar
 
-    def __init__(self, walk: GradientReference | None = None, min_gain: ArrayLike = 1.0) -> None:
-        self.walk = GradientReference() if walk is None else walk
+    def __init__(
+        self, gradient_reference: GradientReference | None = None, min_gain: ArrayLike = 1.0
+    ) -> None:
+        self.gradient_reference = (
+            GradientReference() if gradient_reference is None else gradient_reference
+        )
         self.min_gain = _checks.scalar("min_gain", min_gain, at_least=0.0)
 
     def __call__(
         self, belief: Belief, potential: ScalarField, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Return the positions after 1 ... T steps [m]."""
-        climbing = self.walk(potential, belief.grid, start)
-        guided = follow(self.walk, belief.guidance, belief, start)
+        """Compute the positions after 1 ... T steps [m]."""
+        climbing = self.gradient_reference(potential, belief.grid, start)
+        guided = descend(self.gradient_reference, belief.guidance, belief, start)
         gain = potential(climbing[-1, :2]) - potential(guided[-1, :2])
         return jnp.where(gain > self.min_gain, climbing, guided)
 
 
-def follow(
-    walk: GradientReference, field: GuidanceField, belief: Belief, start: Float[Array, "3"]
+def descend(
+    gradient_reference: GradientReference,
+    field: GuidanceField,
+    belief: Belief,
+    start: Float[Array, "3"],
 ) -> Float[Array, "T 3"]:
-    """Return the positions of a robot that goes down a cost to go [m]."""
+    """Compute the positions of a robot that descends a cost-to-go field (T, 3) [m].
+
+    Args:
+        gradient_reference: gradient ascent that makes the positions, here of the negative field.
+        field: cost to go [m].
+        belief: what the robot knows of the world.
+        start: (3,) position of the robot (x, y, z) [m]; z is kept.
+    """
+    # Ascending the negative field reuses the handling of walls and flat places.
     heights = ScalarField(-field.values, field.frame, -field.outside)
-    return walk(heights, belief.grid, start)
+    return gradient_reference(heights, belief.grid, start)

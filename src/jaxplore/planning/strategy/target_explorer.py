@@ -1,4 +1,4 @@
-"""Explorers that go from target to target, by a rule."""
+"""Target explorer: choose a target by a rule and drive to it with MPPI."""
 
 import dataclasses
 import math
@@ -18,19 +18,19 @@ from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mppi import MPPI
 from jaxplore.maps.frame import GridFrame
-from jaxplore.planning.strategy.frontiers import Frontiers, prospects
+from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
 class TargetState(NamedTuple):
-    """What a `TargetExplorer` remembers.
+    """State of a `TargetExplorer`.
 
     Args:
         tracker: state of the controller that drives.
-        node: (row, column) of the target on the guidance's lattice.
-        has_target: whether there is one.
-        guidance: cost to go to it [m].
-        since: commands since the first choice.
+        node: (row, column) of the target on the guidance lattice.
+        has_target: whether there is a target.
+        guidance: cost to go to the target [m].
+        since: number of commands so far.
     """
 
     tracker: Any
@@ -41,35 +41,36 @@ class TargetState(NamedTuple):
 
 
 class TargetExplorer(Controller):
-    """Chooses a place by a rule, drives there, and chooses again.
+    """Chooses a target by a rule, drives there with MPPI, and chooses the next one.
 
-    A target is kept until the robot is near it, it is no longer among the rule's candidates,
-    because it was seen from afar, or no way leads there. Where no candidate is left, the nearest
-    place with a little information is the target; where there is none either, the robot waits.
-    What cannot be seen after all fades while the robot is near it, and comes back later
-    (`Belief.dwell`), so that nothing is given up for ever.
+    A target is kept until the robot is near it, no path leads to it, or it is no longer among the
+    candidates of the rule, for instance because it was seen from afar. Without candidates, the
+    nearest place with a little information left is the target. Without such a place the robot
+    waits. Information that cannot be seen from a place after all is discounted while the robot is
+    near it and recovers later (`Belief.dwell`), so no place is given up for ever.
 
-    The tracker drives down a cost to go to the target, which stands in the belief in place of the
-    guidance: whatever the rule, motion, obstacles and limits are those of the tracker.
+    The tracker descends the cost to go to the target, which replaces the guidance in its belief.
+    Motion, obstacles and limits are those of the tracker, the same for all rules.
 
     Args:
-        tracker: MPPI that reads `belief.guidance`.
-        rule: how to choose.
-        frame: of the map.
+        tracker: MPPI controller whose cost reads `belief.guidance`.
+        rule: rule that chooses targets.
+        frame: frame of the map.
         shape: rows and columns of the map; static.
-        stride: cells between the nodes of the belief's fields; static.
-        required_clearance: that a way needs [m]; how near to unknown space a frontier is follows
-            from it.
-        min_information: below which a place is not worth a look [nat].
-        leftover_share: of that, below which it is worth nothing.
-        min_frontier: length of a frontier at least [m].
-        near: way to a target that counts as there [m].
-        every: commands between choices.
-        stays: whether a robot that is there stays until it has seen what there is, or it has faded;
-            for one that does not see all around, whose tracker turns it to what there is; static.
+        stride: cells between the nodes of the fields of the belief; static.
+        required_clearance: clearance that a path needs [m]. The distance between a frontier node
+            and unknown space follows from it.
+        min_information: worth below which a place is not visited [nat].
+        leftover_share: share of `min_information` below which a place has nothing left.
+        min_frontier: minimum length of a frontier [m].
+        near: length of the path to a target at which it counts as reached [m].
+        every: number of commands between choices.
+        stays: whether the robot stays at a target until its information is seen or discounted. This
+            suits a robot with a limited field of view, whose tracker turns it towards the
+            information; static.
 
     Raises:
-        ValueError: a number out of its range.
+        ValueError: a number outside its range.
     """
 
     tracker: MPPI
@@ -121,32 +122,29 @@ class TargetExplorer(Controller):
         self.every = jnp.asarray(_checks.positive_int("every", every), jnp.int32)
 
     def init(self) -> TargetState:
-        """Return the state before the first step, without a target."""
+        """Return the initial state, without a target."""
         rows, columns = (-(-side // self.stride) for side in self.shape)
         lattice = self.frame.coarsen(self.stride, self.stride / 2.0)
-        nowhere = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
+        flat = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
         return TargetState(
             self.tracker.init(),
             jnp.zeros(2, jnp.int32),
             jnp.array(False),
-            nowhere,
+            flat,
             jnp.zeros((), jnp.int32),
         )
 
     def at_period(self, control_period: ArrayLike) -> "TargetExplorer":
-        """Return this controller for commands that are `control_period` seconds apart."""
-        same: TargetExplorer = eqx.tree_at(
-            lambda one: one.tracker, self, self.tracker.at_period(control_period)
-        )
+        """Return a copy of this controller that is called every `control_period` seconds."""
+        tracker = self.tracker.at_period(control_period)
+        same: TargetExplorer = eqx.tree_at(lambda explorer: explorer.tracker, self, tracker)
         return same
 
     def step(
         self, state: TargetState, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, TargetState, Info]:
-        """Choose where it is due, and drive; see `Controller.step`."""
-        choice_key, control_key = jax.random.split(key)
-        state = self._chosen(state, observation, belief, choice_key)
-        known = dataclasses.replace(belief, guidance=state.guidance)
+        """Choose a target if a choice is due, and plan towards it; see `Controller.step`."""
+        state, known, control_key = self._prepare(state, observation, belief, key)
         control, tracker, info = self.tracker.step(
             state.tracker, observation, known, key=control_key
         )
@@ -161,10 +159,8 @@ class TargetExplorer(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what the tracker sees, and the target as its reference."""
-        choice_key, control_key = jax.random.split(key)
-        state = self._chosen(state, observation, belief, choice_key)
-        known = dataclasses.replace(belief, guidance=state.guidance)
+        """Return the trajectories of the tracker, with the target as the reference."""
+        state, known, control_key = self._prepare(state, observation, belief, key)
         plan = self.tracker.inspect(
             state.tracker, observation, known, key=control_key, num_trajectories=num_trajectories
         )
@@ -173,15 +169,23 @@ class TargetExplorer(Controller):
         target = jnp.where(state.has_target, there, here)
         return plan._replace(reference=jnp.stack([target, target]))
 
-    def _chosen(
+    def _prepare(
+        self, state: TargetState, observation: StateVector, belief: Belief, key: Key
+    ) -> tuple[TargetState, Belief, Key]:
+        """Return the state with its target, the belief that leads there, and the tracker's key."""
+        choice_key, control_key = jax.random.split(key)
+        state = self._choose_if_due(state, observation, belief, choice_key)
+        return state, dataclasses.replace(belief, guidance=state.guidance), control_key
+
+    def _choose_if_due(
         self, state: TargetState, observation: StateVector, belief: Belief, key: Key
     ) -> TargetState:
-        """Return the state with a target, after a look where one is due."""
+        """Return the state after a choice, if one is due."""
         is_due = state.since % self.every == 0
 
         def choose(state: TargetState) -> TargetState:
             position = self.tracker.dynamics.position(observation)
-            found = prospects(
+            frontiers = find_frontiers(
                 belief,
                 position,
                 required_clearance=self.required_clearance,
@@ -191,32 +195,35 @@ class TargetExplorer(Controller):
                 stride=self.stride,
                 near=self.nodes_to_unknown,
             )
-            return self._target(state, found, key)
+            return self._choose(state, frontiers, key)
 
         state = jax.lax.cond(is_due, choose, lambda same: same, state)
         return state._replace(since=state.since + 1)
 
-    def _target(self, state: TargetState, found: Frontiers, key: Key) -> TargetState:
-        candidates = self.rule.candidates(found)
-        away = found.distance > self.near
+    def _choose(self, state: TargetState, frontiers: Frontiers, key: Key) -> TargetState:
+        """Keep the target or choose a new one, and compute the cost to go to it."""
+        candidates = self.rule.candidates(frontiers)
+        # A target that is reached is dropped. A robot that stays keeps it while it is worth a view.
+        away = frontiers.distance > self.near
         if self.stays:
-            away |= found.is_view
+            away |= frontiers.is_view
         row, column = state.node
         keeps = state.has_target & (candidates & away)[row, column]
         shape = candidates.shape
 
+        # Choosing may cost a search per frontier, so it is skipped while the target is kept.
         def pick(_: None) -> tuple[Array, Flag]:
             may_be = candidates & away
-            scores = jnp.where(may_be, self.rule.scores(found, key=key), -jnp.inf)
-            leftover = jnp.where(found.is_leftover & away, -found.distance, -jnp.inf)
+            scores = jnp.where(may_be, self.rule.scores(frontiers, key=key), -jnp.inf)
+            leftover = jnp.where(frontiers.is_leftover & away, -frontiers.distance, -jnp.inf)
             best = jnp.where(may_be.any(), jnp.argmax(scores), jnp.argmax(leftover))
             is_any = may_be.any() | jnp.isfinite(leftover).any()
             return jnp.stack(jnp.unravel_index(best, shape)).astype(jnp.int32), is_any
 
         node, has_target = jax.lax.cond(keeps, lambda _: (state.node, keeps), pick, None)
-        # Without a target nothing pulls anywhere: all places are as far.
+        # Without a target the cost to go is 0 everywhere, so that nothing attracts the robot.
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
-        distance = geodesic(source, found.roads.slowness, found.roads.is_open)
-        guidance = descent_field(distance, found.roads.frame, LAYERS)
+        distance = geodesic(source, frontiers.roads.slowness, frontiers.roads.is_open)
+        guidance = descent_field(distance, frontiers.roads.frame, LAYERS)
         return state._replace(node=node, has_target=has_target, guidance=guidance)

@@ -1,4 +1,4 @@
-"""Rules by which robots choose where to look next: the explorers that people use."""
+"""Rules for choosing the next target: the explorers of the literature."""
 
 import abc
 
@@ -18,22 +18,22 @@ Mask = Bool[Array, "H W"]
 
 
 class TargetRule(eqx.Module):
-    """Says which nodes may be a target and how good each is."""
+    """A rule that selects candidate nodes and scores them."""
 
     @abc.abstractmethod
-    def candidates(self, prospects: Frontiers) -> Mask:
-        """Return the nodes (H, W) that may be chosen. A target is kept while it is one of them."""
+    def candidates(self, frontiers: Frontiers) -> Mask:
+        """Return the nodes (H, W) that may be chosen. A target is kept while it is a candidate."""
 
     @abc.abstractmethod
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
-        """Return how good each node is (H, W); the greatest of the candidates is chosen."""
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
+        """Score each node (H, W); the candidate with the highest score is chosen."""
 
 
 class Wander(TargetRule):
-    """Anywhere within reach, whatever is known of it: each place is as good as another.
+    """A random place within reach, whatever is known of it.
 
     Args:
-        reach: length of the way at most [m].
+        reach: greatest length of the path to it [m].
 
     Raises:
         ValueError: a reach that is not positive.
@@ -44,77 +44,77 @@ class Wander(TargetRule):
     def __init__(self, reach: ArrayLike = 5.0) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
 
-    def candidates(self, prospects: Frontiers) -> Mask:
+    def candidates(self, frontiers: Frontiers) -> Mask:
         """Return the open nodes within reach."""
-        return prospects.roads.is_open & (prospects.distance <= self.reach)
+        return frontiers.roads.is_open & (frontiers.distance <= self.reach)
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
-        """Return random numbers."""
-        return jax.random.uniform(key, prospects.distance.shape)
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
+        """Return uniform random numbers."""
+        return jax.random.uniform(key, frontiers.distance.shape)
 
 
 class RandomFrontier(TargetRule):
-    """Some frontier, each node of them with the same probability."""
+    """A random frontier node, each with the same probability."""
 
-    def candidates(self, prospects: Frontiers) -> Mask:
+    def candidates(self, frontiers: Frontiers) -> Mask:
         """Return the frontiers."""
-        return prospects.is_frontier
+        return frontiers.is_frontier
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
-        """Return random numbers."""
-        return jax.random.uniform(key, prospects.distance.shape)
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
+        """Return uniform random numbers."""
+        return jax.random.uniform(key, frontiers.distance.shape)
 
 
 class NearestFrontier(TargetRule):
-    """The frontier to which the way is shortest.
+    """The frontier with the shortest path.
 
     Source: Yamauchi, "A frontier-based approach for autonomous exploration", CIRA 1997.
     """
 
-    def candidates(self, prospects: Frontiers) -> Mask:
+    def candidates(self, frontiers: Frontiers) -> Mask:
         """Return the frontiers."""
-        return prospects.is_frontier
+        return frontiers.is_frontier
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
-        """Return minus the length of the way [m]."""
-        return -prospects.distance
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
+        """Return the negative length of the path [m]."""
+        return -frontiers.distance
 
 
 class GainPerCost(TargetRule):
-    """The frontier with the most information for each metre of the way there: `I / d`."""
+    """The frontier with the most information per metre of path, `I / d`."""
 
-    def candidates(self, prospects: Frontiers) -> Mask:
+    def candidates(self, frontiers: Frontiers) -> Mask:
         """Return the frontiers."""
-        return prospects.is_frontier
+        return frontiers.is_frontier
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
         """Return the information per metre [nat/m]."""
-        return prospects.worth / jnp.maximum(prospects.distance, prospects.roads.frame.resolution)
+        return frontiers.worth / jnp.maximum(frontiers.distance, frontiers.roads.frame.resolution)
 
 
 class NextBestView(TargetRule):
-    """The place from which a scan tells most, however far it is.
+    """The place whose scan has the most information, at any distance.
 
     Source: Connolly, "The determination of next best views", ICRA 1985.
     """
 
-    def candidates(self, prospects: Frontiers) -> Mask:
-        """Return all places worth a look."""
-        return prospects.is_view
+    def candidates(self, frontiers: Frontiers) -> Mask:
+        """Return all places worth a visit."""
+        return frontiers.is_view
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
         """Return the information [nat]."""
-        return prospects.worth
+        return frontiers.worth
 
 
 class DiscountedInformation(TargetRule):
-    """The place with the most information, discounted by the way: `I exp(-rate d)`.
+    """The place with the most information discounted by the length of the path, `I exp(-rate d)`.
 
     Source: González-Baños and Latombe, "Navigation strategies for exploring indoor environments",
     IJRR 2002, eq. 1, whose rate is 0.2 per metre.
 
     Args:
-        rate: [1/m].
+        rate: discount rate [1/m].
 
     Raises:
         ValueError: a negative rate.
@@ -125,27 +125,29 @@ class DiscountedInformation(TargetRule):
     def __init__(self, rate: ArrayLike = 0.2) -> None:
         self.rate = _checks.scalar("rate", rate, at_least=0.0)
 
-    def candidates(self, prospects: Frontiers) -> Mask:
-        """Return all places worth a look."""
-        return prospects.is_view
+    def candidates(self, frontiers: Frontiers) -> Mask:
+        """Return all places worth a visit."""
+        return frontiers.is_view
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
         """Return the discounted information [nat]."""
-        return prospects.worth * jnp.exp(-self.rate * prospects.distance)
+        return frontiers.worth * jnp.exp(-self.rate * frontiers.distance)
 
 
 class DistanceAdvantage(TargetRule):
-    """The frontier that is near to the robot and far from the other frontiers:
+    """The frontier that is near the robot and far from the other frontiers:
 
-        mean over other frontiers of the way between the two - way from the robot [m]
+        score = mean over other frontiers of the path length between the two
+                - path length from the robot [m]
 
-    What lies apart would have to be come back for. The mean is over frontiers drawn at random.
+    A remote frontier that is left behind costs a long way back. The mean is over a random sample of
+    frontiers.
 
     Source: Ericson, Pedro and Jensfelt, "Information gain is not all you need", arXiv 2504.01980:
-    remoteness from other frontiers against proximity.
+    remoteness from the other frontiers against proximity.
 
     Args:
-        num_others: frontiers drawn; static.
+        num_others: number of frontiers in the sample; static.
 
     Raises:
         ValueError: fewer than one.
@@ -156,27 +158,28 @@ class DistanceAdvantage(TargetRule):
     def __init__(self, num_others: int = 12) -> None:
         self.num_others = _checks.positive_int("num_others", num_others)
 
-    def candidates(self, prospects: Frontiers) -> Mask:
+    def candidates(self, frontiers: Frontiers) -> Mask:
         """Return the frontiers."""
-        return prospects.is_frontier
+        return frontiers.is_frontier
 
-    def scores(self, prospects: Frontiers, *, key: Key) -> Scores:
+    def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
         """Return the advantage [m]."""
-        roads, is_frontier = prospects.roads, prospects.is_frontier
-        # The greatest of uniform numbers: so many different ones, or all there are.
+        roads, is_frontier = frontiers.roads, frontiers.is_frontier
+        # The highest of independent uniform numbers are a sample without replacement, of a fixed
+        # size although the number of frontiers is not known at compile time.
         drawn = jnp.where(is_frontier, jax.random.uniform(key, is_frontier.shape), -1.0)
         value, index = jax.lax.top_k(drawn.reshape(-1), min(self.num_others, drawn.size))
 
-        def way(node: Array) -> Array:
+        def path_lengths(node: Array) -> Array:
             source = jnp.full(is_frontier.size, jnp.inf).at[node].set(0.0)
             return geodesic(source.reshape(is_frontier.shape), roads.slowness, roads.is_open)
 
-        ways = jax.lax.map(way, index)
-        # The way to itself is none to another.
-        counts = ((value >= 0.0)[:, None, None]) & jnp.isfinite(ways) & (ways > 0.0)
-        total = jnp.sum(jnp.where(counts, ways, 0.0), axis=0)
+        lengths = jax.lax.map(path_lengths, index)
+        # Places in the sample that are no frontier do not count, nor does a frontier for itself.
+        counts = ((value >= 0.0)[:, None, None]) & jnp.isfinite(lengths) & (lengths > 0.0)
+        total = jnp.sum(jnp.where(counts, lengths, 0.0), axis=0)
         remoteness = total / jnp.maximum(jnp.sum(counts, axis=0, dtype=jnp.float32), 1.0)
-        return remoteness - prospects.distance
+        return remoteness - frontiers.distance
 
 
 RULES: dict[str, type[TargetRule]] = {
@@ -188,4 +191,4 @@ RULES: dict[str, type[TargetRule]] = {
     "discounted-information": DiscountedInformation,
     "distance-advantage": DistanceAdvantage,
 }
-"""By name, to be called for their default numbers."""
+"""Rules by name; call one for its default parameters."""

@@ -1,4 +1,4 @@
-"""Which zone to go to next: target selection of the sequential planner, and the way there."""
+"""Targets of the sequential planner: zones and a goal, the paths to them, and their selection."""
 
 import abc
 
@@ -19,20 +19,20 @@ from jaxplore.information.trajectory import TrajectoryInformation, path_headings
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.planning.strategy.gradient_reference import GradientReference
-from jaxplore.planning.strategy.references import StrategicReference, follow
+from jaxplore.planning.strategy.references import StrategicReference, descend
 
 TIE = 1e-3
-"""Nodes this much farther away than the nearest one are as near [node spacings]."""
+"""Difference in distance up to which nodes count as equally near [node spacings]."""
 
 
 class TargetScores(eqx.Module):
-    """What was chosen of Z zones and the goal, and why.
+    """Scores of Z zones and the goal, and the target that was selected.
 
     Args:
-        score: (Z + 1,) of the zones, then of the goal; -inf for what is not to be had. The
-            greatest wins.
-        index: of the target, Z for the goal.
-        position: of the target (x, y) [m], a zone's being its centre.
+        score: (Z + 1,) scores of the zones and then of the goal; -inf for a target that is not
+            available. The highest score wins.
+        index: index of the selected target, Z for the goal.
+        position: position of the selected target (x, y) [m]; the centre of a zone.
     """
 
     score: Float[Array, " N"]
@@ -41,25 +41,26 @@ class TargetScores(eqx.Module):
 
 
 class Targets(eqx.Module):
-    """Zones in which something is to be learned, the goal after them, and the ways there.
+    """Zones to explore, a final goal, and the shortest paths to them.
 
-    A zone is depleted when what remains of it (`Zones.remaining`) is less than `depleted`. Part of
-    a zone that no scan can reach, such as the inside of a wall, remains for ever. All are depleted
-    when nothing worthwhile is left to see (`Belief.is_explored`).
+    A zone is depleted when its remaining uncertainty (`Zones.remaining`) is below `depleted`. Parts
+    of a zone that no scan can reach, such as the inside of a wall, remain for ever. All zones count
+    as depleted when nothing worthwhile is left to see (`Belief.is_explored`).
 
-    Ways keep the robot clear of whatever is not known to be free; they count double where it just
-    fits (`roadmap`). They end at any open node of a target, or where none is open at the open nodes
-    nearest to its centre. The goal is the cell that holds it; off the map, the nearest one.
+    Paths keep the robot clear of whatever is not known to be free, and count double where it just
+    fits (`roadmap`). A path ends at any open node of its target, or, if none is open, at the open
+    nodes nearest to the centre of the target. The goal is the cell that contains it; off the map it
+    is the nearest cell.
 
     Args:
-        zones: Z of them.
-        goal: (x, y) to go to in the end [m].
-        depleted: what remains of a zone that is done with, in (0, 1].
-        required_clearance: radius of the robot and its margin [m].
-        stride: cells between nodes of the road map; static. At most `safe_stride`.
+        zones: Z zones.
+        goal: final position (x, y) [m].
+        depleted: remaining uncertainty below which a zone is depleted, in (0, 1].
+        required_clearance: radius of the robot plus its margin [m].
+        stride: cells between nodes of the road map, at most `safe_stride`; static.
 
     Raises:
-        ValueError: no zones, a value out of its range.
+        ValueError: no zones, a value outside its range.
     """
 
     zones: Zones
@@ -90,7 +91,7 @@ class Targets(eqx.Module):
         self.stride = _checks.positive_int("stride", stride)
 
     def masks(self, grid: OccupancyGrid) -> Bool[Array, "N H W"]:
-        """Return the cells of each target, N = Z + 1: of the zones, then of the goal.
+        """Return the cells of each target (N, H, W), N = Z + 1: the zones, then the goal.
 
         Raises:
             ValueError: a grid of another shape than the zones'.
@@ -105,10 +106,10 @@ class Targets(eqx.Module):
         return jnp.concatenate([self.zones.member, goal[None]])
 
     def cost_to(self, belief: Belief, target: GridMask) -> GuidanceField:
-        """Return the cost to go to a target [m].
+        """Compute the cost to go to a target [m].
 
         Args:
-            belief: what the robot knows.
+            belief: what the robot knows of the world.
             target: (H, W) cells of the target.
 
         Raises:
@@ -117,15 +118,15 @@ class Targets(eqx.Module):
         roads = self._roads(belief)
         return descent_field(self._cost(belief, roads, target), roads.frame, LAYERS)
 
-    def way(
+    def route(
         self, belief: Belief, target: GridMask, position: Position
     ) -> tuple[GuidanceField, Flag]:
-        """Return the cost to go to a target [m], and whether a way leads there from a position.
+        """Compute the cost to go to a target [m], and whether a path leads there from a position.
 
         Args:
-            belief: what the robot knows.
+            belief: what the robot knows of the world.
             target: (H, W) cells of the target.
-            position: of the robot (x, y) [m].
+            position: position of the robot (x, y) [m].
 
         Raises:
             ValueError: a target of another shape than the map.
@@ -133,24 +134,25 @@ class Targets(eqx.Module):
         roads = self._roads(belief)
         cost = self._cost(belief, roads, target)
         is_near, _ = _nearest(roads, position)
-        leads = (is_near & jnp.isfinite(cost)).any()
-        return descent_field(cost, roads.frame, LAYERS), leads
+        is_reachable = (is_near & jnp.isfinite(cost)).any()
+        return descent_field(cost, roads.frame, LAYERS), is_reachable
 
     def distances(self, belief: Belief, position: Position) -> Float[Array, " N"]:
-        """Return the length of the shortest way to each target, N = Z + 1 [m].
+        """Compute the length of the shortest path to each target (N,), N = Z + 1 [m].
 
             distance_z = min over n of |n - position| + d(n, z)
 
-        over the open nodes n nearest to the position, with d the cost to go of `cost_to`. Infinite
-        where no way leads, and from a position that is not finite. As long there as back: one
-        search from the robot answers for all targets.
+        over the open nodes n nearest to the position, with d the cost to go of `cost_to`. The
+        distance is infinite where there is no path, and from a position that is not finite.
 
         Args:
-            belief: what the robot knows.
-            position: of the robot (x, y) [m].
+            belief: what the robot knows of the world.
+            position: position of the robot (x, y) [m].
         """
+        # Paths are as long in both directions, so one search from the robot serves all targets.
         roads = self._roads(belief)
         is_near, away = _nearest(roads, position)
+        # The robot stands between nodes: it starts from all nearest nodes at their distance.
         from_robot = geodesic(jnp.where(is_near, away, jnp.inf), roads.slowness, roads.is_open)
 
         def to_target(target: GridMask) -> Scalar:
@@ -159,29 +161,32 @@ class Targets(eqx.Module):
         return jax.vmap(to_target)(self.masks(belief.grid))
 
     def choose(self, belief: Belief, values: Float[Array, " N"]) -> TargetScores:
-        """Return the best zone of those that remain, or the goal if none does.
+        """Select the remaining zone of highest value, or the goal if all zones are depleted.
 
-        Where something remains but nothing of it can be reached, the zone of which most remains.
+        If zones remain but none can be reached, the zone with the most remaining uncertainty is
+        selected.
 
         Args:
-            belief: what the robot knows.
-            values: (Z + 1,) of each target; not finite where it cannot be reached.
+            belief: what the robot knows of the world.
+            values: (Z + 1,) value of each target; not finite where it cannot be reached.
         """
         remaining = self.zones.remaining(belief.grid)
         remains = (remaining >= self.depleted) & ~belief.is_explored
         allowed = jnp.append(remains, ~remains.any())
         score = jnp.where(allowed & jnp.isfinite(values), values, -jnp.inf)
         is_reached = jnp.isfinite(score).any()
+        # Used where nothing can be reached: the largest entry is a zone that remains, or the goal.
         most = jnp.append(jnp.where(remains, remaining, -1.0), jnp.where(remains.any(), -1.0, 1.0))
         index = jnp.argmax(jnp.where(is_reached, score, most))
         centres = self.zones.centres(belief.grid.frame)
         return TargetScores(score, index, jnp.append(centres, self.goal[None], axis=0)[index])
 
     def _roads(self, belief: Belief) -> Roadmap:
+        """Return the road map of the places where the robot fits."""
         return roadmap(belief.clearance, self.required_clearance, self.stride)
 
     def _cost(self, belief: Belief, roads: Roadmap, target: GridMask) -> Float[Array, "H W"]:
-        """Return the cost to go to a target from each node, infinite where no way leads."""
+        """Compute the cost to go to a target from each node; infinite where there is no path."""
         if target.shape != belief.grid.shape:
             raise ValueError(f"target has shape {target.shape}; accepted: {belief.grid.shape}")
         at_target = self._ends(belief, roads, target)
@@ -190,7 +195,7 @@ class Targets(eqx.Module):
     def _ends(
         self, belief: Belief, roads: Roadmap, target: GridMask
     ) -> Bool[Array, "rows columns"]:
-        """Return the nodes at which the ways to a target end."""
+        """Return the nodes at which the paths to a target end."""
         rows, columns = roads.is_open.shape
         height, width = target.shape
         missing = (0, rows * self.stride - height), (0, columns * self.stride - width)
@@ -201,38 +206,36 @@ class Targets(eqx.Module):
 
 
 class TargetChoice(eqx.Module):
-    """A rule by which the sequential planner picks where to go.
-
-    `targets` says what there is to pick from.
-    """
+    """A rule by which the sequential planner selects one of its `targets`."""
 
     targets: eqx.AbstractVar[Targets]
 
     @abc.abstractmethod
     def __call__(self, belief: Belief, position: Position) -> TargetScores:
-        """Return the scores of all targets and the choice.
+        """Score all targets and select one.
 
         Args:
-            belief: what the robot knows.
-            position: of the robot (x, y) [m].
+            belief: what the robot knows of the world.
+            position: position of the robot (x, y) [m].
         """
 
 
 class RemainingInformation(TargetChoice):
-    """The zone of which much remains and which is near:
+    """Selects the zone with much remaining uncertainty at a short distance:
 
         score_z = remaining_z - weight * distance_z
 
-    with `remaining` the mean of `4 p (1 - p)` over the zone's cells and `distance` the length of
-    the shortest way there, infinite where none leads. Depleted zones are left out. The goal, of
-    which nothing remains, is chosen if and only if all zones are depleted.
+    with `remaining` the mean of `4 p (1 - p)` over the cells of the zone and `distance` the length
+    of the shortest path, infinite where there is none. Depleted zones are left out. The goal is
+    selected if and only if all zones are depleted.
 
-    Source: the sequential planner of the quadrotor design notes, whose distances are straight lines
-    to the zones' centres: `straight`. These know of no walls; `distance` by the map is ours.
+    Source: the sequential planner of the quadrotor design notes. Its distances are straight lines
+    to the centres of the zones (`straight`), which ignore walls. Distances on the map are an
+    addition.
 
     Args:
-        targets: the zones, the goal, and the ways there.
-        weight: of the distance [1/m].
+        targets: zones, goal, and the paths to them.
+        weight: weight of the distance [1/m].
         straight: whether distances are straight lines; static.
 
     Raises:
@@ -251,7 +254,7 @@ class RemainingInformation(TargetChoice):
         self.straight = bool(straight)
 
     def __call__(self, belief: Belief, position: Position) -> TargetScores:
-        """Return the scores of all targets and the choice."""
+        """Score all targets and select one."""
         targets = self.targets
         if self.straight:
             centres = targets.zones.centres(belief.grid.frame)
@@ -260,29 +263,30 @@ class RemainingInformation(TargetChoice):
         else:
             distance = targets.distances(belief, position)
         remaining = jnp.append(targets.zones.remaining(belief.grid), 0.0)
+        # Masked before the product: a weight of 0 times an infinite distance is NaN.
         is_reached = jnp.isfinite(distance)
         cost = self.weight * jnp.where(is_reached, distance, 0.0)
         return targets.choose(belief, jnp.where(is_reached, remaining - cost, -jnp.inf))
 
 
 class TrajectoryChoice(TargetChoice):
-    """The zone on the way to which most is learned for the way's length:
+    """Selects the zone whose path has the most information for its length:
 
         score_z = information(path_z) - weight * length(path_z)
 
-    with path_z the positions of a robot that walks there, down the cost to go (`Targets.cost_to`),
-    looking where it goes. It ends at the zone: a robot that has arrived, or stands still, looks no
-    more. The least cost, `-score`, wins. Zones to which no way leads and depleted ones are left
-    out. The goal is chosen if and only if all zones are depleted.
+    with path_z the positions of a robot that descends the cost to go (`Targets.cost_to`), facing
+    the direction of motion. Scans are counted while it moves: once it has arrived, or stands still,
+    they add nothing. Depleted zones and zones without a path are left out. The goal is selected if
+    and only if all zones are depleted.
 
     Source: target selection by trajectory in the quadrotor design notes, whose paths are straight.
 
     Args:
-        targets: the zones, the goal, and the ways there.
-        information: what the scans along a path are worth together, by any of its methods.
-        walk: how the robot goes there; what lies beyond its last step does not count. 40 steps of
-            0.25 s at 2 m/s when absent.
-        weight: of the length of a path [nat/m].
+        targets: zones, goal, and the paths to them.
+        information: joint information of the scans along a path, by any of its methods.
+        gradient_reference: gradient ascent that makes the path; nothing beyond its last step
+            counts. 40 steps of 0.25 s at 2 m/s when absent.
+        weight: weight of the length of a path [nat/m].
 
     Raises:
         ValueError: a negative weight.
@@ -290,88 +294,97 @@ class TrajectoryChoice(TargetChoice):
 
     targets: Targets
     information: TrajectoryInformation
-    walk: GradientReference
+    gradient_reference: GradientReference
     weight: Scalar
 
     def __init__(
         self,
         targets: Targets,
         information: TrajectoryInformation,
-        walk: GradientReference | None = None,
+        gradient_reference: GradientReference | None = None,
         weight: ArrayLike = 1.0,
     ) -> None:
         self.targets = targets
         self.information = information
-        self.walk = GradientReference(2.0, 40, 0.25) if walk is None else walk
+        self.gradient_reference = (
+            GradientReference(2.0, 40, 0.25) if gradient_reference is None else gradient_reference
+        )
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
 
     def __call__(self, belief: Belief, position: Position) -> TargetScores:
-        """Return the scores of all targets and the choice."""
+        """Score all targets and select one."""
 
         def value(target: GridMask) -> Scalar:
-            field, leads = self.targets.way(belief, target, position)
-            path = follow(self.walk, field, belief, jnp.append(position, 0.0))[:, :2]
-            return jnp.where(leads, self.worth(belief.grid, position, path), -jnp.inf)
+            field, is_reachable = self.targets.route(belief, target, position)
+            path = descend(self.gradient_reference, field, belief, jnp.append(position, 0.0))[:, :2]
+            return jnp.where(is_reachable, self.worth(belief.grid, position, path), -jnp.inf)
 
         return self.targets.choose(belief, jax.vmap(value)(self.targets.masks(belief.grid)))
 
     def worth(self, grid: OccupancyGrid, start: Position, path: Float[Array, "T 2"]) -> Scalar:
-        """Return what is learned along a path less what its length costs [nat].
+        """Compute the information of the scans along a path minus the cost of its length [nat].
 
         Args:
-            grid: what is known.
-            start: where the robot is (x, y) [m].
-            path: where it is after each step; it ends where the robot first stands still.
+            grid: map that the robot knows.
+            start: (2,) position of the robot [m].
+            path: (T, 2) position after each step [m]; it ends where the robot first stands still.
         """
         step = jnp.diff(path, axis=0, prepend=start[None])
         length = jnp.sqrt((step * step).sum(axis=-1)).sum()
-        looks = (step != 0.0).any(axis=-1).at[0].set(True)
-        nowhere = grid.frame.to_world(jnp.full(2, -1.0))  # off the map nothing is learned
-        scans = jnp.where(looks[:, None], path, nowhere)
+        # The first scan counts even if the robot does not move.
+        is_scan = (step != 0.0).any(axis=-1).at[0].set(True)
+        # Shapes are static: scans that do not count are moved off the map, where they see nothing.
+        off_map = grid.frame.to_world(jnp.full(2, -1.0))
+        scans = jnp.where(is_scan[:, None], path, off_map)
         return self.information(grid, scans, path_headings(path)) - self.weight * length
 
 
 class TargetReference(StrategicReference):
-    """Go to the target that a rule picks, down the cost to go there.
+    """Descends the cost to go to the target that a rule selects.
 
-    It ends where the way does: a robot at an open node of the zone stands still until the zone is
-    depleted or another one scores higher.
+    The reference ends where the path ends. At an open node of the zone the robot stands still until
+    the zone is depleted or another zone scores higher.
 
-    Where no way leads to it the robot follows the guidance field, which knows where a way may yet
-    be found: a robot that stood still would learn of none.
+    If no path leads to the target, the reference descends the guidance field, which leads to where
+    a path may still be found. A robot that stood still would never find one.
 
     Source: the sequential planner of the quadrotor design notes, which goes in a straight line.
 
     Args:
-        choice: the rule; ways keep the clearance of its `targets`.
-        walk: how the robot goes there; the notes' 40 steps of 0.05 s at 2 m/s when absent.
+        choice: rule that selects the target; paths keep the clearance of its `targets`.
+        gradient_reference: gradient ascent that makes the positions; the notes' 40 steps of 0.05 s
+            at 2 m/s when absent.
     """
 
     choice: TargetChoice
-    walk: GradientReference
+    gradient_reference: GradientReference
 
-    def __init__(self, choice: TargetChoice, walk: GradientReference | None = None) -> None:
+    def __init__(
+        self, choice: TargetChoice, gradient_reference: GradientReference | None = None
+    ) -> None:
         self.choice = choice
-        self.walk = GradientReference() if walk is None else walk
+        self.gradient_reference = (
+            GradientReference() if gradient_reference is None else gradient_reference
+        )
 
     def __call__(
         self, belief: Belief, potential: ScalarField, start: Float[Array, "3"]
     ) -> Float[Array, "T 3"]:
-        """Return the positions after 1 ... T steps [m]; the potential is not read."""
+        """Compute the positions after 1 ... T steps [m]; the potential is not read."""
         targets = self.choice.targets
         index = self.choice(belief, start[:2]).index
-        field, leads = targets.way(belief, targets.masks(belief.grid)[index], start[:2])
-        there = follow(self.walk, field, belief, start)
-        around = follow(self.walk, belief.guidance, belief, start)
-        return jnp.where(leads, there, around)
+        field, is_reachable = targets.route(belief, targets.masks(belief.grid)[index], start[:2])
+        to_target = descend(self.gradient_reference, field, belief, start)
+        by_guidance = descend(self.gradient_reference, belief.guidance, belief, start)
+        return jnp.where(is_reachable, to_target, by_guidance)
 
 
 def _nearest(
     roads: Roadmap, position: Position
 ) -> tuple[Bool[Array, "rows columns"], Float[Array, "rows columns"]]:
-    """Return the open nodes nearest to a position, and how far away [m] all nodes are.
+    """Return the open nodes nearest to a position, and the distances of all nodes [m].
 
-    None is near a position that is not finite.
+    For a position that is not finite, no node is near.
     """
     row, column = roads.frame.to_grid(position)
     rows, columns = (jnp.arange(size, dtype=jnp.float32) + 0.5 for size in roads.is_open.shape)

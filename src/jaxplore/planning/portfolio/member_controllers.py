@@ -1,4 +1,4 @@
-"""The members of a portfolio: what they share, what each has of its own, what they propose."""
+"""The members of a portfolio: MPPI controllers that run in one `vmap`."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -13,13 +13,18 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Info
-from jaxplore.control.draft import MPPIState
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.mppi_state import MPPIState
 from jaxplore.control.proposals import GaussianProposal
 from jaxplore.control.rollout import rollout_objectives
 from jaxplore.control.weighting import Softmax
 from jaxplore.costs.base import Cost
-from jaxplore.planning.portfolio._members import named_row, one_each, stacked, weight_rows
+from jaxplore.planning.portfolio._members import (
+    normalised_weights,
+    positive_each,
+    stack_costs,
+    values_in_order,
+)
 from jaxplore.planning.portfolio.fusion import Sequences
 from jaxplore.planning.portfolio.normalisation import FLOOR, Normalisation
 
@@ -27,28 +32,27 @@ MEMBERS = "members"
 """Name of the axis over which members are mapped."""
 
 
-class Proposed(NamedTuple):
-    """What the members propose; arrays have a leading axis of N.
+class MemberPlans(NamedTuple):
+    """Plans of the N members in one step; all arrays have a leading axis of N.
 
     Args:
-        states: of the members after their step.
-        infos: what each says about it.
-        plans: (N, T, nu) on the template's time grid.
-        uncertainties: (N,) spread of the weighted samples, in half ranges; infinite of a member
-            without a finite rollout.
+        states: states of the members after the step.
+        infos: diagnostics of the members.
+        controls: (N, T, nu) planned controls on the time grid of the template.
+        uncertainties: (N,) spread of the weighted samples, in half ranges of the controls; infinite
+            for a member without a finite rollout.
     """
 
     states: MPPIState
     infos: Info
-    plans: Sequences
+    controls: Sequences
     uncertainties: Float[Array, " N"]
 
 
-class Team(eqx.Module):
-    """N MPPI controllers that weigh the same objectives differently: see `Portfolio`.
+class MemberControllers(eqx.Module):
+    """N MPPI controllers with different weights of the same objectives.
 
-    Args:
-        mppi: as of `Portfolio`, and so are the others.
+    See `Portfolio` for the arguments and errors.
     """
 
     mppi: MPPI
@@ -86,17 +90,18 @@ class Team(eqx.Module):
                 )
         self.mppi = mppi
         self.objective_names = tuple(objectives)
-        self.weights, self.names = weight_rows(weights, names, self.objective_names)
+        self.weights, self.names = normalised_weights(weights, names, self.objective_names)
         number = len(self.names)
+        # Objectives that differ are stacked and mapped with the members; the others are not copied.
         self.shared = tuple(
             cost if isinstance(cost, Cost) else None for cost in objectives.values()
         )
         self.own = tuple(
-            None if isinstance(cost, Cost) else stacked(name, cost, number)
+            None if isinstance(cost, Cost) else stack_costs(name, cost, number)
             for name, cost in objectives.items()
         )
-        least = named_row(floors, self.objective_names, FLOOR)
-        given = one_each("floors", least, len(self.objective_names))
+        least = values_in_order(floors, self.objective_names, FLOOR)
+        given = positive_each("floors", least, len(self.objective_names))
         self.normalisation = Normalisation(
             jnp.full(len(self.objective_names), FLOOR) if given is None else given,
             _checks.scalar("smoothing_time", smoothing_time, above=0.0),
@@ -114,20 +119,20 @@ class Team(eqx.Module):
                 f"noise_scales is {noise_scales!r} beside {type(proposal).__name__}; accepted: "
                 "with a GaussianProposal that has a noise_std"
             )
-        self.temperatures = one_each("temperatures", temperatures, number)
-        self.noise_scales = one_each("noise_scales", noise_scales, number)
-        self.horizons = one_each("horizons", horizons, number)
+        self.temperatures = positive_each("temperatures", temperatures, number)
+        self.noise_scales = positive_each("noise_scales", noise_scales, number)
+        self.horizons = positive_each("horizons", horizons, number)
 
     def init(self) -> MPPIState:
-        """Return the members' states before the first step."""
+        """Return the initial states of the members."""
         states: MPPIState = jax.vmap(lambda index: self.member(index).init())(self.indices)
         return states
 
     def member(self, index: int | Array) -> MPPI:
-        """Return a member as MPPI of its own; its cost is what all members pay alike.
+        """Return one member as an MPPI controller; its cost is J_hard alone.
 
         Args:
-            index: which.
+            index: index of the member; it may be traced.
         """
         member = self.mppi
         if self.temperatures is not None:
@@ -136,16 +141,17 @@ class Team(eqx.Module):
             std = _noise_std(member) * self.noise_scales[index]
             member = eqx.tree_at(_noise_std, member, std)
         if self.horizons is not None:
+            # The number of steps is a shape and must be equal in all members; their length is not.
             dt = self.horizons[index] / member.horizon
             member = eqx.tree_at(lambda mppi: mppi.dt, member, dt)
         return member
 
     def objectives(self, index: int) -> tuple[Cost, ...]:
-        """Return the objectives of one member."""
+        """Return the objectives of one member, in the order of their names."""
         own = jax.tree.map(lambda leaves: leaves[index], self.own)
         return _merged(self.shared, own)
 
-    def propose(
+    def plan(
         self,
         states: MPPIState,
         spread: Float[Array, " O"],
@@ -153,27 +159,28 @@ class Team(eqx.Module):
         belief: Any,
         *,
         key: Key,
-    ) -> tuple[Proposed, Float[Array, " O"]]:
-        """Return what the members propose, and the spread of the objectives brought up to date.
+    ) -> tuple[MemberPlans, Float[Array, " O"]]:
+        """Plan with all members; return their plans and the updated spread of the objectives (O,).
 
         Args:
-            states: of the members.
-            spread: (O,) of the objectives before; 0 before the first step.
-            observation: (nx,) the robot's state.
-            belief: what the robot knows.
-            key: randomness; the same for all members.
+            states: states of the members.
+            spread: (O,) spread of the objectives before; 0 before the first step.
+            observation: (nx,) observed state of the robot.
+            belief: what the robot knows of the world.
+            key: random key, shared by all members.
         """
 
         def one(
             index: Array, own: tuple[Cost | None, ...], weights: Array, member_state: MPPIState
-        ) -> tuple[Proposed, Array]:
+        ) -> tuple[MemberPlans, Array]:
             member = self.member(index)
-            draft = member.draft(member_state, key=key)
+            # One rollout gives all objectives, so that they can be weighted after normalisation.
+            sampled = member.sample(member_state, key=key)
             paid = rollout_objectives(
                 member.dynamics,
                 (member.cost, *_merged(self.shared, own)),
                 observation,
-                draft.controls,
+                sampled.controls,
                 member.dt,
                 belief,
                 applied=member_state.applied,
@@ -183,28 +190,31 @@ class Team(eqx.Module):
                 spread, values, hard, self.mppi.control_period, MEMBERS
             )
             values = values / self.normalisation.scale(now)[:, None]
-            # What has no weight may be anything, also no number.
+            # An objective without weight may be infinite or NaN, and 0 times that is NaN.
             values = jnp.where(weights[:, None] > 0.0, values, 0.0)
             costs = hard + jnp.einsum("o,ok->k", weights, values)
-            _, after, info = member.conclude(draft, costs)
-            uncertainty = self._uncertainty(draft.controls, info)
+            _, after, info = member.update(sampled, costs)
+            uncertainty = self._uncertainty(sampled.controls, info)
             uncertainty = jnp.where(info.is_finite, uncertainty, jnp.inf)
-            return Proposed(after, info, info.controls, uncertainty), now
+            return MemberPlans(after, info, info.controls, uncertainty), now
 
-        proposed, spreads = jax.vmap(one, axis_name=MEMBERS)(
+        # All members draw the same noise from the same key, so that their plans differ by their
+        # objectives and not by chance. The spread is a sum over members, equal in all of them.
+        plans, spreads = jax.vmap(one, axis_name=MEMBERS)(
             self.indices, self.own, self.weights, states
         )
-        return proposed._replace(plans=self._on_one_grid(proposed.plans)), spreads[0]
+        return plans._replace(controls=self._on_one_grid(plans.controls)), spreads[0]
 
     def _uncertainty(self, controls: Float[Array, "T nu K"], info: Info) -> Scalar:
-        """Return the spread of the weighted samples over the plan, in half ranges."""
+        """Compute the standard deviation of the weighted samples over the plan, in half ranges."""
+        # Around the mean of the samples, not around the plan, which may be smoothed.
         mean = jnp.einsum("k,tuk->tu", info.weights, controls)
         away = controls - mean[:, :, None]
         variance = jnp.einsum("k,tuk->tu", info.weights, away * away)
         return jnp.sqrt(jnp.mean(variance / self.half_range**2))
 
     def _on_one_grid(self, controls: Sequences) -> Sequences:
-        """Return plans on the template's time grid: each control is held for its member's step."""
+        """Resample plans on the time grid of the template, holding each control for its step."""
         if self.horizons is None:
             return controls
         horizon, dt = self.mppi.horizon, self.mppi.dt
@@ -212,7 +222,7 @@ class Team(eqx.Module):
         begin = dt * jnp.arange(horizon, dtype=jnp.float32)
 
         def held(plan: Array, length: Array) -> Array:
-            # A step that begins with one of the member's comes rounded: it is that one.
+            # Rounding may put a step that begins with one of the member's just before it.
             row = jnp.floor(begin * (horizon / length) + 1e-3).astype(jnp.int32)
             is_planned = (row < horizon)[:, None]
             return jnp.where(is_planned, plan[jnp.minimum(row, horizon - 1)], default)
@@ -221,27 +231,29 @@ class Team(eqx.Module):
 
     @property
     def half_range(self) -> ControlVector:
-        """Half the range of each control (nu,); 1 of one that is fixed."""
-        model = self.mppi.dynamics
-        half = model.control_half_range
+        """Half range of each control (nu,); 1 for a control with equal bounds."""
+        half = self.mppi.dynamics.control_half_range
         return jnp.where(half > 0.0, half, 1.0)
 
     @property
     def indices(self) -> Array:
-        """(N,) of the members."""
+        """Indices of the members (N,)."""
         return jnp.arange(len(self.names))
 
 
 def _merged(shared: tuple[Cost | None, ...], own: tuple[Cost | None, ...]) -> tuple[Cost, ...]:
+    """Return for each objective the shared cost, or the member's own where there is none."""
     pairs = zip(shared, own, strict=True)
     return tuple(one if one is not None else other for one, other in pairs)  # type: ignore[misc]
 
 
 def _temperature(mppi: MPPI) -> Any:
+    """Return the leaf of the temperature, for `eqx.tree_at`."""
     weighting: Any = mppi.weighting
     return weighting.temperature
 
 
 def _noise_std(mppi: MPPI) -> Any:
+    """Return the leaf of the noise's standard deviation, for `eqx.tree_at`."""
     proposal: Any = mppi.proposal
     return proposal.noise_std
