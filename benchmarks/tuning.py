@@ -95,7 +95,7 @@ def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, floa
         for episode, result in results:
             on_result(episode, result)
 
-    episodes.run = timed  # type: ignore[method-assign]
+    episodes.run = timed  # type: ignore[method-assign, assignment]
     parameters = tuple(
         Parameter(name, 0.5 * float(start), 2.0 * float(start), is_log=True)
         for name in problem.parameters

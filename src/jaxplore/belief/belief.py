@@ -49,11 +49,11 @@ class Belief(eqx.Module):
             keeps watch.
     """
 
-    grid: Part[OccupancyGrid] = None
-    clearance: Part[ScalarField] = None
-    information: Part[InformationField] = None
-    guidance: Part[GuidanceField] = None
-    dwell: Part[Float[Array, "rows columns"]] = None
+    grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
+    clearance: Part[ScalarField] = None  # type: ignore[assignment]
+    information: Part[InformationField] = None  # type: ignore[assignment]
+    guidance: Part[GuidanceField] = None  # type: ignore[assignment]
+    dwell: Part[Float[Array, "rows columns"]] = None  # type: ignore[assignment]
     is_explored: Flag = eqx.field(default_factory=lambda: jnp.array(False))
     patience: Scalar = eqx.field(default_factory=lambda: jnp.array(3.0))
     pose: Pose = eqx.field(default_factory=lambda: jnp.zeros(3))

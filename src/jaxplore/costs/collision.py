@@ -74,7 +74,10 @@ class CollisionCost(Cost):
 
         def clearance(lever: Lever) -> Scalar:
             centre = state.position
-            return field(jnp.stack(shifted(tuple(centre), lever)) if lever else centre)
+            if lever:
+                centre = jnp.stack(shifted(tuple(centre), lever))
+            distance: Scalar = field(centre)
+            return distance
 
         deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)
         total = deep * deep

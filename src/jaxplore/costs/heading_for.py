@@ -3,7 +3,7 @@
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ControlVector, Pose, Scalar
 from jaxplore.belief.belief import Belief, part
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs.base import Cost
@@ -68,7 +68,8 @@ class RegionCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Compute the distance travelled in other directions."""
-        position, pose = state.position, part(belief, "pose")
+        position = state.position
+        pose: Pose = part(belief, "pose")
         x, y = position[0] - pose[0], position[1] - pose[1]
         # Relative to the pose at the start of the rollout, so that the direction is fixed.
         angle = pose[2] + self.direction

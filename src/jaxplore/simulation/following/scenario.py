@@ -212,7 +212,7 @@ class PathScenario(Scenario):
     ) -> tuple[PathState, Belief | None]:
         """Measure the obstacles; predict them while no measurement arrives."""
         known = self._dated(self.obstacles(moment.time, key=key))
-        if self.faults is not None and known is not None:
+        if self.faults is not None and known is not None and state.known is not None:
             predicted = state.known.after(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
         return state._replace(known=known), _belief(known)

@@ -7,6 +7,7 @@ import jax
 
 from jaxplore.build.parts import build_robot
 from jaxplore.build.tasks import build
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.study.comparison.episodes import Batch
@@ -38,15 +39,15 @@ def make_rows(batch: Batch) -> tuple[Row, ...]:
         experiments = [experiment._replace(key=jax.random.key(seed)) for seed in first.seeds]
         together = SideBySide(first.batch).record("", experiments, with_frames=True)
         recordings = dict(zip(first.seeds, together, strict=True))
-    return tuple(
-        make_row(
-            episode,
-            recordings[episode.seed],
-            recordings[episode.seed].metrics(seed=episode.seed),
-            settings=settings.model_copy(update={"map": episode.path, "seed": episode.seed}),
-        )
-        for episode in batch
-    )
+    rows = []
+    for episode in batch:
+        recording = recordings[episode.seed]
+        # Maps are explored, whatever the explorer: a row has columns for that.
+        assert isinstance(recording, ExplorationRecording)
+        asked = settings.model_copy(update={"map": episode.path, "seed": episode.seed})
+        metrics = recording.metrics(seed=episode.seed)
+        rows.append(make_row(episode, recording, metrics, settings=asked))
+    return tuple(rows)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
