@@ -11,6 +11,7 @@ import yaml
 from jaxplore._version import __version__
 from jaxplore.build.exploration import build, comparable
 from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchmark
+from jaxplore.cli._cache import cache_option
 from jaxplore.cli._options import entries_of, with_options
 from jaxplore.cli._path import is_path, path_options, run_path
 from jaxplore.cli._show import free_name, save, show_comparison
@@ -36,6 +37,7 @@ def cli() -> None:
 
 @cli.command()
 @with_options()
+@cache_option
 @path_options
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
@@ -85,6 +87,7 @@ def run(
 
 @cli.command()
 @with_options("architecture")
+@cache_option
 @click.option(
     "--architectures",
     metavar="NAME,NAME",
@@ -168,6 +171,7 @@ def compare(
 
 @cli.command()
 @with_options()
+@cache_option
 @path_options
 @tune_options
 @click.option(
