@@ -23,6 +23,8 @@ from sybil.parsers.markdown import PythonCodeBlockParser
 # Tests compile far more than they compute: without LLVM's optimisations a fifth is saved.
 # XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+# Commands that are tested leave the user's own programs alone.
+os.environ["JAXPLORE_CACHE"] = "off"
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Nobody looks for lines of Python in the programs: that saves a fiftieth.
 jax.config.update("jax_traceback_in_locations_limit", 0)

@@ -15,6 +15,9 @@ from jaxplore.compat.batch import Batch as Batch
 from jaxplore.compat.batch import rollout_batch as rollout_batch
 from jaxplore.compat.planner import PlannedControl as PlannedControl
 from jaxplore.compat.planner import Planner as Planner
+from jaxplore.compilation_cache import (
+    enable_compilation_cache as enable_compilation_cache,
+)
 from jaxplore.control.adaptation import CovarianceAdaptation as CovarianceAdaptation
 from jaxplore.control.augmented import AugmentedProposal as AugmentedProposal
 from jaxplore.control.base import Controller as Controller

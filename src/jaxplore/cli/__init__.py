@@ -10,6 +10,7 @@ import yaml
 
 from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison import comparison_options, run_comparison
 from jaxplore.cli._options import entries_of, path_options, place_name, with_options
 from jaxplore.cli._runner import runner_options
@@ -32,6 +33,7 @@ def cli() -> None:
 
 @cli.command()
 @with_options()
+@cache_option
 @path_options
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
@@ -81,6 +83,7 @@ def run(
 @path_options
 @comparison_options
 @runner_options
+@cache_option
 @click.option("--seeds", type=int, default=20, show_default=True, help="Runs of each.")
 @click.option(
     "--out",
@@ -116,6 +119,7 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
 
 @cli.command()
 @with_options()
+@cache_option
 @path_options
 @tune_options
 @runner_options
