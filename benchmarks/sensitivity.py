@@ -8,7 +8,7 @@ missing.
 import statistics
 from typing import Any
 
-from jaxplore.study.tuning import Ask, Objective, Outcome, SettingsEpisodes
+from jaxplore.study.tuning import Episode, Objective, Result, SettingsEpisodes
 
 FACTORS = (0.25, 0.5, 2.0, 4.0)
 SEEDS = 3
@@ -20,10 +20,9 @@ SMALL_OFFICE = {
     "controller": {"num_samples": 500},
     "time_limit": 120.0,
 }
-PLACES: dict[str, tuple[dict[str, Any], bool, tuple[str, ...]]] = {
+PLACES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "path": (
-        {"time_limit": 40.0},
-        True,
+        {"path": "track", "time_limit": 40.0},
         (
             "controller.temperature",
             "controller.noise_share",
@@ -37,7 +36,6 @@ PLACES: dict[str, tuple[dict[str, Any], bool, tuple[str, ...]]] = {
     ),
     "office": (
         SMALL_OFFICE,
-        False,
         (
             "controller.temperature",
             "proposal.noise_std",
@@ -56,8 +54,8 @@ PLACES: dict[str, tuple[dict[str, Any], bool, tuple[str, ...]]] = {
 def measure() -> list[dict[str, Any]]:
     """Return a row for each setting: times as long as with the default, for each factor."""
     rows = []
-    for place, (entries, is_path, settings) in PLACES.items():
-        episodes = SettingsEpisodes({place: entries}, is_path=is_path)
+    for place, (entries, settings) in PLACES.items():
+        episodes = SettingsEpisodes({place: entries})
         default = _seconds(episodes, place, {})
         for setting in settings:
             row: dict[str, Any] = {"scenario": place, "setting": setting}
@@ -78,9 +76,9 @@ def _scaled(value: Any, factor: float) -> float | int:
 def _seconds(episodes: SettingsEpisodes, place: str, values: dict[str, Any]) -> float:
     found: list[float] = []
 
-    def keep(_: Ask, outcome: Outcome) -> None:
-        failed = outcome.error is not None
-        found.append(float("inf") if failed else OBJECTIVE.value(outcome.metrics))
+    def keep(_: Episode, result: Result) -> None:
+        failed = result.error is not None
+        found.append(float("inf") if failed else OBJECTIVE.value(result.metrics))
 
-    episodes.run([Ask(0, values, place, seed) for seed in range(SEEDS)], keep)
+    episodes.run([Episode(0, values, place, seed) for seed in range(SEEDS)], keep)
     return statistics.fmean(found)

@@ -27,12 +27,12 @@ from jaxplore._types import Key
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.path import make_path_settings
 from jaxplore.study.tuning import (
-    Ask,
     ControllerEpisodes,
+    Episode,
     Episodes,
     Objective,
-    Outcome,
     Parameter,
+    Result,
     Search,
     Space,
     VectorEpisodes,
@@ -86,14 +86,14 @@ def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, floa
     episodes = problem.episodes(batch)
     run, spent = episodes.run, 0.0
 
-    def timed(asks: Sequence[Ask], on_done: Callable[[Ask, Outcome], None]) -> None:
+    def timed(asked: Sequence[Episode], on_result: Callable[[Episode, Result], None]) -> None:
         nonlocal spent
-        outcomes: list[tuple[Ask, Outcome]] = []
+        results: list[tuple[Episode, Result]] = []
         began = time.perf_counter()
-        run(asks, lambda ask, outcome: outcomes.append((ask, outcome)))
+        run(asked, lambda episode, result: results.append((episode, result)))
         spent = time.perf_counter() - began
-        for ask, outcome in outcomes:
-            on_done(ask, outcome)
+        for episode, result in results:
+            on_result(episode, result)
 
     episodes.run = timed  # type: ignore[method-assign]
     parameters = tuple(
@@ -111,7 +111,7 @@ def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, floa
     )
     stack = open_study(search, episodes)
     study = stack.__enter__()  # for as long as this program runs
-    # Twice: the strategy is told for the first time when the second generation is asked for.
+    # Twice: the optimizer is told for the first time when the second generation is asked for.
     done = 2 * problem.population
     study.run(done)
 

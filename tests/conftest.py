@@ -12,8 +12,8 @@ import pytest
 
 import jaxplore
 from jaxplore.cli import main
-from jaxplore.study.workers.crew import Crew, Event
-from jaxplore.study.workers.job import Job
+from jaxplore.study.workers.pool import Event, WorkerPool
+from jaxplore.study.workers.task import Task
 
 # No test depends on a duration: the machine is shared, and the first call compiles.
 hypothesis.settings.register_profile(
@@ -61,32 +61,32 @@ def empty_belief():
     return eqx.filter_jit(perception.init)(grid, jnp.asarray([2.0, 2.0, 0.0]))
 
 
-class Scripted(Crew):
-    """Workers that do what they are told in turns, and die when the script says so: of a job, or,
+class Scripted(WorkerPool):
+    """Workers that do what they are told in turns, and die when the script says so: of a task, or,
     told None, when they are started or asked."""
 
-    def __init__(self, number: int, die: Callable[[int, Job | None], bool]) -> None:
+    def __init__(self, number: int, die: Callable[[int, Task | None], bool]) -> None:
         self._number, self._die = number, die
         self._news: deque[Event] = deque()
-        self.started, self.given, self.closed = 0, list[tuple[int, Job]](), False
+        self.started, self.given, self.closed = 0, list[tuple[int, Task]](), False
 
     @property
     def size(self) -> int:
         return self._number
 
-    def start(self, example: Job) -> None:
+    def start(self, example: Task) -> None:
         worker, self.started = self.started, self.started + 1
-        self.ask(worker)
+        self.ping(worker)
 
-    def ask(self, worker: int) -> None:
+    def ping(self, worker: int) -> None:
         death = "never ready" if self._die(worker, None) else None
         self._news.append(Event(worker, death=death))
 
-    def give(self, worker: int, job: Job) -> None:
-        self.given.append((worker, job))
-        is_fatal = self._die(worker, job)
+    def submit(self, worker: int, task: Task) -> None:
+        self.given.append((worker, task))
+        is_fatal = self._die(worker, task)
         self._news.append(
-            Event(worker, death="killed by SIGKILL") if is_fatal else Event(worker, job.run())
+            Event(worker, death="killed by SIGKILL") if is_fatal else Event(worker, task.run())
         )
 
     def wait(self) -> list[Event]:

@@ -19,7 +19,6 @@ import yaml
 
 import jaxplore as jx
 from jaxplore import Comparison, Metrics, compare
-from jaxplore import runs as running
 from jaxplore.build import controllers as building
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
@@ -28,6 +27,7 @@ from jaxplore.control.rollout import Trajectory
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk
+from jaxplore.study import experiments as running
 
 Experiments = dict[str, tuple[Controller, ExplorationScenario, int]]
 
@@ -114,11 +114,23 @@ def watch(
     calls: list[tuple[int, int]] = []
 
     def spy(
-        controller: Controller, scenario: ExplorationScenario, num_steps: int, *, key: jax.Array
+        controller: Controller,
+        scenario: ExplorationScenario,
+        num_steps: int,
+        *,
+        key: jax.Array,
+        num_trajectories: int,
     ) -> ExplorationRecording:
         calls.append((num_steps, int(jax.random.key_data(key)[-1])))
         number = len(calls)
-        return original(controller, scenario, num_steps, key=key, on_progress=lambda _: act(number))
+        return original(
+            controller,
+            scenario,
+            num_steps,
+            key=key,
+            num_trajectories=num_trajectories,
+            on_progress=lambda _: act(number),
+        )
 
     monkeypatch.setattr(running, "record_run", spy)
     return calls
@@ -175,7 +187,7 @@ def test_progress_ends_with_all_done(
         assert enabled
         yield lambda share, text: shares.append(share)
 
-    monkeypatch.setattr("jaxplore.runs.progress_bar", bar)
+    monkeypatch.setattr("jaxplore.study.comparison.compare.progress_bar", bar)
     compare(experiments, (0,), progress=True)
     assert shares == sorted(shares)
     assert shares[-1] == 1.0
@@ -214,11 +226,11 @@ def test_ctrl_c_before_the_first_step_of_a_run_keeps_the_others(
 ) -> None:
     original, keys = running.record_run, []
 
-    def compiling(*arguments: Any, key: jax.Array) -> ExplorationRecording:
+    def compiling(*arguments: Any, key: jax.Array, num_trajectories: int) -> ExplorationRecording:
         keys.append(key)
         if len(keys) == 3:
             raise KeyboardInterrupt
-        return original(*arguments, key=key)
+        return original(*arguments, key=key, num_trajectories=num_trajectories)
 
     monkeypatch.setattr(running, "record_run", compiling)
     found = None

@@ -117,7 +117,7 @@ def test_settings_become_what_they_say(file: Path) -> None:
     [
         (["run", "path", "--path", "no.csv"], "no.csv"),
         (["run", "office", "--path", "half.csv"], "--path is 'half.csv' beside the map 'office'"),
-        (["run", "office", "--laps", "2"], "--laps is 2; accepted: with jaxplore run path"),
+        (["run", "office", "--laps", "2"], "--laps is 2; accepted: along a path"),
         (["run", "path", "--laps", "0"], "setting laps is 0"),
         (["run", "path", "--beams", "20"], "lidar.num_beams is 20 beside a path"),
         (["run", "path", "--goal", "1", "2"], "goal is (1.0, 2.0) beside a path"),

@@ -35,15 +35,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         def interrupted(self, *arguments, **options):
             run = self.episodes.run
 
-            def some(asks, on_done):
-                def done(ask, told):
+            def some(asked, on_result):
+                def done(episode, told):
                     nonlocal episodes
                     episodes += 1
                     if episodes == 6:
                         raise KeyboardInterrupt
-                    on_done(ask, told)
+                    on_result(episode, told)
 
-                run(asks, done)
+                run(asked, done)
 
             patch.setattr(self.episodes, "run", some)
             return keep(self, *arguments, **options)
@@ -112,7 +112,7 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
     def never(*_):
         raise AssertionError("an episode ran again")
 
-    monkeypatch.setattr("jaxplore.study.tuning.built.Runner.run", never)
+    monkeypatch.setattr("jaxplore.study.runner.Runner.run", never)
     main([*SEARCH, "--budget", "8", "--no-animation"])
     assert (folder / "out" / "trials.csv").read_text() == before
     with pytest.raises(SystemExit) as exit_:

@@ -232,14 +232,12 @@ from jaxplore.planning.strategy.targets import TargetReference as TargetReferenc
 from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
 from jaxplore.planning.strategy.targets import TrajectoryChoice as TrajectoryChoice
-from jaxplore.report.comparison import Comparison as Comparison
 from jaxplore.report.exploration.metrics import ExplorationMetrics as ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording
 from jaxplore.report.following.metrics import PathMetrics as PathMetrics
 from jaxplore.report.following.recording import PathRecording as PathRecording
 from jaxplore.report.metrics import Metrics as Metrics
 from jaxplore.report.recording import Recording as Recording
-from jaxplore.runs import compare as compare
 from jaxplore.sensing.base import Scan as Scan
 from jaxplore.sensing.base import Sensor as Sensor
 from jaxplore.sensing.base import Sighting as Sighting
@@ -265,3 +263,5 @@ from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run
 from jaxplore.simulation.run import simulate as simulate
 from jaxplore.simulation.scenario import Scenario as Scenario
+from jaxplore.study.comparison.compare import compare as compare
+from jaxplore.study.comparison.comparison import Comparison as Comparison

@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 import jaxplore as jx
+from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import MapFile, maps_in
 from jaxplore.study.comparison.rows import TIMING, Row, failed_row
-from jaxplore.study.comparison.store import Asked, Store, open_store
-from jaxplore.study.comparison.tasks import Batch, Task, make_tasks
+from jaxplore.study.comparison.store import Plan, Store, open_store
 
 SMALL: dict[str, Any] = {
     "time_limit": 1.5,
@@ -54,18 +54,18 @@ def maps(tmp_path: Path, write_map: Callable[..., Path]) -> tuple[MapFile, ...]:
 
 
 @pytest.fixture
-def asked(maps: tuple[MapFile, ...]) -> Asked:
-    return Asked(maps, ("explorer",), (0, 1), SMALL)
+def plan(maps: tuple[MapFile, ...]) -> Plan:
+    return Plan(maps, ("explorer",), (0, 1), SMALL)
 
 
 @pytest.fixture
-def tasks(asked: Asked) -> tuple[Task, ...]:
-    return make_tasks(asked.maps, asked.explorers, asked.seeds, asked.settings)
+def episodes(plan: Plan) -> tuple[MapEpisode, ...]:
+    return make_episodes(plan.maps, plan.variants, plan.seeds, plan.settings)
 
 
 @pytest.fixture
-def store(tmp_path: Path, asked: Asked) -> Store:
-    return open_store(tmp_path / "out", asked)
+def store(tmp_path: Path, plan: Plan) -> Store:
+    return open_store(tmp_path / "out", plan)
 
 
 @pytest.fixture
@@ -85,8 +85,8 @@ def pretend() -> Callable[[Batch], list[Row]]:
     def make(batch: Batch) -> list[Row]:
         """Return rows that say how they were made, without a run."""
         return [
-            {**failed_row(task, "none"), "error": None, "coverage": task.seed / 100.0}
-            for task in batch
+            {**failed_row(episode, "none"), "error": None, "coverage": episode.seed / 100.0}
+            for episode in batch
         ]
 
     return make

@@ -8,12 +8,13 @@ from typing import Any
 import pytest
 import yaml
 
-from jaxplore.cli import _benchmark, main
+from jaxplore.cli import main
 from jaxplore.settings.exploration import GROUND
+from jaxplore.study.comparison import compare_maps as comparing
+from jaxplore.study.comparison.episodes import MapEpisode
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Store, open_store
-from jaxplore.study.comparison.tasks import Task
 
 Timeless = Callable[[Store], list[Row]]
 
@@ -26,7 +27,7 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def arguments(maps: tuple[MapFile, ...], small: dict[str, Any]) -> list[str]:
     Path("small.yaml").write_text(yaml.safe_dump(small))
-    begin = ["compare", "--maps", "maps", "--explorers", "explorer", "--seeds", "2"]
+    begin = ["compare", "--maps", "maps", "--architectures", "explorer", "--seeds", "2"]
     return [*begin, "--settings", "small.yaml"]
 
 
@@ -43,7 +44,7 @@ def test_it_writes_a_folder_and_prints_tables(
 ) -> None:
     main([*arguments, "--seed", "4"])
     shown = capsys.readouterr()
-    folder = Path("runs/maps-benchmark")
+    folder = Path("runs/maps-comparison")
     lines = shown.out.splitlines()
     assert str(folder.absolute() / "results.parquet") in lines
     assert [line for line in lines if "medians" in line] == [
@@ -53,11 +54,11 @@ def test_it_writes_a_folder_and_prints_tables(
     assert all("0 of 2" in row for row in rows)
     assert len(rows) == 2
     assert "4 of 4, about 0 s left, done: west, explorer, seed 5" in shown.err
-    asked = json.loads((folder / "benchmark.json").read_text())
-    assert asked["seeds"] == [4, 5]
-    assert asked["explorers"] == ["explorer"]
-    # What is given wins over the benchmark's own settings, which win over the defaults.
-    assert asked["settings"] == {
+    plan = json.loads((folder / "comparison.json").read_text())
+    assert plan["seeds"] == [4, 5]
+    assert plan["explorers"] == ["explorer"]
+    # Given settings win over those of the protocol, which win over the defaults.
+    assert plan["settings"] == {
         **small,
         "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
         "resolution": 0.1,
@@ -74,20 +75,20 @@ def test_the_same_command_goes_on(
     timeless: Timeless,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    original, calls = _benchmark.run_tasks, []
+    original, calls = comparing.run_episodes, []
 
     def interrupted(*some: Any, **more: Any) -> Any:
-        tasks, store, workers, address, on_done = some
+        episodes, store, runner, on_done = some
 
         def press(done: Any) -> None:
             on_done(done)
-            calls.append(done.task)
+            calls.append(done.episode)
             if len(calls) == 3:
                 raise KeyboardInterrupt
 
-        return original(tasks, store, workers, address, press, **more)
+        return original(episodes, store, runner, press, **more)
 
-    monkeypatch.setattr(_benchmark, "run_tasks", interrupted)
+    monkeypatch.setattr(comparing, "run_episodes", interrupted)
     assert ends([*arguments, "--out", "out"]) == 130
     shown = capsys.readouterr()
     assert "Interrupted: 3 of 4 runs are done; the same command does the others." in shown.err
@@ -119,20 +120,20 @@ def test_runs_that_fail_are_told(
     assert "the map has no place for a robot of radius 0.2 m" in told[1]
 
 
-def test_a_benchmark_has_settings_of_its_own(
+def test_a_comparison_on_maps_has_settings_of_its_own(
     maps: tuple[MapFile, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[tuple[Task, ...]] = []
+    made: list[tuple[MapEpisode, ...]] = []
 
-    def nothing(tasks: tuple[Task, ...], store: Store, *_: Any, **__: Any) -> Any:
-        made.append(tasks)
+    def nothing(episodes: tuple[MapEpisode, ...], store: Store, *_: Any, **__: Any) -> Any:
+        made.append(episodes)
         store.write_results()
-        return _benchmark.Outcome(0, 0, 0, False)
+        return comparing.RunCounts(0, 0, 0, False)
 
-    monkeypatch.setattr(_benchmark, "run_tasks", nothing)
+    monkeypatch.setattr(comparing, "run_episodes", nothing)
     main(["compare", "--maps", "maps", "--out", "out"])
     assert len(made[0]) == 2 * len(GROUND) * 20
-    assert {task.explorer for task in made[0]} == set(GROUND)
+    assert {episode.explorer for episode in made[0]} == set(GROUND)
     assert made[0][-1].settings == {
         "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
         "lidar": {"num_beams": 180, "max_range": 5.0},
@@ -145,7 +146,7 @@ def test_a_benchmark_has_settings_of_its_own(
     assert [made[1][at].settings["start"] for at in (0, -1)] == [[1.0, 1.5, 0.5], [1.0, 2.0, 3.0]]
     assert made[1][0].settings["time_limit"] == 60.0
     # A quadrotor sees ahead; its own architectures and those of ground vehicles compare.
-    flight = ["--robot", "quadrotor", "--explorers", "explorer,nearest-frontier,two-layer"]
+    flight = ["--robot", "quadrotor", "--architectures", "explorer,nearest-frontier,two-layer"]
     main(["compare", "--maps", "maps", *flight, "--out", "flight", "--set", "robot.radius=0.25"])
     settings = made[2][0].settings
     assert settings["robot"] == {"model": "quadrotor", "radius": 0.25, "max_speed": 2.0}
@@ -160,9 +161,15 @@ def test_a_benchmark_has_settings_of_its_own(
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
-        (["--explorers", "explorer,wanderer"], "explorer is 'wanderer'; accepted: explorer, portf"),
-        (["--explorers", "explorer,parallel"], "explorer and parallel differ in the settings rob"),
-        (["--explorers", ""], "explorer is ''; accepted"),
+        (
+            ["--architectures", "explorer,wanderer"],
+            "architecture is 'wanderer'; accepted: explorer, portf",
+        ),
+        (
+            ["--architectures", "explorer,parallel"],
+            "variants explorer and parallel differ in the settings rob",
+        ),
+        (["--architectures", ""], "architecture is ''; accepted"),
         (["--seeds", "0"], "--seeds is 0; accepted: a whole number >= 1"),
         (["--seed", "-1"], "setting seed is -1"),
         (["--workers", "0"], "--workers is 0; accepted: a whole number >= 1"),
@@ -174,9 +181,8 @@ def test_a_benchmark_has_settings_of_its_own(
         (["--set", "rates=2"], "setting rates is 2"),
         (["--start", "1", "1", "0"], "--start is (1.0, 1.0, 0.0) beside --maps; accepted"),
         (["--goal", "1", "1"], "--goal is (1.0, 1.0) beside --maps"),
-        (["--architectures", "explorer"], "--architectures is explorer beside --maps; accepted"),
         (["maps/east.yaml"], "the map is maps/east.yaml beside --maps"),
-        (["--out", "empty/../taken"], "exists and holds no benchmark.json"),
+        (["--out", "empty/../taken"], "exists and holds no comparison.json"),
     ],
 )
 def test_bad_input_is_one_line_and_runs_nothing(
@@ -199,14 +205,11 @@ def test_bad_input_is_one_line_and_runs_nothing(
 @pytest.mark.parametrize(
     ("option", "reason"),
     [
-        (["--explorers", "explorer"], "--explorers is explorer; accepted: with --maps"),
         (["--starts", "s.yaml"], "--starts is s.yaml; accepted: with --maps"),
-        (["--workers", "2"], "--workers is 2; accepted: with --maps"),
-        (["--ray"], "--ray is True; accepted: with --maps"),
-        (["--address", "auto"], "--address is auto; accepted: with --maps"),
+        (["--batch", "2"], "--batch is 2; accepted: with --maps"),
     ],
 )
-def test_options_of_a_benchmark_need_maps(
+def test_options_of_several_maps_need_maps(
     capsys: pytest.CaptureFixture[str], option: list[str], reason: str
 ) -> None:
     assert ends(["compare", "zones", *option]) == 2

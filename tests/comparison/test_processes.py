@@ -14,22 +14,23 @@ from typing import Any
 
 import pytest
 
-from jaxplore.study.comparison.execute import Outcome, run_tasks
-from jaxplore.study.comparison.job import Runs
-from jaxplore.study.comparison.perform import perform
+from jaxplore.study.comparison.compare_maps import RunCounts, run_episodes
+from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import Row
-from jaxplore.study.comparison.store import Asked, Store, open_store
-from jaxplore.study.comparison.tasks import Batch, Task, make_tasks
-from jaxplore.study.workers.on_ray import RayWorkers
+from jaxplore.study.comparison.store import Plan, Store, open_store
+from jaxplore.study.runner import Runner
+from jaxplore.study.workers.ray_pool import RayPool
 
 Timeless = Callable[[Store], list[Row]]
 
 FATAL = """
     import os, signal
     from pathlib import Path
-    from jaxplore.study.comparison import perform as performing
+    from jaxplore.study import experiments as running
+    from jaxplore.study.comparison.row_task import make_rows
 
-    original = performing.record_run
+    original = running.record_run
 
     def make(folder, batch):
         marker = Path(folder) / batch[0].id
@@ -40,8 +41,8 @@ FATAL = """
             os.kill(os.getpid(), signal.SIGKILL)
 
         options = {"on_progress": die} if marker.exists() else {}
-        performing.record_run = lambda *some, **more: original(*some, **more, **options)
-        return performing.perform(batch)
+        running.record_run = lambda *some, **more: original(*some, **more, **options)
+        return make_rows(batch)
 """
 """Runs of which some kill their process, in the middle, once or always."""
 
@@ -56,33 +57,33 @@ def fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], 
 
 @pytest.fixture
 def whole(
-    tmp_path: Path, asked: Asked, tasks: tuple[Task, ...], timeless: Timeless
-) -> tuple[Outcome, list[Row]]:
+    tmp_path: Path, plan: Plan, episodes: tuple[MapEpisode, ...], timeless: Timeless
+) -> tuple[RunCounts, list[Row]]:
     """What comes of it without any other process."""
-    store = open_store(tmp_path / "whole", asked)
-    outcome = run_tasks(tasks, store)
-    return outcome, timeless(store)
+    store = open_store(tmp_path / "whole", plan)
+    counts = run_episodes(episodes, store)
+    return counts, timeless(store)
 
 
 def test_processes_that_are_killed_change_nothing(
     tmp_path: Path,
-    asked: Asked,
-    tasks: tuple[Task, ...],
+    plan: Plan,
+    episodes: tuple[MapEpisode, ...],
     store: Store,
     fatal: Callable[[Batch], tuple[Row, ...]],
-    whole: tuple[Outcome, list[Row]],
+    whole: tuple[RunCounts, list[Row]],
     timeless: Timeless,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Compiled once: those that come after the killed ones find it there.
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
-    extra = make_tasks(asked.maps[:1], asked.explorers, (9,), asked.settings)
-    for task, times in ((tasks[1], "once"), (tasks[3], "once"), (extra[0], "always")):
-        (tmp_path / task.id).write_text(times)
-    outcome = run_tasks((*tasks, *extra), store, workers=2, make=fatal)
-    assert outcome == (5, 1, 0, False)
+    extra = make_episodes(plan.maps[:1], plan.variants, (9,), plan.settings)
+    for episode, times in ((episodes[1], "once"), (episodes[3], "once"), (extra[0], "always")):
+        (tmp_path / episode.id).write_text(times)
+    counts = run_episodes((*episodes, *extra), store, Runner(2), make=fatal)
+    assert counts == (5, 1, 0, False)
     assert os.listdir(tmp_path).count(extra[0].id) == 1
-    assert not any((tmp_path / task.id).exists() for task in tasks)
+    assert not any((tmp_path / episode.id).exists() for episode in episodes)
     found = timeless(store)
     assert [row["error"] for row in found if row["seed"] == 9] == [
         "3 workers died of it: killed by SIGKILL"
@@ -92,36 +93,36 @@ def test_processes_that_are_killed_change_nothing(
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_that_is_not_there_is_named_at_once(
-    tasks: tuple[Task, ...], store: Store
+    episodes: tuple[MapEpisode, ...], store: Store
 ) -> None:
     with socket.socket() as taken:
         # Nobody listens: it is only kept from others.
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(ValueError, match=f"Ray cannot be reached at '{address}'.*accepted"):
-            run_tasks(tasks, store, address=address)
+            run_episodes(episodes, store, Runner(None, address))
 
 
-def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(tasks: tuple[Task, ...]) -> None:
-    workers = object.__new__(RayWorkers)  # without a cluster: nothing is sent
+def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(episodes: tuple[MapEpisode, ...]) -> None:
+    workers = object.__new__(RayPool)  # without a cluster: nothing is sent
     workers._files, workers._failed = {}, []
-    Path(tasks[0].path).unlink()
-    workers.give(3, Runs(tasks[:2], perform))
+    Path(episodes[0].path).unlink()
+    workers.submit(3, RowTask.of(episodes[:2], make_rows))
     ((worker, results, death),) = workers.wait()
     assert (worker, death) == (3, None)
-    assert [each.id for each in results] == [task.id for task in tasks[:2]]
+    assert [each.id for each in results] == [episode.id for episode in episodes[:2]]
     assert all(each.error and "east.yaml" in each.error for each in results)
 
 
 def test_a_cluster_finds_the_same(
     tmp_path: Path,
     small: dict[str, Any],
-    asked: Asked,
-    whole: tuple[Outcome, list[Row]],
+    plan: Plan,
+    whole: tuple[RunCounts, list[Row]],
     timeless: Timeless,
 ) -> None:
     (tmp_path / "small.json").write_text(json.dumps(small))
-    command = ["compare", "--maps", str(tmp_path / "maps"), "--explorers", "explorer"]
+    command = ["compare", "--maps", str(tmp_path / "maps"), "--architectures", "explorer"]
     command += ["--seeds", "2", "--settings", str(tmp_path / "small.json"), "--ray"]
     command += ["--workers", "2", "--out", str(tmp_path / "ray")]
     for name in ("rates.sensing=10", "rates.fields=5", "resolution=0.1", "target_coverage=0.99"):

@@ -1,3 +1,4 @@
+import dataclasses
 import io
 import json
 from pathlib import Path
@@ -12,19 +13,19 @@ from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run
+from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import MapFile
-from jaxplore.study.comparison.perform import perform, results_for
 from jaxplore.study.comparison.replay import NEVER
+from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import (
     COLUMNS,
     TIMING,
     Row,
     failed_row,
-    result_of,
-    row_of,
+    make_row,
     settings_of,
+    store_row,
 )
-from jaxplore.study.comparison.tasks import Batch, Task, make_tasks
 
 
 def read(data: bytes) -> list[Row]:
@@ -49,17 +50,17 @@ def _check_replay(row: Row, recording: ExplorationRecording) -> None:
     assert (picture == NEVER).any()
 
 
-def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
-    task = tasks[1]
-    (row,) = perform((task,))
+def test_a_row_says_what_the_run_was(episodes: tuple[MapEpisode, ...]) -> None:
+    episode = episodes[1]
+    (row,) = make_rows((episode,))
     assert list(row) == list(COLUMNS)
-    settings = make_settings(task.entries)
+    settings = make_settings(episode.entries)
     controller, scenario, num_steps, key = build(settings)
     recording = record_run(controller, scenario, num_steps, key=key)
-    metrics = compute_metrics(recording, seed=task.seed)
+    metrics = compute_metrics(recording, seed=episode.seed)
     named = {
         "format": 3,
-        "id": task.id,
+        "id": episode.id,
         "map": "east",
         "explorer": "explorer",
         "seed": 1,
@@ -90,19 +91,21 @@ def test_a_row_says_what_the_run_was(tasks: tuple[Task, ...]) -> None:
     _check_replay(row, recording)
     assert settings_of(row) == settings.model_dump(mode="json")
     assert json.loads(row["versions"]) == metrics.versions
-    (again,) = perform((task,))
+    (again,) = make_rows((episode,))
     different = {name for name in row if row[name] != again[name]}
     assert {"loop_step_ms"} <= different <= set(TIMING)
-    assert read(result_of(row).data) == [row]
-    assert perform(tasks[:1])[0]["positions_x"] != row["positions_x"]
+    assert read(store_row(row).data) == [row]
+    assert make_rows(episodes[:1])[0]["positions_x"] != row["positions_x"]
 
 
-def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(tasks: tuple[Task, ...]) -> None:
-    entries = {**tasks[0].entries, "target_coverage": 0.3, "time_limit": 3.0}
+def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(
+    episodes: tuple[MapEpisode, ...],
+) -> None:
+    entries = {**episodes[0].entries, "target_coverage": 0.3, "time_limit": 3.0}
     settings = make_settings(entries)
     controller, scenario, num_steps, key = build(settings)
     recording = record_run(controller, scenario, num_steps, key=key, num_trajectories=0)
-    row = row_of(tasks[0], recording, compute_metrics(recording), settings=settings)
+    row = make_row(episodes[0], recording, compute_metrics(recording), settings=settings)
     assert row["is_finished"]
     steps = recording.num_steps
     assert row["duration"] == pytest.approx(0.05 * steps)
@@ -115,9 +118,9 @@ def test_a_run_that_ends_keeps_its_coverage_to_the_time_limit(tasks: tuple[Task,
     assert row["positions_x"][-1] == float(recording.positions[-1, 0])
 
 
-def test_without_a_start_it_is_the_most_open_spot(tasks: tuple[Task, ...]) -> None:
-    west = tasks[2]
-    (row,) = perform((west,))
+def test_without_a_start_it_is_the_most_open_spot(episodes: tuple[MapEpisode, ...]) -> None:
+    west = episodes[2]
+    (row,) = make_rows((west,))
     x, y = open_spot(jx.OccupancyGrid.from_ros(west.path), 0.2)
     assert settings_of(row)["start"] == [x, y, 0.0]
     assert (row["positions_x"][0], row["positions_y"][0]) == (x, y)
@@ -127,22 +130,22 @@ def test_without_a_start_it_is_the_most_open_spot(tasks: tuple[Task, ...]) -> No
 def test_a_copy_of_the_map_leaves_no_trace(
     maps: tuple[MapFile, ...], small: dict[str, object], tmp_path: Path
 ) -> None:
-    (task,) = make_tasks(maps[1:], ("explorer",), (0,), small)
-    Path(task.path).rename(tmp_path / "copy.yaml")
-    Path(task.path).with_suffix(".pgm").rename(tmp_path / "west.pgm")
-    elsewhere = Task(**{**vars(task), "copy": str(tmp_path / "copy.yaml")})
-    (result,) = results_for((elsewhere,))
+    (episode,) = make_episodes(maps[1:], ("explorer",), (0,), small)
+    Path(episode.path).rename(tmp_path / "copy.yaml")
+    Path(episode.path).with_suffix(".pgm").rename(tmp_path / "west.pgm")
+    elsewhere = dataclasses.replace(RowTask.of((episode,)), copy=str(tmp_path / "copy.yaml"))
+    (result,) = elsewhere.run()
     (row,) = read(result.data)
     assert row["error"] is None
-    assert settings_of(row)["map"] == task.path
+    assert settings_of(row)["map"] == episode.path
     (tmp_path / "west.pgm").unlink()
-    (result,) = results_for((elsewhere,))
+    (result,) = elsewhere.run()
     (row,) = read(result.data)
-    assert row["error"].startswith(f"{task.path}: image is 'west.pgm', which is not there")
-    assert settings_of(row)["map"] == task.path
+    assert row["error"].startswith(f"{episode.path}: image is 'west.pgm', which is not there")
+    assert settings_of(row)["map"] == episode.path
 
 
-def test_what_fails_is_a_row_of_one_line(tasks: tuple[Task, ...]) -> None:
+def test_what_fails_is_a_row_of_one_line(episodes: tuple[MapEpisode, ...]) -> None:
     def wrong(batch: Batch) -> list[Row]:
         raise ValueError("this\n  is wrong")
 
@@ -152,30 +155,34 @@ def test_what_fails_is_a_row_of_one_line(tasks: tuple[Task, ...]) -> None:
     def stopped(batch: Batch) -> list[Row]:
         raise KeyboardInterrupt
 
-    results = [result for each in (wrong, broken) for result in results_for(tasks[:1], each)]
+    results = [
+        result for each in (wrong, broken) for result in RowTask.of(episodes[:1], each).run()
+    ]
     assert [each.error for each in results] == ["this is wrong", "TypeError: a bug"]
-    assert [each[:2] for each in results] == [(tasks[0].id, "east")] * 2
+    assert [each[:2] for each in results] == [(episodes[0].id, "east")] * 2
     (row,) = read(results[0].data)
     own = {name: row[name] for name in row if row[name] is not None}
     assert list(own) == [
         *("format", "id", "map", "explorer", "seed", "error"),
         *("time_limit", "settings"),
     ]
-    assert row == failed_row(tasks[0], "this is wrong")
-    assert settings_of(row) == tasks[0].entries
+    assert row == failed_row(episodes[0], "this is wrong")
+    assert settings_of(row) == episodes[0].entries
     with pytest.raises(KeyboardInterrupt):
-        results_for(tasks[:1], stopped)
-    assert [each.id for each in results_for(tasks[:2], wrong)] == [each.id for each in tasks[:2]]
+        RowTask.of(episodes[:1], stopped).run()
+    assert [each.id for each in RowTask.of(episodes[:2], wrong).run()] == [
+        each.id for each in episodes[:2]
+    ]
 
 
 def test_runs_side_by_side_are_the_same_whichever_are_asked_for(
     maps: tuple[MapFile, ...], small: dict[str, object]
 ) -> None:
-    tasks = make_tasks(maps[:1], ("explorer",), range(4), small, 2)
-    (alone,) = perform(make_tasks(maps[:1], ("explorer",), (1,), small))
-    both = perform(tasks[:2])
-    (second,) = perform((tasks[1],))
-    assert [row["id"] for row in both] == [task.id for task in tasks[:2]]
+    episodes = make_episodes(maps[:1], ("explorer",), range(4), small, 2)
+    (alone,) = make_rows(make_episodes(maps[:1], ("explorer",), (1,), small))
+    both = make_rows(episodes[:2])
+    (second,) = make_rows((episodes[1],))
+    assert [row["id"] for row in both] == [episode.id for episode in episodes[:2]]
     assert [row["seed"] for row in both] == [0, 1]
     assert [settings_of(row)["seed"] for row in both] == [0, 1]
     assert {name for name in second if second[name] != both[1][name]} <= set(TIMING)

@@ -13,8 +13,8 @@ import pytest
 import yaml
 from PIL import Image
 
-from jaxplore.report import comparison as module
-from jaxplore.report.comparison import Comparison, curves_figure
+from jaxplore.study.comparison import comparison as module
+from jaxplore.study.comparison.comparison import Comparison, curves_figure
 from jaxplore.report.compute import Compute
 from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.report.exploration.metrics import Metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.study.tuning import Objective
 from jaxplore.study.tuning.objective import flat, known_metrics, with_late_times
@@ -45,17 +45,17 @@ def test_what_is_no_sum_is_refused(text) -> None:
 def test_unknown_metrics_are_named_with_near_ones() -> None:
     with pytest.raises(ValueError, match=r"metric colisions is not known; .*collisions"):
         Objective.parse("colisions").value({"collisions": 1.0, "coverage": 0.5})
-    known = known_metrics(is_path=False)
+    known = known_metrics(ExplorationMetrics)
     Objective.parse("time_to.90 + members.explorer.share + compute.step_ms_p50").check(known)
     with pytest.raises(ValueError, match=r"metric time_to.91 is not known; .*time_to.90"):
         Objective.parse("time_to.91").check(known)
     with pytest.raises(ValueError, match=r"metric coverage is not known"):
-        Objective.parse("coverage").check(known_metrics(is_path=True))
+        Objective.parse("coverage").check(known_metrics(PathMetrics))
 
 
-@pytest.mark.parametrize("report", [Metrics, PathMetrics])
+@pytest.mark.parametrize("report", [ExplorationMetrics, PathMetrics])
 def test_every_number_of_a_report_is_known(report) -> None:
-    known = known_metrics(is_path=report is PathMetrics)
+    known = known_metrics(report)
     fields = {each.name for each in dataclasses.fields(report)}
     assert {name.split(".")[0] for name in known} <= fields
     left_out = fields - {name.split(".")[0] for name in known}

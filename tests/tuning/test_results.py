@@ -16,8 +16,8 @@ from jaxplore.study.tuning import (
     open_study,
 )
 from jaxplore.study.tuning.pictures import figures
-from jaxplore.study.tuning.results import write_results
-from jaxplore.study.tuning.study import BEFORE
+from jaxplore.study.tuning.report import write_results
+from jaxplore.study.tuning.tune import compare_on_unseen
 
 START = {"a": 0.8, "b": 1.0}
 SPACE = Space((Parameter("a", 0.0, 1.0), Parameter("b", 0.1, 10.0, is_log=True)))
@@ -40,10 +40,8 @@ def rows(path) -> list[dict[str, str]]:
 
 def written(study, folder) -> set[str]:
     """Write what a search found, and return the names of the files."""
-    chosen = study.best()
-    found = study.try_out((BEFORE, chosen.number), range(5, 8))
-    before, after = found[BEFORE], found[chosen.number]
-    paths = write_results(study, chosen, before, after, folder, title="Valley")
+    found = compare_on_unseen(study, study.best(), range(5, 8))
+    paths = write_results(study, found, folder, title="Valley")
     for path in paths:
         if path.suffix == ".png":
             with Image.open(path) as picture:

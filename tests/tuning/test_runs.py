@@ -10,16 +10,16 @@ import pytest
 from PIL import Image, ImageChops
 
 import jaxplore as jx
-from jaxplore.build.tasks import build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.following.animation import path_frame_image
-from jaxplore.settings.path import make_path_settings
-from jaxplore.study.tuning import Ask, ControllerEpisodes, SettingsEpisodes, tune
-from jaxplore.study.tuning.clip import side_by_side
-from jaxplore.study.tuning.evidence import change, changes, table, verdict
+from jaxplore.study.runner import Runner
+from jaxplore.study.tuning import ControllerEpisodes, Episode, SettingsEpisodes, tune
+from jaxplore.study.tuning.before_after import side_by_side
 from jaxplore.study.tuning.objective import Objective
-from jaxplore.study.workers.pool import Pool
+from jaxplore.study.tuning.significance import change, changes, table, verdict
 
 QUICK = {
+    "path": "track",
     "time_limit": 0.6,
     "controller": {"num_samples": 16, "horizon": 6, "temperature": 20.0},
 }
@@ -28,17 +28,17 @@ QUICK = {
 
 @pytest.fixture(scope="module")
 def path_episodes() -> SettingsEpisodes:
-    return SettingsEpisodes({"path": QUICK}, is_path=True)
+    return SettingsEpisodes({"path": QUICK})
 
 
-def told(episodes, asks) -> dict:
+def told(episodes, asked) -> dict:
     found = {}
-    episodes.run(asks, lambda ask, outcome: found.__setitem__(ask, outcome))
-    assert len(found) == len(asks)
-    return {(ask.number, ask.seed): outcome for ask, outcome in found.items()}
+    episodes.run(asked, lambda episode, result: found.__setitem__(episode, result))
+    assert len(found) == len(asked)
+    return {(episode.number, episode.seed): result for episode, result in found.items()}
 
 
-class Asked(Ask):
+class Asked(Episode):
     """One that can be a key."""
 
     def __hash__(self) -> int:
@@ -66,7 +66,7 @@ def test_values_become_settings_and_paths_become_parameters(path_episodes) -> No
     assert found["weighting.temperature"] == 3.0
     assert found["cost.comfort.weight"] == 7.0
     assert found["proposal.physical.noise_std"][1] == 0.25
-    before = jx.get_parameters(build(make_path_settings(QUICK)).controller)
+    before = jx.get_parameters(build(make_settings(QUICK)).controller)
     assert found["proposal.physical.noise_std"][0] == before["proposal.physical.noise_std"][0]
 
 
@@ -91,11 +91,13 @@ def test_names_are_settings_first_and_arrays_stand_for_their_elements(path_episo
 
 def test_one_element_leaves_the_others_as_each_robot_has_them() -> None:
     noisy = {"controller": {"noise_share": 0.4}}
-    episodes = SettingsEpisodes({"path": {}, "noisy": noisy}, is_path=True)
+    episodes = SettingsEpisodes({"path": {"path": "track"}, "noisy": {"path": "track", **noisy}})
     path = "proposal.physical.noise_std"
     for entries in ({}, noisy):
         name = "noisy" if entries else "path"
-        before = jx.get_parameters(build(make_path_settings(entries)).controller)[path]
+        before = jx.get_parameters(build(make_settings({"path": "track", **entries})).controller)[
+            path
+        ]
         after = episodes.settings(name, {f"{path}[1]": 0.25}).parameters[path]
         assert after == [before[0], 0.25]
 
@@ -124,7 +126,7 @@ def alone(path_episodes) -> dict:
 
 
 def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
-    settings = path_episodes.kind.settings(path_episodes.entries("path", CANDIDATES[1], 1))
+    settings = make_settings(path_episodes.entries("path", CANDIDATES[1], 1))
     built = build(settings)
     run = jx.simulate(*built[:3], key=built.key, num_trajectories=0)
     found = alone[1, 1].metrics
@@ -139,18 +141,18 @@ def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
 
 
 def test_side_by_side_they_are_the_same_but_for_rounding(alone) -> None:
-    together = SettingsEpisodes({"path": QUICK}, is_path=True, batch=4)
-    asks = [asked(i, each, seed) for i, each in enumerate(CANDIDATES) for seed in (0, 1)]
-    found = told(together, asks)
-    for key, outcome in alone.items():
+    together = SettingsEpisodes({"path": QUICK}, batch=4)
+    episodes = [asked(i, each, seed) for i, each in enumerate(CANDIDATES) for seed in (0, 1)]
+    found = told(together, episodes)
+    for key, result in alone.items():
         for name in SAME:
-            assert found[key].metrics[name] == pytest.approx(outcome.metrics[name], rel=1e-3), name
+            assert found[key].metrics[name] == pytest.approx(result.metrics[name], rel=1e-3), name
 
 
 def test_sizes_run_by_themselves_and_what_is_refused_fails_alone(path_episodes) -> None:
-    asks = [asked(i, {"controller.horizon": size}) for i, size in enumerate((6, 5, 0))]
-    found = told(SettingsEpisodes({"path": QUICK}, is_path=True, batch=2), asks)
-    default = told(path_episodes, asks[:1])[0, 0].metrics
+    episodes = [asked(i, {"controller.horizon": size}) for i, size in enumerate((6, 5, 0))]
+    found = told(SettingsEpisodes({"path": QUICK}, batch=2), episodes)
+    default = told(path_episodes, episodes[:1])[0, 0].metrics
     assert found[0, 0].metrics["progress"] == pytest.approx(default["progress"], rel=1e-3)
     assert found[1, 0].metrics["progress"] != pytest.approx(default["progress"], rel=1e-3)
     assert found[2, 0].error is not None
@@ -160,12 +162,12 @@ def test_sizes_run_by_themselves_and_what_is_refused_fails_alone(path_episodes) 
 ON_RAY = """
 import json
 from jaxplore.study.tuning import SettingsEpisodes, tune
-from jaxplore.study.workers.pool import Pool
+from jaxplore.study.runner import Runner
 
 if __name__ == "__main__":
     quick, searched = json.loads({quick!r}), {searched!r}
-    with Pool(2, on_ray=True) as pool:
-        episodes = SettingsEpisodes({{"path": quick}}, is_path=True, pool=pool)
+    with Runner(2, on_ray=True) as runner:
+        episodes = SettingsEpisodes({{"path": quick}}, runner=runner)
         found = tune(episodes, searched, "-progress", budget=6, seeds=2, population=3)
     print(json.dumps([[each.candidate, each.values, each.state] for each in found.trials]))
 """
@@ -185,7 +187,7 @@ def test_two_ray_workers_come_to_the_same_as_one_process(path_episodes) -> None:
     there = json.loads(out.splitlines()[-1])
     assert there == [[each.candidate, list(each.values), each.state] for each in here.trials]
     with pytest.raises(ValueError, match=r"batch is 2 with workers; accepted: one of them"):
-        SettingsEpisodes({"path": QUICK}, is_path=True, pool=Pool(2), batch=2)
+        SettingsEpisodes({"path": QUICK}, runner=Runner(2), batch=2)
 
 
 def test_an_episode_is_cut_short_at_its_limit(path_episodes) -> None:
@@ -197,7 +199,7 @@ def test_an_episode_is_cut_short_at_its_limit(path_episodes) -> None:
 
 def test_a_controller_of_ones_own_is_tuned_by_its_paths() -> None:
     """And a batch comes to the same as one after the other."""
-    built = build(make_path_settings(QUICK))
+    built = build(make_settings(QUICK))
     searched = ["cost.progress.weight=1:2000:log", "cost.contouring.weight=0.1:100:log"]
     found = [
         tune(
@@ -232,8 +234,8 @@ def test_a_change_has_the_interval_of_a_bootstrap() -> None:
     assert found.difference == pytest.approx(difference.mean())
     assert found.low == pytest.approx(difference.mean() - half, abs=0.15 * half)
     assert found.high == pytest.approx(difference.mean() + half, abs=0.15 * half)
-    assert found.is_certain
-    assert not change("x", before, before[::-1]).is_certain
+    assert found.is_significant
+    assert not change("x", before, before[::-1]).is_significant
     single = change("x", [1.0], [3.0])
     assert (single.low, single.difference, single.high) == (2.0, 2.0, 2.0)
 
@@ -242,9 +244,9 @@ def test_a_verdict_needs_an_objective_that_is_certainly_less() -> None:
     objectives = (Objective.parse("cost"), Objective.parse("-speed"))
     less, more = change("cost", [3.0, 4.0], [1.0, 3.0]), change("-speed", [0.0, 0.0], [-1.0, 2.0])
     other = change("time", [3.0, 4.0], [1.0, 3.0])
-    assert verdict(0, objectives, [less]).startswith("The settings that there were are the best")
-    assert verdict(3, objectives, [less, more]).startswith("They are better")
-    assert verdict(3, objectives, [more, other]).startswith("It may be luck")
+    assert verdict(0, objectives, [less]) == "No candidate beat the current settings."
+    assert verdict(3, objectives, [less, more]).startswith("The chosen settings are better than")
+    assert verdict(3, objectives, [more, other]).startswith("The chosen settings are not signif")
 
 
 def test_evidence_compares_the_same_episodes() -> None:
@@ -265,13 +267,13 @@ def test_evidence_compares_the_same_episodes() -> None:
 def test_a_scenario_that_cannot_be_read_is_told_at_once(tmp_path) -> None:
     scenarios = {"path": QUICK, "hall": {**QUICK, "path": str(tmp_path / "hall.csv")}}
     with pytest.raises(ValueError, match=r"hall.csv"):
-        SettingsEpisodes(scenarios, is_path=True)
+        SettingsEpisodes(scenarios)
 
 
 def test_runs_are_beside_each_other_at_the_same_time(path_episodes) -> None:
     ends, pictures = (0.2, 0.6), []
     for end in ends:
-        built = path_episodes.kind.build({**QUICK, "time_limit": end})
+        built = build(make_settings({**QUICK, "time_limit": end}))
         run = jx.simulate(built.controller, built.scenario, built.num_steps, key=built.key)
         pictures.append(run.recording)
     with Image.open(io.BytesIO(side_by_side(pictures))) as clip:

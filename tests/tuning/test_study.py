@@ -40,7 +40,7 @@ def search(optimizer: str = "tpe", **options) -> Search:
     return Search(SPACE, objectives, options.pop("seeds", (0, 1)), optimizer, **options)
 
 
-def outcome(study) -> list[tuple]:
+def results(study) -> list[tuple]:
     return [(each.candidate, each.values, each.state) for each in study.trials()]
 
 
@@ -55,7 +55,7 @@ def test_the_optimum_of_a_bowl_is_found(episodes, optimizer, error) -> None:
         best = study.best()
     distance = SPACE.places(best.candidate) - SPACE.places({"a": 0.3, "b": 2.0})
     assert np.linalg.norm(distance) < error
-    assert len(outcome(study)) == 160
+    assert len(results(study)) == 160
 
 
 @pytest.mark.parametrize("optimizer", ["open-es", "pgpe", "random", "qmc"])
@@ -75,24 +75,24 @@ def test_taken_up_again_is_as_if_never_interrupted(episodes, optimizer, tmp_path
     asked = search(optimizer, population=4, measures=measures, seed=3)
     with open_study(asked, episodes) as study:
         study.run(12)
-        whole = outcome(study)
+        whole = results(study)
     for left in (5, 100):
 
         class Interrupted(VectorEpisodes):
-            def run(self, asks, on_done) -> None:
-                def done(ask, told) -> None:
+            def run(self, episodes, on_result) -> None:
+                def done(episode, told) -> None:
                     nonlocal left
                     if left == 0:
                         raise KeyboardInterrupt
                     left -= 1
-                    on_done(ask, told)
+                    on_result(episode, told)
 
-                super().run(asks, done)
+                super().run(episodes, done)
 
         with open_study(asked, Interrupted(bowl, START), tmp_path / "study") as study:
             if study.run(12):
                 break
-    assert outcome(study) == whole
+    assert results(study) == whole
 
 
 KILLED = """
@@ -203,17 +203,17 @@ def test_what_looks_worse_than_most_is_given_up() -> None:
 def test_an_episode_is_given_up_after_twice_the_best_duration() -> None:
     limits = []
 
-    def run(asks, on_done):
-        from jaxplore.study.tuning import Outcome
+    def run(episodes, on_result):
+        from jaxplore.study.tuning import Result
 
-        for ask in asks:
-            limits.append(ask.time_limit)
-            needed = 10.0 + 100.0 * abs(ask.candidate["x"])
-            limit = 500.0 if ask.time_limit is None else ask.time_limit
+        for episode in episodes:
+            limits.append(episode.time_limit)
+            needed = 10.0 + 100.0 * abs(episode.candidate["x"])
+            limit = 500.0 if episode.time_limit is None else episode.time_limit
             done = needed <= limit
             metrics = {"duration": min(needed, limit), "is_finished": float(done)}
             metrics |= {"finished_at": needed, "cost": needed}
-            on_done(ask, Outcome(metrics))
+            on_result(episode, Result(metrics))
 
     simulated = FunctionEpisodes(lambda *_: {}, {"x": 0.9})
     simulated.run = run
@@ -364,3 +364,38 @@ def test_the_function_is_traced_once_for_all_generations() -> None:
 
     tune(VectorEpisodes(tried, START), ["a=-1:1"], "cost", budget=40, optimizer="cma-es")
     assert traces == 1
+
+
+def test_a_call_gives_the_verdict_and_writes_the_folder(episodes, tmp_path) -> None:
+    searched = ["a=-1:1", "b=0.1:100:log"]
+    found = tune(
+        episodes, searched, "cost", budget=40, seeds=2, unseen=4, folder=tmp_path, title="Bowl"
+    )
+    assert found.is_complete
+    assert found.verdict == (
+        "The chosen settings are better than the current ones, also on unseen seeds."
+    )
+    # Seeds 0 and 1 were searched with, 2 to 7 chose.
+    assert list(found.before) == list(found.after) == [("function", seed) for seed in range(8, 12)]
+    (change, *_) = found.changes
+    assert (change.name, change.before) == (
+        "cost",
+        pytest.approx(found.before["function", 8]["cost"]),
+    )
+    assert change.is_significant
+    assert found.current == START
+    assert [row[0] for row in found.rows()[:4]] == ["", "a", "b", "cost"]
+    assert {path.name for path in found.files} >= {"record.yaml", "report.html", "unseen.csv"}
+    assert found.verdict in (tmp_path / "report.html").read_text()
+    # Where it begins cannot be beaten.
+    best = VectorEpisodes(bowl, {"a": 0.3, "b": 2.0})
+    assert tune(best, searched, "cost", budget=16).verdict == (
+        "No candidate beat the current settings."
+    )
+
+
+def test_an_objective_must_be_given_or_known(episodes) -> None:
+    with pytest.raises(ValueError, match="objective is missing; accepted: a sum of metrics"):
+        tune(episodes, ["a=-1:1"], budget=8)
+    with pytest.raises(ValueError, match="unseen is 0; accepted: a whole number >= 1"):
+        tune(episodes, ["a=-1:1"], "cost", budget=8, unseen=0)

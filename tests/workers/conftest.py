@@ -1,4 +1,4 @@
-"""Jobs that say where they were done, in a module that other processes find."""
+"""Tasks that say where they were done, in a module that other processes find."""
 
 import importlib
 import textwrap
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-JOBS = """
+TASKS = """
     import dataclasses
     import functools
     import os
@@ -17,20 +17,20 @@ JOBS = """
     import time
     from pathlib import Path
 
-    from jaxplore.study.workers.job import Job
+    from jaxplore.study.workers.task import Task
 
     def read(folder):
         return {each.name: each.read_bytes() for each in Path(folder).iterdir()}
 
     @dataclasses.dataclass(frozen=True)
-    class Doubled(Job):
+    class Doubled(Task):
         \"\"\"Twice the number in a folder's file.
 
         Args:
-            name: of this job.
+            name: of this task.
             folder: with a file `number`.
-            fatal: file; where it is there, the process that does the job removes it and dies.
-            others: files; the job makes the first, with its process, and waits until all are there.
+            fatal: file; where it is there, the process that does the task removes it and dies.
+            others: files; the task makes the first, with its process, and waits for all of them.
         \"\"\"
 
         name: str
@@ -76,7 +76,7 @@ JOBS = """
             return {"double": None, "reason": reason}
 
     def meeting(folder, name, *numbers):
-        \"\"\"Return a job for each folder with a number, which are done at the same time.\"\"\"
+        \"\"\"Return a task for each folder with a number, which are done at the same time.\"\"\"
         files = [str(Path(folder) / f"{name}-{i}") for i in range(len(numbers))]
         return [
             Doubled(Path(each).name, str(numbers[i]), others=(each, *files))
@@ -86,11 +86,11 @@ JOBS = """
 
 
 @pytest.fixture
-def jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """Return a module with jobs; where it is, the other processes look for modules too."""
+def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Return a module with tasks; where it is, the other processes look for modules too."""
     # A name of its own: a module that another test has imported is another file's.
-    name = "jobs_of_" + "".join(each if each.isalnum() else "_" for each in tmp_path.name)
-    (tmp_path / f"{name}.py").write_text(textwrap.dedent(JOBS))
+    name = "tasks_of_" + "".join(each if each.isalnum() else "_" for each in tmp_path.name)
+    (tmp_path / f"{name}.py").write_text(textwrap.dedent(TASKS))
     monkeypatch.syspath_prepend(tmp_path)
     return importlib.import_module(name)
 
@@ -108,15 +108,15 @@ def folders(tmp_path: Path) -> list[Path]:
 
 @pytest.fixture
 def done() -> Callable[[Any, list[Any]], dict[str, Any]]:
-    def do(pool: Any, jobs: list[Any]) -> dict[str, Any]:
-        """Return the answers to jobs by their ids."""
-        answers: dict[str, Any] = {}
+    def do(runner: Any, tasks: list[Any]) -> dict[str, Any]:
+        """Return the results to tasks by their ids."""
+        results: dict[str, Any] = {}
 
-        def keep(job: Any, answer: Any) -> None:
-            assert job.id not in answers
-            answers[job.id] = answer
+        def keep(task: Any, result: Any) -> None:
+            assert task.id not in results
+            results[task.id] = result
 
-        pool.do(jobs, keep)
-        return answers
+        runner.run(tasks, keep)
+        return results
 
     return do

@@ -9,22 +9,17 @@ import click
 import yaml
 
 from jaxplore._version import __version__
-from jaxplore.build.exploration import comparable
-from jaxplore.build.tasks import build
-from jaxplore.cli._benchmark import benchmark_options, is_benchmark, run_benchmark
-from jaxplore.cli._options import entries_of, with_options
-from jaxplore.cli._path import is_path, path_options, run_path
-from jaxplore.cli._show import free_name, save, show_comparison
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.cli._comparison import comparison_options, run_comparison
+from jaxplore.cli._options import entries_of, path_options, place_name, with_options
+from jaxplore.cli._runner import runner_options
+from jaxplore.cli._show import free_name, save
 from jaxplore.cli._tune import run_tune
 from jaxplore.cli._tune_options import tune_options
-from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
-from jaxplore.runs import compare as compare_runs
 from jaxplore.settings.exploration import (
-    GROUND,
     OFFICE,
     Settings,
-    make_exploration_settings,
 )
 from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
@@ -41,7 +36,7 @@ def cli() -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
 )
-@click.option("--animation/--no-animation", default=True, help="Draw exploration.gif.")
+@click.option("--animation/--no-animation", default=True, help="Draw an animation.")
 def run(
     out: Path | None,
     overwrite: bool,
@@ -67,12 +62,9 @@ def run(
 
     Ctrl-C ends the run and keeps what was done.
     """
-    if is_path(options):
-        run_path(options, out, overwrite=overwrite, animation=animation)
-        return
     entries = entries_of(options)
-    settings = make_exploration_settings(entries)
-    folder = free_name(Path("runs") / Path(settings.map).stem) if out is None else out
+    settings = make_settings(entries)
+    folder = free_name(Path("runs") / place_name(entries)) if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiment = build(settings)
     result = simulate(
@@ -86,93 +78,47 @@ def run(
 
 @cli.command()
 @with_options("architecture")
-@click.option(
-    "--architectures",
-    metavar="NAME,NAME",
-    help="What to compare.  [default: all that the map allows]",
-)
+@path_options
+@comparison_options
+@runner_options
 @click.option("--seeds", type=int, default=20, show_default=True, help="Runs of each.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
-    help="Folder.  [default: runs/MAP-comparison]",
+    help="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]",
 )
 @click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
-@benchmark_options
-def compare(
-    architectures: str | None,
-    seeds: int,
-    out: Path | None,
-    overwrite: bool,
-    animation: bool,
-    **options: Any,
-) -> None:
-    """Compare architectures on a map or in a scenario, with the same seeds for all.
+def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **options: Any) -> None:
+    """Compare architectures or other settings in one place or on many maps.
 
-    Writes a folder with a table, curves of coverage and of what is unknown, all metrics, and an
-    animation of the first run of each:
+    All variants run with the same seeds. Writes a folder with a table, curves, all metrics, and an
+    animation of the first run of each variant:
 
     \b
       jaxplore compare zones
       jaxplore compare warehouse --seeds 5
       jaxplore compare zones --architectures two-layer,parallel --seeds 5
-      jaxplore compare maps/depot.yaml --start 4.62 7.73 0 --range 5 --seeds 5 --time-limit 240
+      jaxplore compare office --vary controller.temperature=0.1,0.3,1
+      jaxplore compare path --vary cost.progress.weight=100,1000 --seeds 5
+      jaxplore compare path --variants mild.yaml,fast.yaml
 
-    Ctrl-C ends the comparison and keeps the runs that were done.
+    Ctrl-C ends the comparison and keeps the finished runs.
 
-    With --maps it is a benchmark of explorers on all ROS maps of a folder. Its own folder, by
-    default runs/DIR-benchmark, holds a file for each run and results.parquet, the table of all; the
-    same command does what is missing:
+    With --maps it compares on all ROS maps of a folder. The folder of results has a file for each
+    run, results.parquet, the table of all, and results.html; the same command continues:
 
     \b
-      jaxplore compare --maps maps --explorers explorer,portfolio --workers 4
+      jaxplore compare --maps maps --architectures explorer,portfolio --workers 4
     """
-    if is_benchmark(options, architectures):
-        run_benchmark(options, seeds, out, overwrite=overwrite)
-        return
-    entries = entries_of(options)
-    if seeds < 1:
-        raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
-    if architectures is None and make_exploration_settings(entries).architecture == "portfolio":
-        names: tuple[str, ...] = ("explorer", "portfolio")
-    elif architectures is None:
-        names = comparable(make_exploration_settings({**entries, "architecture": "two-layer"}))
-    else:
-        names = tuple(name.strip() for name in architectures.split(","))
-    settings = {
-        name: make_exploration_settings({**entries, "architecture": name}) for name in names
-    }
-    ground = [name for name in names if name in GROUND]
-    if ground and len(ground) < len(names):
-        raise ValueError(
-            f"--architectures is {architectures!r}, of which {', '.join(ground)} drives another "
-            f"robot with another sensor; accepted: {', '.join(GROUND)}, or of the others"
-        )
-    common = settings[names[0]]
-    first = common.seed
-    folder = out
-    if folder is None:
-        folder = free_name(Path("runs") / f"{Path(common.map).stem}-comparison")
-    check_folder(folder, overwrite=overwrite)
-    experiments = {str(name): build(each)[:3] for name, each in settings.items()}
-    result = compare_runs(experiments, range(first, first + seeds), progress=True)
-    kept = common.model_dump(mode="json", exclude={"architecture"})
-    with progress_bar("drawing", enabled=animation) as advance:
-        result.save(
-            folder,
-            overwrite=overwrite,
-            animation=animation,
-            settings=kept,
-            on_progress=lambda share: advance(share, ""),
-        )
-    show_comparison(result, folder)
+    run_comparison(options, seeds, out, overwrite=overwrite, animation=animation)
 
 
 @cli.command()
 @with_options()
 @path_options
 @tune_options
+@runner_options
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -181,10 +127,10 @@ def compare(
 )
 @click.option("--animation/--no-animation", default=True, help="Draw a run before and after.")
 def tune(out: Path | None, animation: bool, **options: Any) -> None:
-    """Search the settings with which a robot does best in a scenario, and show what was won.
+    """Search better settings for a scenario, and compare them with the current ones.
 
-    Every candidate drives the same episodes. Then the best ones drive further ones, and the chosen
-    one and the settings that there were are compared with seeds that nobody was tuned on:
+    Every candidate runs the same episodes. The best ones run further ones. The chosen candidate and
+    the current settings are then compared on unseen seeds:
 
     \b
       jaxplore tune office --tune controller.temperature --budget 100
@@ -193,7 +139,7 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
       jaxplore tune path --tune cost.progress.weight --tune cost.comfort.weight --optimizer cma-es
 
     Writes settings.yaml for jaxplore run --settings, a report with pictures, tables, and study.db,
-    which optuna-dashboard shows. Ctrl-C keeps all that was done; the same command goes on.
+    which optuna-dashboard shows. Ctrl-C keeps all finished episodes; the same command continues.
     """
     run_tune(options, out, animation=animation)
 

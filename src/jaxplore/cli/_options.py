@@ -1,6 +1,6 @@
-"""What the commands are given."""
+"""Options that the commands share, and the settings that they give."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +16,9 @@ from jaxplore.settings.exploration import (
     make_exploration_settings,
     read_settings,
 )
+from jaxplore.settings.path import PATH, TRACK
 
-# Options that stand for a setting: option, dotted setting, type, help.
+# Options of single settings: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--seed", "seed", int, "Seed of everything random."),
     ("--time-limit", "time_limit", float, "Simulated time [s]."),
@@ -59,7 +60,7 @@ def _default(defaults: dict[str, Any], setting: str) -> Any:
 
 
 def with_options(*without: str) -> Callable[[Any], Any]:
-    """Return a decorator that adds what says what is run: the map, where, and every setting."""
+    """Return a decorator that adds the options of a run: the map, the start, and the settings."""
     added = [
         click.argument("map_", metavar="[MAP.yaml | NAME]", required=False),
         click.option(
@@ -111,25 +112,86 @@ def with_options(*without: str) -> Callable[[Any], Any]:
     return add
 
 
-def entries_of(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the settings given by what `_options` adds."""
-    settings_file, assignments = options.pop("settings_file"), options.pop("assignments")
+def path_options(command: Any) -> Any:
+    """Add the options of a path."""
+    for option in (
+        click.option("--obstacles", type=int, help="Of a path: moving obstacles.  [default: 0]"),
+        click.option("--laps", type=int, help="Of a closed path.  [default: 1]"),
+        click.option(
+            "--path",
+            "path_file",
+            metavar="FILE",
+            help="Path to follow, in CSV or YAML.  [default: a generated track]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+_OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
+"""Options of a path only, and their settings."""
+_OF_BOTH = (
+    "seed",
+    "time_limit",
+    "start",
+    "robot__model",
+    "robot__radius",
+    "robot__max_speed",
+    "controller__num_samples",
+)
+"""Options of a map and of a path."""
+
+
+def entries_of(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that the options give.
+
+    Args:
+        options: those of `with_options` and `path_options`.
+
+    Raises:
+        ValueError: a path beside a map, an option that does not apply, a file that cannot be read.
+    """
+    given = dict(options)
+    settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     entries = {} if settings_file is None else read_settings(settings_file)
-    map_ = options.pop("map_")
-    if map_ is not None:
-        entries = {**place_entries(map_), **entries}
-    for name, value in options.items():
-        if value is not None:
-            assign(entries, name.replace("__", "."), value)
-    if options["controller__num_samples"] is not None:
+    entries = _with_place(entries, given.pop("map_"), given.pop("path_file"))
+    along_path = PATH in entries
+    for name, value in given.items():
+        if value is None:
+            continue
+        if along_path and name not in (*_OF_PATHS, *_OF_BOTH):
+            raise ValueError(
+                f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
+            )
+        if not along_path and name in _OF_PATHS:
+            raise ValueError(f"--{name} is {value}; accepted: along a path")
+        assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
+    if not along_path and given["controller__num_samples"] is not None:
+        # The option stands for the rollouts of every architecture.
         for section in ("informative", "portfolio"):
-            assign(entries, f"{section}.num_samples", options["controller__num_samples"])
+            assign(entries, f"{section}.num_samples", given["controller__num_samples"])
     assign_all(entries, assignments)
     return entries
 
 
+def _with_place(entries: dict[str, Any], map_: str | None, file: str | None) -> dict[str, Any]:
+    """Return settings with the map or the path that the options name."""
+    if file is not None and map_ not in (None, PATH):
+        raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
+    if file is not None:
+        return {**entries, PATH: str(Path(file).absolute())}
+    if map_ == PATH:
+        return {PATH: TRACK, **entries}
+    return entries if map_ is None else {**place_entries(map_), **entries}
+
+
+def place_name(entries: Mapping[str, Any]) -> str:
+    """Return the name of the map or path of some settings, for folders."""
+    return Path(str(entries.get(PATH, entries.get("map")))).stem
+
+
 def place_entries(name: str) -> dict[str, Any]:
-    """Return the settings that a map, a world, a scenario or the name of one stands for."""
+    """Return the settings of a map, a world or a scenario, given by its file or name."""
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
     if is_scenario_file(name):
@@ -141,7 +203,7 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
     """Set one setting by its dotted name.
 
     Raises:
-        ValueError: a name within what is no section.
+        ValueError: a name within a setting that is no section.
     """
     *sections, last = name.split(".")
     for section in sections:
@@ -153,10 +215,11 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
 
 
 def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
-    """Set what `--set` gives, NAME=VALUE each.
+    """Set the settings that `--set` gives, NAME=VALUE each.
 
     Raises:
-        ValueError: no assignment, a value that is not YAML, a name within what is no section.
+        ValueError: no assignment, a value that is not YAML, a name within a setting that is no
+            section.
     """
     for assignment in assignments:
         name, separator, text = assignment.partition("=")

@@ -1,15 +1,13 @@
-"""What the commands print when they are done."""
+"""Output of the commands when they are done."""
 
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
-from jaxplore.report.comparison import Comparison
+from jaxplore.report.table import print_table, transposed
 from jaxplore.settings.sections import Section
 from jaxplore.simulation.run import Run
+from jaxplore.study.comparison.comparison import Comparison
 
 
 def free_name(path: Path) -> Path:
@@ -29,10 +27,7 @@ def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, anima
         settings=settings.model_dump(mode="json"),
         progress=True,
     )
-    table = Table(title=str(folder), show_header=False)
-    for name, value in result.metrics.rows():
-        table.add_row(name, value)
-    Console().print(table)
+    print_table(result.metrics.rows(), title=str(folder), has_header=False)
     for pattern in ("*.png", "*.gif", "metrics.json"):
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
@@ -42,16 +37,9 @@ def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, anima
 
 def show_comparison(comparison: Comparison, folder: Path) -> None:
     """Print the table of a comparison, and its files."""
-    # A column for each controller: a row would not fit on a terminal.
-    header, *rows = zip(*comparison.rows(), strict=True)
+    # A column for each variant: a row would not fit on a terminal.
     click.echo(f"{folder}: medians [quartiles]")
-    # As text: square brackets are units and quartiles here, not markup.
-    table = Table()
-    for cell in header:
-        table.add_column(Text(cell))
-    for row in rows:
-        table.add_row(*map(Text, row))
-    Console().print(table)
+    print_table(transposed(comparison.rows()))
     for path in sorted(folder.iterdir()):
         click.echo(str(path))
     if comparison.is_interrupted:

@@ -1,4 +1,4 @@
-"""What `jaxplore tune` is given."""
+"""Options of `jaxplore tune`."""
 
 import re
 from collections.abc import Sequence
@@ -7,14 +7,11 @@ from typing import Any
 
 import click
 
-from jaxplore.cli._options import entries_of, place_entries
-from jaxplore.cli._path import is_path, path_entries
+from jaxplore.cli._options import entries_of, place_entries, place_name
 from jaxplore.settings.exploration import merged, read_settings
-from jaxplore.settings.path import PATH, TRACK
-from jaxplore.study.tuning.runs import SettingsEpisodes
+from jaxplore.settings.path import PATH
+from jaxplore.study.tuning.optimizers import NAMES
 from jaxplore.study.tuning.search import POPULATION, Measure
-from jaxplore.study.tuning.strategies import NAMES
-from jaxplore.study.workers.pool import Pool
 
 OWN = (
     "tuned",
@@ -28,100 +25,94 @@ OWN = (
     "gives_up",
     "measures",
     "batch",
-    "workers",
-    "ray",
-    "address",
 )
 """Options that only a search takes."""
 
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
 
+_OPTIONS = (
+    click.option(
+        "--batch",
+        type=int,
+        default=1,
+        show_default=True,
+        help="Candidates side by side in one program (vmap), for accelerators and small problems.",
+    ),
+    click.option(
+        "--measure",
+        "measures",
+        multiple=True,
+        metavar="METRIC=LOW:HIGH[:CELLS]",
+        help="For --optimizer cma-me: spread settings over this metric.",
+    ),
+    click.option(
+        "--give-up/--no-give-up",
+        "gives_up",
+        default=None,
+        help="Give up candidates that look worse than most after their first episodes.  "
+        "[default: with one objective, and not with cma-me]",
+    ),
+    click.option(
+        "--population",
+        type=int,
+        default=POPULATION,
+        show_default=True,
+        help="Candidates in a generation.",
+    ),
+    click.option(
+        "--unseen",
+        type=int,
+        default=10,
+        show_default=True,
+        help="Seeds for the comparison of current and chosen settings, not used by the search.",
+    ),
+    click.option(
+        "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
+    ),
+    click.option(
+        "--optimizer",
+        default="tpe",
+        show_default=True,
+        metavar="NAME",
+        help=f"Any of {', '.join(NAMES)}.",
+    ),
+    click.option(
+        "--objective",
+        "objectives",
+        multiple=True,
+        metavar="SUM",
+        help="Sum of metrics to be minimized, such as 'time_to.90 + 100*collisions'; several "
+        "for a Pareto front.  [default: the time to the end, and collisions]",
+    ),
+    click.option(
+        "--budget",
+        default="100",
+        show_default=True,
+        metavar="N | TIME",
+        help="Number of candidates, or a time such as 30min.",
+    ),
+    click.option(
+        "--also",
+        multiple=True,
+        metavar="FILE | NAME",
+        help="A further map, path or scenario, or a file of settings that differ, such as "
+        "those of another robot.",
+    ),
+    click.option(
+        "--tune",
+        "tuned",
+        multiple=True,
+        metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
+        help="A setting, or a number of the controller by its path. Without bounds it is "
+        "searched from a tenth to ten times its value.",
+    ),
+)
+
+
 def tune_options(command: Any) -> Any:
     """Add the options that only a search takes."""
-    for option in (
-        click.option("--address", metavar="HOST:PORT", help="A Ray cluster to join."),
-        click.option("--ray", is_flag=True, help="Run episodes on a local Ray cluster."),
-        click.option(
-            "--workers", type=int, help="Processes, or workers of Ray.  [default: 1; all of Ray]"
-        ),
-        click.option(
-            "--batch",
-            type=int,
-            default=1,
-            show_default=True,
-            help="Candidates side by side in one program (vmap), for accelerators and small "
-            "problems.",
-        ),
-        click.option(
-            "--measure",
-            "measures",
-            multiple=True,
-            metavar="METRIC=LOW:HIGH[:CELLS]",
-            help="For --optimizer cma-me: spread settings over this metric.",
-        ),
-        click.option(
-            "--give-up/--no-give-up",
-            "gives_up",
-            default=None,
-            help="Leave candidates that look worse than most after their first episodes.  "
-            "[default: where there is one objective, and no cma-me]",
-        ),
-        click.option(
-            "--population",
-            type=int,
-            default=POPULATION,
-            show_default=True,
-            help="Candidates in a generation.",
-        ),
-        click.option(
-            "--unseen",
-            type=int,
-            default=10,
-            show_default=True,
-            help="Seeds to compare settings before and after with, that were not tuned on.",
-        ),
-        click.option(
-            "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
-        ),
-        click.option(
-            "--optimizer",
-            default="tpe",
-            show_default=True,
-            metavar="NAME",
-            help=f"Any of {', '.join(NAMES)}.",
-        ),
-        click.option(
-            "--objective",
-            "objectives",
-            multiple=True,
-            metavar="SUM",
-            help="What is to be small, such as 'time_to.90 + 100*collisions'; several for a front "
-            "of compromises.  [default: the time to the end, and collisions]",
-        ),
-        click.option(
-            "--budget",
-            default="100",
-            show_default=True,
-            metavar="N | TIME",
-            help="Candidates to try out, or a time such as 30min.",
-        ),
-        click.option(
-            "--also",
-            multiple=True,
-            metavar="FILE | NAME",
-            help="Another map, path or scenario to be good in, or settings of another robot: a "
-            "file of the settings that differ.",
-        ),
-        click.option(
-            "--tune",
-            "tuned",
-            multiple=True,
-            metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
-            help="A setting, or a number of the controller by its path; without bounds from a "
-            "tenth to ten times what it is.",
-        ),
-    ):
+    for option in _OPTIONS:
         command = option(command)
     return command
 
@@ -138,18 +129,15 @@ def scenarios_of(
     Raises:
         ValueError: a scenario that is none, or is there already.
     """
-    along_path = is_path(options)
+    first = entries_of(options)
+    along_path = PATH in first
     if along_path:
-        first = {PATH: TRACK, **path_entries(options)}
         name, common = PATH, {key: value for key, value in first.items() if key != PATH}
     else:
-        for option in ("laps", "obstacles", "path_file"):
-            options.pop(option)
         common = entries_of({**options, "map_": None})
-        first = entries_of(options)
         if "map" not in first:
             raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
-        name = Path(str(first["map"])).stem
+        name = place_name(first)
     scenarios = {name: first}
     for place in also:
         label = Path(place).stem
@@ -187,18 +175,8 @@ def budget_of(text: str) -> tuple[int | None, float | None]:
     return None, float(found[1]) * _UNITS[found[2]]
 
 
-def pool_of(given: dict[str, Any]) -> Pool | None:
-    workers, on_ray, address = given["workers"], given["ray"], given["address"]
-    if not on_ray and address is None and workers in (None, 1):
-        return None
-    return Pool(workers, address, on_ray=on_ray)
-
-
-def default_objective(episodes: SettingsEpisodes) -> str:
-    return episodes.example.scenario.objective
-
-
 def measure_of(text: str) -> Measure:
+    """Read a measure from METRIC=LOW:HIGH[:CELLS]."""
     found = re.fullmatch(r"([\w.]+)=([^:]+):([^:]+)(?::(\d+))?", text)
     try:
         if found is None:

@@ -10,9 +10,7 @@ import numpy as np
 
 from jaxplore.report._numbers import finite, text
 from jaxplore.report.compute import Compute
-
-type Quartiles = tuple[float, float, float]
-"""Lower quartile, median and upper quartile; infinite where too few runs have a value."""
+from jaxplore.report.statistics import Quartiles, quartiles
 
 CURVE_PERIOD = 0.5
 """Time between the points of a curve [s]."""
@@ -47,6 +45,7 @@ class Column(NamedTuple):
         missing: float = math.inf,
         applies: Callable[[Any], bool] = lambda _: True,
         number: Callable[[Any], float | None] | None = None,
+        separator: str = " ",
     ) -> "Column":
         """Return a column with the median and the quartiles of a number.
 
@@ -59,6 +58,7 @@ class Column(NamedTuple):
                 late, so that no variant gains by failing where it is slow.
             applies: see `Column`.
             number: reads the number from the metrics of a run.
+            separator: between the median and the quartiles.
         """
         read = number or (lambda each: getattr(each, name))
 
@@ -70,7 +70,7 @@ class Column(NamedTuple):
             low, median, high = (
                 f"{scale * each:.{digits}f}" if math.isfinite(each) else "-" for each in spread
             )
-            return median if low == high else f"{median} [{low}, {high}]"
+            return median if low == high else f"{median}{separator}[{low}, {high}]"
 
         return cls(name, header, value, shown, applies)
 
@@ -121,15 +121,6 @@ class Curve(NamedTuple):
     label: str
     scale: float = 1.0
     limit: float | None = None
-
-
-def quartiles(values: Sequence[float]) -> Quartiles:
-    """Return the quartiles, nothing interpolated between a value and infinity."""
-    numbers = np.sort(np.asarray(values, np.float64))
-    low, median, high = np.percentile(numbers, [25, 50, 75], method="higher")
-    if np.isfinite(numbers).all():
-        low, median, high = np.percentile(numbers, [25, 50, 75])
-    return float(low), float(median), float(high)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

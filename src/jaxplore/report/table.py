@@ -1,13 +1,65 @@
-"""Tables as text."""
+"""Tables of text, header first, as Markdown, HTML or for a terminal."""
+
+import html
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+Rows = Sequence[Sequence[str]]
+"""A table: the header, then the rows. A cell may have several lines."""
 
 
-def markdown(rows: list[tuple[str, ...]]) -> str:
-    """Return a table, header first, in Markdown."""
+def to_markdown(rows: Rows) -> str:
+    """Return a table in Markdown, with columns of even width."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
 
-    def line(cells: tuple[str, ...]) -> str:
+    def line(cells: Sequence[str]) -> str:
         padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
         return f"| {' | '.join(padded)} |"
 
-    rule = line(tuple("-" * width for width in widths))
+    rule = line(["-" * width for width in widths])
     return "\n".join([line(rows[0]), rule, *(line(row) for row in rows[1:])])
+
+
+def to_html(rows: Rows) -> str:
+    """Return a table in HTML."""
+
+    def line(cells: Sequence[str], kind: str) -> str:
+        return "<tr>" + "".join(f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
+
+    header, *others = rows
+    body = "".join(line(row, "td") for row in others)
+    return f"<table>{line(header, 'th')}{body}</table>"
+
+
+def print_table(
+    rows: Rows, *, title: str | None = None, has_header: bool = True, has_lines: bool = False
+) -> None:
+    """Print a table on the terminal. In a file its lines are not broken.
+
+    Args:
+        rows: header first.
+        title: above it.
+        has_header: whether the first row is a header.
+        has_lines: draw lines between rows.
+    """
+    heading = None if title is None else Text(title)
+    table = Table(title=heading, show_lines=has_lines, show_header=has_header)
+    header, others = (rows[0], rows[1:]) if has_header else ([""] * len(rows[0]), rows)
+    # As plain text: square brackets are units and quartiles here, not markup.
+    for cell in header:
+        table.add_column(Text(cell))
+    for row in others:
+        table.add_row(*map(Text, row))
+    console = Console()
+    if not console.is_terminal:
+        # A file has no width.
+        console = Console(width=Console(width=1000).measure(table).maximum)
+    console.print(table)
+
+
+def transposed(rows: Rows) -> list[tuple[str, ...]]:
+    """Return a table with rows and columns exchanged."""
+    return list(zip(*rows, strict=True))

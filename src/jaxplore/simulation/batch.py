@@ -9,10 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, PRNGKeyArray
+from jaxtyping import Array, Bool
+from jaxtyping import Key as KeyArray
 
 from jaxplore import _checks
-from jaxplore._types import Count, Flag
+from jaxplore._types import Count, Flag, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import CHUNK_SECONDS, ChunkedRun, loop, run_in_chunks
@@ -26,6 +27,9 @@ from jaxplore.simulation.loop import (
 from jaxplore.simulation.run import make_frame
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.stacking import Places, Stacked
+
+Keys = KeyArray[Array, "..."]
+"""(B,) random keys of the runs, or one key for all."""
 
 
 class Batch(NamedTuple):
@@ -46,7 +50,7 @@ def record_runs(
     scenario: Scenario,
     num_steps: int,
     *,
-    keys: PRNGKeyArray,
+    keys: Keys,
 ) -> tuple[Recording, ...]:
     """Simulate several runs by `jax.vmap`, each until it is finished or the steps are done.
 
@@ -166,13 +170,13 @@ def _alone(
     )
 
 
-def _key_axis(keys: PRNGKeyArray) -> int | None:
+def _key_axis(keys: Keys) -> int | None:
     return None if keys.ndim == 0 else 0
 
 
 @eqx.filter_jit
-def _begin(stacked: Stacked, keys: PRNGKeyArray, size: int) -> Batch:
-    def one(arrays: tuple[Array, ...], key: PRNGKeyArray) -> LoopState:
+def _begin(stacked: Stacked, keys: Keys, size: int) -> Batch:
+    def one(arrays: tuple[Array, ...], key: Key) -> LoopState:
         controller, scenario = stacked.tree(arrays)
         return initial_loop_state(controller, scenario, key)
 
@@ -194,7 +198,7 @@ def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
 def _run_chunk(
     stacked: Stacked,
     batch: Batch,
-    keys: PRNGKeyArray,
+    keys: Keys,
     num_steps: Count,
     capacity: int,
 ) -> tuple[Batch, Any, Count]:
@@ -204,9 +208,7 @@ def _run_chunk(
     def step(batch: Batch) -> tuple[Batch, Any]:
         states, clock = batch
 
-        def one(
-            arrays: tuple[Array, ...], state: LoopState, key: PRNGKeyArray
-        ) -> tuple[LoopState, Any]:
+        def one(arrays: tuple[Array, ...], state: LoopState, key: Key) -> tuple[LoopState, Any]:
             controller, scenario = stacked.tree(arrays)
             return closed_loop_step(controller, scenario, state._replace(step=clock), key)
 
@@ -227,8 +229,8 @@ def _run_chunk(
 
 
 @eqx.filter_jit
-def _frames(stacked: Stacked, states: LoopState, keys: PRNGKeyArray) -> dict[str, Any]:
-    def one(arrays: tuple[Array, ...], state: LoopState, key: PRNGKeyArray) -> dict[str, Any]:
+def _frames(stacked: Stacked, states: LoopState, keys: Keys) -> dict[str, Any]:
+    def one(arrays: tuple[Array, ...], state: LoopState, key: Key) -> dict[str, Any]:
         controller, scenario = stacked.tree(arrays)
         return frame_arrays(controller, scenario, state, key, 0)
 

@@ -1,1 +1,1 @@
-"""The exploration benchmark: explorers on maps with seeds, over processes or machines."""
+"""Comparison of variants: in one place, or on all maps of a folder."""

@@ -1,4 +1,4 @@
-"""The maps of a benchmark: ROS maps in a folder, and where a robot starts on them."""
+"""The maps of a comparison: ROS maps in a folder, and where a robot starts on them."""
 
 import contextlib
 import dataclasses
@@ -16,7 +16,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.settings.exploration import read_settings
 
 STARTS = "starts.yaml"
-"""File of a folder of maps that says where to start: NAME: [x, y, yaw]."""
+"""File in a folder of maps with the starts, NAME: [x, y, yaw]."""
 
 Start = tuple[float, float, float]
 """Pose (x, y, yaw) [m, m, rad]."""
@@ -31,8 +31,7 @@ class MapFile:
     Args:
         name: of the map in the results.
         path: of its YAML file; absolute.
-        content: hash of that file and of its image. A missing image counts as an empty one: the
-            map can be named, not read.
+        content: hash of that file and of its image; a missing image counts as an empty one.
         start: where the robot begins; the most open spot, heading along x, when absent.
     """
 
@@ -103,7 +102,7 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
 
 
 def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
-    """Return a ROS map as runs have it: a finer one is resampled, a coarser one is kept.
+    """Read a ROS map at the resolution of a run. A finer one is resampled, a coarser one is kept.
 
     Args:
         path: of its YAML file.
@@ -117,8 +116,8 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
     return grid.resample(resolution) if is_finer else grid
 
 
-def grids_of(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
-    """Return the maps that can be read by their names, as runs have them; see `read_grid`."""
+def read_grids(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
+    """Read the maps that can be read, by name; see `read_grid`."""
     grids = {}
     for each in maps:
         with contextlib.suppress(ValueError):

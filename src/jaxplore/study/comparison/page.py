@@ -1,5 +1,5 @@
-"""The results of a benchmark as one page that needs nothing else: tables, curves, and the paths of
-runs, each of which is replayed at a click."""
+"""The results of a comparison as one self-contained page: tables, curves, and the paths of runs,
+which a click replays."""
 
 import base64
 import html
@@ -14,8 +14,9 @@ from PIL import Image
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.drawing.colours import OUTLINE, SERIES, UNKNOWN, belief_colours
+from jaxplore.report.table import to_html
 from jaxplore.study.comparison.rows import Row
-from jaxplore.study.comparison.table import NEEDED, failures, map_tables
+from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,12 +33,12 @@ SHOWN = (
     "settings",
     "time_limit",
 )
-"""Columns of the results that the page is made from."""
+"""Columns of the results that the page needs."""
 Part = tuple[slice, slice]
-"""Rows and columns of a map."""
+"""Rows and columns of a part of a map."""
 
 RIM = 2
-"""Unknown cells that are drawn around what is known of a map."""
+"""Unknown cells that are drawn around the known part of a map."""
 CURVE_POINTS = 200
 DOTS_PER_INCH = 110
 STYLE = """
@@ -64,7 +65,7 @@ dialog h3 { margin: 0 0 .5em; font-weight: 600; } dialog form { display: flex; g
   align-items: center; margin-top: .5em; } dialog input { flex: 1; }
 """
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-"""What a browser lets the page do: nothing but show what is in it."""
+"""Content security policy: the page loads nothing."""
 DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="map"></canvas>
 <form method="dialog"><button type="button" data-part="toggle">Play</button>
 <input type="range" min="0" value="0" step="any" aria-label="time" data-part="time">
@@ -72,11 +73,11 @@ DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="ma
 
 
 def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) -> str:
-    """Return an HTML page that loads nothing: pictures are in it.
+    """Make an HTML page with all its pictures inside.
 
-    For each map a table as `map_tables` makes it, coverage over time (median and quartiles over
-    seeds), and the path of each explorer's first seed, which a click replays: the map as it was
-    seen, and the robot in it.
+    For each map it has the table of `map_tables`, coverage over time (median and quartiles over
+    seeds), and the path of each variant's first seed. A click on a path replays the run: the map as
+    the robot saw it, and the robot in it.
 
     Args:
         results: rows with the columns `SHOWN`.
@@ -94,26 +95,26 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
         "the interval that holds 95 % of it, bootstrapped over paired seeds. A run that does not "
         "get somewhere is infinitely late.</p>",
     ]
-    for line in failures(results):
+    for line in list_failures(results):
         parts.append(f'<p class="failed">{html.escape(line)}</p>')
     replays: list[dict[str, Any]] = []
     parts_shown = {name: known_part(grid) for name, grid in maps.items()}
     for table in map_tables(results):
         runs = [row for row in results if row["map"] == table.map and row["error"] is None]
         parts.append(f"<h2>{html.escape(table.map)}</h2>")
-        parts.append(_table(table.rows))
+        parts.append(f'<div class="wide">{to_html(table.rows)}</div>')
         parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
         if table.map in maps:
             grid, part = maps[table.map], parts_shown[table.map]
             parts.append('<div class="runs">')
-            for name, own in _by_explorer(runs).items():
+            for name, own in _by_variant(runs).items():
                 drawn = _picture(path_figure(own[0], grid, part), f"Path of {name} on {table.map}")
                 drawn = (
                     f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
                     "</button>"
                 )
-                told = f"{html.escape(name)}, seed {own[0]['seed']}"
-                parts.append(f"<figure>{drawn}<figcaption>{told}</figcaption></figure>")
+                caption = f"{html.escape(name)}, seed {own[0]['seed']}"
+                parts.append(f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>")
                 replays.append(_replay(own[0], grid, part))
             parts.append("</div>")
     if replays:
@@ -127,10 +128,10 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
 
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
-    """Return coverage over time by explorer: medians, and bands between the quartiles.
+    """Draw coverage over time for each variant: medians, and bands between the quartiles.
 
-    A run that has ended keeps its last value. The axis ends when three of four runs have ended: the
-    last of those that walk at random would leave no room for the others.
+    A run that has ended keeps its last value. The axis ends when three of four runs have ended:
+    random walks take so long that the others would have no room.
 
     Args:
         runs: rows of one map.
@@ -143,7 +144,7 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     axes = figure.add_subplot()
     most = np.percentile([row["duration"] for row in runs], 75, method="higher") if runs else 1.0
     time = np.linspace(0.0, max(float(most), 1e-3), CURVE_POINTS)
-    for number, (name, own) in enumerate(_by_explorer(runs).items()):
+    for number, (name, own) in enumerate(_by_variant(runs).items()):
         curves = [np.interp(time, row["curve_time"], row["curve_coverage"]) for row in own]
         low, median, high = np.percentile(100.0 * np.asarray(curves), [25, 50, 75], axis=0)
         colour, style = SERIES[number % len(SERIES)], ("-", "--", ":")[number // len(SERIES) % 3]
@@ -156,7 +157,7 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
 
 
 def known_part(grid: OccupancyGrid) -> Part:
-    """Return the rows and columns of a map in which anything is known, with a rim of two cells."""
+    """Return the known part of a map: rows and columns, with a rim of two cells."""
     is_known = np.asarray(grid.is_free | grid.is_occupied)
     rows, columns = (
         _around(np.flatnonzero(is_known.any(axis=axis)), size)
@@ -172,9 +173,9 @@ def _around(places: np.ndarray, size: int) -> slice:
 
 
 def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
-    """Return the path of a run on the true map.
+    """Draw the path of a run on the true map.
 
-    A map that is turned is drawn along its own axes.
+    A rotated map is drawn along its own axes.
 
     Args:
         row: of the run.
@@ -209,7 +210,7 @@ def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Return where the robot was along the columns and rows of a part of a map [cells]."""
+    """Return the positions along the columns and rows of a part of a map [cells]."""
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
@@ -222,9 +223,9 @@ def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np
 
 
 def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
-    """Return what the page's script needs of a run: pixels count from the upper left."""
+    """Return the data of a run for the page's script, in pixels from the upper left."""
     across, along = _in_cells(row, grid, part)
-    # The row's picture has its first row above; a part counts from below.
+    # A picture has its first row at the top, a map at the bottom.
     seen = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1][part][::-1]
     radius = json.loads(row["settings"])["robot"]["radius"]
     return {
@@ -241,31 +242,22 @@ def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
 
 
 def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, np.ndarray]) -> str:
-    """Return the data of replays, on pictures of maps, and what plays them."""
+    """Return the scripts of the page: the data of the replays, and the player."""
     pictures = {name: _png(coloured[::-1]) for name, coloured in maps.items()}
     data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
-    # Nothing that a map or an explorer is called can end the script.
+    # No name of a map or a variant can end the script.
     told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     code = (importlib.resources.files("jaxplore.study.comparison") / "page.js").read_text("utf-8")
     return f'<script type="application/json" id="runs">{told}</script>\n<script>{code}</script>'
 
 
-def _by_explorer(runs: Sequence[Row]) -> dict[str, list[Row]]:
-    """Return the runs of each explorer, the first seed first."""
+def _by_variant(runs: Sequence[Row]) -> dict[str, list[Row]]:
+    """Return the runs of each variant, the first seed first."""
     ordered = sorted(runs, key=lambda row: (row["explorer"], row["seed"]))
     grouped: dict[str, list[Row]] = {}
     for row in ordered:
         grouped.setdefault(row["explorer"], []).append(row)
     return grouped
-
-
-def _table(rows: Sequence[Sequence[str]]) -> str:
-    def line(cells: Sequence[str], kind: str) -> str:
-        return "<tr>" + "".join(f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
-
-    header, *others = rows
-    body = "".join(line(row, "td") for row in others)
-    return f'<div class="wide"><table>{line(header, "th")}{body}</table></div>'
 
 
 def _picture(figure: "Figure", alternative: str) -> str:
@@ -281,5 +273,5 @@ def _png(picture: np.ndarray) -> str:
 
 
 def _url(picture: bytes) -> str:
-    """Return a PNG as an address that holds it."""
+    """Return a PNG as a data URL."""
     return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"

@@ -1,4 +1,4 @@
-"""What a robot had seen when: a run's map as it grew, in one small picture."""
+"""When each cell of the map was seen first, in one small picture."""
 
 import io
 from typing import NamedTuple
@@ -9,15 +9,15 @@ from PIL import Image
 from jaxplore.report.exploration.data import ExplorationData
 
 NEVER = 255
-"""Level of cells that were not seen."""
+"""Level of cells that were never seen."""
 
 
 class Replay(NamedTuple):
-    """How a map grew.
+    """When each cell of a map was seen first.
 
     Args:
-        times: (N,) instants at which the map was looked at [s], at most 255.
-        picture: a grey PNG, top row first: each cell's level is the index of the first instant at
+        times: (N,) times of the frames [s], at most 255.
+        picture: a grey PNG, top row first. The level of a cell is the index of the first frame in
             which it was known, free or occupied (`4 p (1 - p) <= 1/2`), or `NEVER`.
     """
 
@@ -25,9 +25,8 @@ class Replay(NamedTuple):
     picture: bytes
 
 
-def replay_of(recording: ExplorationData) -> Replay:
-    """Return how a run's map grew: at the run's looks, every half second, or in a long run (in a
-    batch the longest) at 120 instants at least."""
+def make_replay(recording: ExplorationData) -> Replay:
+    """Compute when each cell was seen first, by the frames of a run."""
     first = np.full(recording.world.shape, NEVER, np.uint8)
     for index, frame in enumerate(recording.frames[:NEVER]):
         p = frame.probability / 255.0

@@ -1,4 +1,4 @@
-"""Results as rows of a table: one run, one row."""
+"""Results of a comparison as rows of a table, one for each run."""
 
 import io
 import json
@@ -11,12 +11,12 @@ from jaxplore.report.exploration.metrics import LEVELS, ExplorationMetrics
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.metrics import CURVE_PERIOD
 from jaxplore.settings.exploration import Settings
-from jaxplore.study.comparison.replay import replay_of
-from jaxplore.study.comparison.tasks import FORMAT, Task, canonical
-from jaxplore.study.workers.packages import package
+from jaxplore.study.comparison.episodes import FORMAT, MapEpisode, canonical
+from jaxplore.study.comparison.replay import make_replay
+from jaxplore.study.optional import import_optional
 
 Row = dict[str, Any]
-"""A run by the names of the columns; None where there is no value."""
+"""A run, by column; None where there is no value."""
 
 KEYS = ("map", "explorer", "seed")
 """Columns by which results are sorted."""
@@ -57,29 +57,32 @@ COLUMNS = {
     "settings": "string",
     "versions": "string",
 }
-"""Type of each column; `list` are numbers, several a run, and `binary` is a PNG.
+"""Type of each column. A `list` has several numbers for a run, `binary` is a PNG.
 
-`format` is the version of all this. `error` says in one line why there is no run; then nothing
-stands in the columns of results. Times are in s, paths and distances in m, coverage is a share of
-the reachable cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean
-coverage over the time limit; a run that has ended keeps its last value. Curves and positions are
-those at
-the start, every half second and at the end. `seen` says when each cell was first seen, by the index
-of an instant in `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
-run, the software and the machine.
+`format` is the version of the rows. `error` says in one line why a run failed; then the columns of
+results are empty. Times are in s, paths and distances in m, coverage is a share of the reachable
+cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean coverage over
+the time limit; a run that has ended keeps its last value. Curves and positions are those at the
+start, every half second and at the end. `seen` says when each cell was first seen, as an index into
+`seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the run, the software
+and the machine.
 """
 
 TIMING = ("step_ms_p50", "step_ms_p99", "loop_step_ms", "compile_seconds")
-"""Columns of wall-clock times: all others are the same to the bit when a run is repeated."""
+"""Columns of wall-clock times. All others are the same to the bit when a run is repeated."""
 
 
-def row_of(
-    task: Task, recording: ExplorationData, metrics: ExplorationMetrics, *, settings: Settings
+def make_row(
+    episode: MapEpisode,
+    recording: ExplorationData,
+    metrics: ExplorationMetrics,
+    *,
+    settings: Settings,
 ) -> Row:
-    """Return the row of a run.
+    """Make the row of a run.
 
     Args:
-        task: what was to be done.
+        episode: that was run.
         recording: of the run.
         metrics: of the same run.
         settings: of the run, its start included.
@@ -87,10 +90,10 @@ def row_of(
     time, coverage, _, _ = progress(recording)
     stride = max(1, round(CURVE_PERIOD / recording.control_period))
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
-    replay = replay_of(recording)
+    replay = make_replay(recording)
     compute, curve, path = metrics.compute, metrics.coverage_curve, metrics.path_length
     return {
-        **_beginning(task, None),
+        **_first_columns(episode, None),
         "is_finished": metrics.is_finished,
         "coverage": metrics.coverage,
         **{f"time_to_{level}": metrics.time_to[str(level)] for level in LEVELS},
@@ -119,27 +122,27 @@ def row_of(
     }
 
 
-def failed_row(task: Task, error: str) -> Row:
-    """Return the row of a task that came to nothing.
+def failed_row(episode: MapEpisode, error: str) -> Row:
+    """Make the row of a run that failed.
 
     Args:
-        task: what was to be done.
+        episode: that failed.
         error: why; made one line.
     """
     row: Row = dict.fromkeys(COLUMNS)
-    row |= _beginning(task, " ".join(error.split()) or "unknown")
-    entries = {**task.entries, "map": task.path}
-    row |= {"time_limit": task.settings.get("time_limit"), "settings": canonical(entries)}
+    row |= _first_columns(episode, " ".join(error.split()) or "unknown")
+    entries = {**episode.entries, "map": episode.path}
+    row |= {"time_limit": episode.settings.get("time_limit"), "settings": canonical(entries)}
     return row
 
 
-class Result(NamedTuple):
+class StoredRow(NamedTuple):
     """A row as it is sent and stored.
 
     Args:
-        id: of its task.
+        id: of its episode.
         map: name of the map.
-        error: why there is no run; None if there is one.
+        error: why the run failed; None if it did not.
         data: the row as a Parquet file.
     """
 
@@ -149,16 +152,19 @@ class Result(NamedTuple):
     data: bytes
 
 
-def result_of(row: Row) -> Result:
-    """Return a row as it is sent and stored.
+def store_row(row: Row) -> StoredRow:
+    """Make a row ready to be sent and stored.
 
     Raises:
         ValueError: pyarrow is not installed.
     """
-    pyarrow, parquet = package("pyarrow", "benchmark"), package("pyarrow.parquet", "benchmark")
+    pyarrow, parquet = (
+        import_optional("pyarrow", "comparison"),
+        import_optional("pyarrow.parquet", "comparison"),
+    )
     file = io.BytesIO()
     parquet.write_table(pyarrow.Table.from_pylist([row], schema=schema()), file)
-    return Result(row["id"], row["map"], row["error"], file.getvalue())
+    return StoredRow(row["id"], row["map"], row["error"], file.getvalue())
 
 
 def schema() -> Any:
@@ -167,7 +173,7 @@ def schema() -> Any:
     Raises:
         ValueError: pyarrow is not installed.
     """
-    pyarrow = package("pyarrow", "benchmark")
+    pyarrow = import_optional("pyarrow", "comparison")
     kinds = {
         "int32": pyarrow.int32(),
         "int64": pyarrow.int64(),
@@ -186,13 +192,13 @@ def settings_of(row: Row) -> dict[str, Any]:
     return entries
 
 
-def _beginning(task: Task, error: str | None) -> Row:
+def _first_columns(episode: MapEpisode, error: str | None) -> Row:
     return {
         "format": FORMAT,
-        "id": task.id,
-        "map": task.map,
-        "explorer": task.explorer,
-        "seed": task.seed,
+        "id": episode.id,
+        "map": episode.map,
+        "explorer": episode.explorer,
+        "seed": episode.seed,
         "error": error,
     }
 

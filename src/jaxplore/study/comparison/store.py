@@ -1,4 +1,4 @@
-"""The folder of a benchmark: what was asked, a file for each run, and the table of all."""
+"""The folder of a comparison on maps: its plan, a file for each run, and the table of all."""
 
 import dataclasses
 import json
@@ -10,50 +10,60 @@ from typing import Any, BinaryIO
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.folder import in_one_line, write_whole
+from jaxplore.study.comparison.episodes import (
+    FORMAT,
+    Entries,
+    MapEpisode,
+    common_settings,
+    make_episodes,
+    variant_entries,
+)
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.page import SHOWN, page
-from jaxplore.study.comparison.rows import KEYS, Result, Row, schema
-from jaxplore.study.comparison.tasks import FORMAT, Task, common_settings, make_tasks
-from jaxplore.study.workers.packages import package
+from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, schema
+from jaxplore.study.optional import import_optional
 
-MARK = "benchmark.json"
-"""The file by which a benchmark is recognised: version of the format, and what was asked."""
+MARK = "comparison.json"
+"""The file by which a comparison is recognised: version of the format, and its plan."""
+FORMER_MARK = "benchmark.json"
+"""Its name until 2026. The next run in such a folder renames it."""
 RESULTS = "results.parquet"
-"""All rows, by map, explorer and seed."""
+"""All rows, by map, variant and seed."""
 PAGE = "results.html"
-"""The same to look at."""
+"""The page."""
 RUNS = "runs"
 """Folder with a file for each run, named by its id."""
 
 _ROWS_AT_ONCE = 100
-_WHAT = "benchmark folder:"
+_WHAT = "comparison folder:"
 _ACCEPTED = "accepted: the same command as before, or a new folder"
 
 
 @dataclasses.dataclass(frozen=True)
-class Asked:
-    """What a benchmark is to find out.
+class Plan:
+    """The runs of a comparison: each variant on each map with each seed.
 
     Args:
         maps: where.
-        explorers: settings `architecture`.
+        variants: architectures; or entries of the settings that differ, by name.
         seeds: of the runs of each.
         settings: entries that all runs share.
         batch: runs computed side by side.
     """
 
     maps: tuple[MapFile, ...]
-    explorers: tuple[str, ...]
-    seeds: tuple[int, ...]
-    settings: Mapping[str, Any]
+    variants: tuple[str, ...] | Mapping[str, Entries]
+    seeds: Sequence[int]
+    settings: Entries = dataclasses.field(default_factory=dict)
     batch: int = 1
 
-    def tasks(self) -> tuple[Task, ...]:
-        """Return the runs that are asked for; see `make_tasks`."""
-        return make_tasks(self.maps, self.explorers, self.seeds, self.settings, self.batch)
+    def episodes(self) -> tuple[MapEpisode, ...]:
+        """Return all runs; see `make_episodes`."""
+        return make_episodes(self.maps, self.variants, self.seeds, self.settings, self.batch)
 
     def document(self) -> dict[str, Any]:
         """Return it as plain values that JSON can hold."""
+        own = {name: each for name, each in variant_entries(self.variants).items() if each}
         return {
             "format": FORMAT,
             "settings": common_settings(self.settings),
@@ -65,7 +75,8 @@ class Asked:
                 }
                 for each in self.maps
             },
-            "explorers": list(self.explorers),
+            "explorers": list(self.variants),
+            **({"variants": own} if own else {}),
             "seeds": list(self.seeds),
             "batch": self.batch,
         }
@@ -87,24 +98,24 @@ class Store:
         return self.folder / RESULTS
 
     def is_done(self, id_: str) -> bool:
-        """Say whether there is a run of this id that did not fail."""
+        """Return whether there is a run with this id that did not fail."""
         _, error = self._state.get(id_, (None, ""))
         return error is None
 
-    def put(self, result: Result) -> None:
-        """Write a run's file: whole or not at all.
+    def put(self, row: StoredRow) -> None:
+        """Write the file of a run, whole or not at all.
 
         Raises:
             ValueError: the folder cannot be written.
         """
-        write_whole(self._file(result.id), lambda file: file.write(result.data), _WHAT)
-        self._state[result.id] = (result.map, result.error)
+        write_whole(self._file(row.id), lambda file: file.write(row.data), _WHAT)
+        self._state[row.id] = (row.map, row.error)
 
     def rows(self, columns: Sequence[str] | None = None) -> list[Row]:
-        """Return all rows that there are, by map, explorer and seed.
+        """Return all rows, by map, variant and seed.
 
         Args:
-            columns: names of some; all when absent.
+            columns: their names; all when absent.
         """
         wanted = None if columns is None else list(dict.fromkeys([*KEYS, *columns]))
         return [row for _, row in sorted(_read(self._files(), wanted), key=_place)]
@@ -115,11 +126,14 @@ class Store:
         Raises:
             ValueError: the folder cannot be written.
         """
-        parquet, pyarrow = package("pyarrow.parquet", "benchmark"), package("pyarrow", "benchmark")
+        parquet, pyarrow = (
+            import_optional("pyarrow.parquet", "comparison"),
+            import_optional("pyarrow", "comparison"),
+        )
         files = [path for path, _ in sorted(_read(self._files(), list(KEYS)), key=_place)]
 
         def write(file: BinaryIO) -> None:
-            # A few at a time: curves of thousands of runs need not fit into the memory.
+            # A few at a time: thousands of runs may not fit into memory.
             with parquet.ParquetWriter(file, schema()) as writer:
                 for first in range(0, len(files), _ROWS_AT_ONCE):
                     some = files[first : first + _ROWS_AT_ONCE]
@@ -138,7 +152,7 @@ class Store:
         Raises:
             ValueError: the folder cannot be written.
         """
-        text = page(self.rows(SHOWN), maps, f"Explorers on {self.folder.name}")
+        text = page(self.rows(SHOWN), maps, f"Comparison {self.folder.name}")
         target = self.folder / PAGE
         write_whole(target, lambda file: file.write(text.encode()), _WHAT)
         return target
@@ -150,51 +164,51 @@ class Store:
             del self._state[id_]
 
     def has_run(self, map_: str | None = None) -> bool:
-        """Say whether any run, or any on a map, did not fail."""
+        """Return whether any run, or any on a map, did not fail."""
         return any(map_ in (None, name) and error is None for name, error in self._state.values())
 
     def _file(self, id_: str) -> Path:
         return self.folder / RUNS / f"{id_}.parquet"
 
     def _files(self) -> list[Path]:
-        # What was cut off while it was written has a hidden name.
+        # A file that was not completed has a hidden name.
         return sorted(
             path for path in (self.folder / RUNS).glob("*.parquet") if path.name[0] != "."
         )
 
 
 def open_store(
-    folder: str | os.PathLike[str], asked: Asked | None = None, *, overwrite: bool = False
+    folder: str | os.PathLike[str], plan: Plan | None = None, *, overwrite: bool = False
 ) -> Store:
-    """Return the store in a folder; made if need be.
+    """Open the store in a folder, or make it.
 
-    A former benchmark goes on: with more maps, explorers or seeds, but with the same settings and
-    batch, on maps with the same content and starts. What only failed may change: settings while
-    there is no run at all, a map while there is none on it.
+    A former comparison continues. It may have more maps, variants or seeds, but the same settings
+    and batch, on maps with the same content and starts. Settings may change while no run has
+    succeeded, a map while no run on it has.
 
     Args:
         folder: missing parents are made.
-        asked: what is to be found out; None to read what there is.
-        overwrite: remove a former benchmark first.
+        plan: what is to be run; None to read what is there.
+        overwrite: remove a former comparison first.
 
     Raises:
-        ValueError: a folder that cannot be written, is not a benchmark's, or another format's, or
-            holds a benchmark of something else.
+        ValueError: a folder that cannot be written, that holds no comparison or one of another
+            format or with other settings.
     """
     target = Path(os.path.realpath(folder))
-    where = f"benchmark folder {os.fspath(folder)!r}"
+    where = f"comparison folder {os.fspath(folder)!r}"
     former = _former(target, where)
-    if asked is None:
+    if plan is None:
         if former is None:
-            raise ValueError(f"{where} holds no {MARK}; accepted: the folder of a benchmark")
+            raise ValueError(f"{where} holds no {MARK}; accepted: the folder of a comparison")
         return Store(target)
     if overwrite and former is not None:
         with in_one_line(_WHAT, target):
             shutil.rmtree(target / RUNS, ignore_errors=True)
-            for name in (RESULTS, PAGE, MARK):
+            for name in (RESULTS, PAGE, MARK, FORMER_MARK):
                 (target / name).unlink(missing_ok=True)
         former = None
-    document = asked.document()
+    document = plan.document()
     with in_one_line(_WHAT, target):
         (target / RUNS).mkdir(parents=True, exist_ok=True)
     store = Store(target)
@@ -202,44 +216,55 @@ def open_store(
         document = _together(former, document, store, where)
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     write_whole(target / MARK, lambda file: file.write(text.encode()), _WHAT)
+    (target / FORMER_MARK).unlink(missing_ok=True)
     return store
 
 
 def _former(target: Path, where: str) -> dict[str, Any] | None:
-    """Return what was asked of a folder before; None of one that is empty or not there."""
+    """Return the former plan of a folder; None if it is empty or not there."""
     mark = target / MARK
+    if not mark.is_file() and (target / FORMER_MARK).is_file():
+        mark = target / FORMER_MARK
     if not mark.is_file():
         if target.is_dir() and not any(target.iterdir()):
             return None
         if not os.path.lexists(target):
             return None
         raise ValueError(
-            f"{where} exists and holds no {MARK}; accepted: a new folder, or a benchmark's"
+            f"{where} exists and holds no {MARK}; accepted: a new folder, or that of a comparison"
         )
     try:
         former = json.loads(mark.read_text(encoding="utf-8"))
         version = former["format"]
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise ValueError(
-            f"{where}: its {MARK} cannot be read: {error}; accepted: a benchmark's"
+            f"{where}: its {mark.name} cannot be read: {error}; accepted: that of a comparison"
         ) from None
     if version != FORMAT:
         raise ValueError(f"{where} has format {version!r}; accepted: format {FORMAT}")
     for name, kind in {"settings": dict, "maps": dict, "explorers": list, "seeds": list}.items():
         if not isinstance(former.get(name), kind):
-            raise ValueError(f"{where}: its {MARK} has no {name}; accepted: a benchmark's")
+            raise ValueError(
+                f"{where}: its {mark.name} has no {name}; accepted: that of a comparison"
+            )
     return dict(former)
 
 
 def _together(
     former: dict[str, Any], asked: dict[str, Any], store: Store, where: str
 ) -> dict[str, Any]:
-    """Return what is asked beside what was asked before."""
+    """Return the union of a former and a new plan."""
     if not store.has_run():
         store.forget()
         return asked
+    both = set(former["explorers"]) & set(asked["explorers"])
     before, now = (
-        {**_flat(each["settings"]), "batch": each.get("batch", 1)} for each in (former, asked)
+        {
+            **_flat(each["settings"]),
+            **_flat({name: each.get("variants", {}).get(name, {}) for name in both}, "variant "),
+            "batch": each.get("batch", 1),
+        }
+        for each in (former, asked)
     )
     for name in sorted({*before, *now}):
         if before.get(name) != now.get(name):
@@ -256,11 +281,13 @@ def _together(
             )
         if changed:
             store.forget(name)
+    variants = {**former.get("variants", {}), **asked.get("variants", {})}
     return {
         "format": FORMAT,
         "settings": asked["settings"],
         "maps": dict(sorted({**former["maps"], **asked["maps"]}.items())),
         "explorers": list(dict.fromkeys([*former["explorers"], *asked["explorers"]])),
+        **({"variants": variants} if variants else {}),
         "seeds": sorted({*former["seeds"], *asked["seeds"]}),
         "batch": asked["batch"],
     }
@@ -279,8 +306,11 @@ def _text(value: object) -> str:
 
 
 def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Path, Row]]:
-    """Yield the rows of files. One that is no row, after a power cut say, is not there."""
-    parquet, pyarrow = package("pyarrow.parquet", "benchmark"), package("pyarrow", "benchmark")
+    """Yield the rows of files. A file that holds no row, as after a power cut, is skipped."""
+    parquet, pyarrow = (
+        import_optional("pyarrow.parquet", "comparison"),
+        import_optional("pyarrow", "comparison"),
+    )
     expected = schema()
     for path in files:
         try:

@@ -1,45 +1,38 @@
-"""The results of a benchmark as tables: one for each map, one row for each explorer."""
+"""The results of a comparison as tables, one for each map, with a row for each variant."""
 
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from jaxplore.report.metrics import Column
+from jaxplore.report.statistics import Ratio, paired_ratio
 from jaxplore.study.comparison.rows import Row
-from jaxplore.study.comparison.statistics import Quartiles, Ratio, paired_ratio, quartiles
 
 REFERENCE = "nearest-frontier"
-"""The explorer that the others are compared with where it is there."""
+"""The variant that the others are compared with, if it is among them."""
 
 
-class Column(NamedTuple):
-    """One column of numbers.
-
-    Args:
-        name: in the results.
-        header: name and unit in the table.
-        digits: behind the point.
-        factor: of what is shown.
-        has_ratio: whether it is compared with the reference.
-    """
-
-    name: str
-    header: str
-    digits: int = 1
-    factor: float = 1.0
-    has_ratio: bool = False
+def _column(name: str, header: str, *, digits: int = 1, scale: float = 1.0) -> Column:
+    return Column.quartiles(
+        name, header, digits=digits, scale=scale, number=lambda row: row[name], separator="\n"
+    )
 
 
+COMPARED = (
+    _column("time_to_90", "90 % after [s]"),
+    _column("path_to_90", "90 % path [m]"),
+    _column("time_to_99", "99 % after [s]"),
+    _column("path_to_99", "99 % path [m]"),
+)
+"""Columns with the ratio to the reference."""
 COLUMNS = (
-    Column("time_to_90", "90 % after [s]", has_ratio=True),
-    Column("path_to_90", "90 % path [m]", has_ratio=True),
-    Column("time_to_99", "99 % after [s]", has_ratio=True),
-    Column("path_to_99", "99 % path [m]", has_ratio=True),
-    Column("coverage", "coverage [%]", factor=100.0),
-    Column("collisions_per_100m", "collisions per 100 m", digits=2),
+    *COMPARED,
+    _column("coverage", "coverage [%]", scale=100.0),
+    _column("collisions_per_100m", "collisions per 100 m", digits=2),
 )
 
 NEEDED = ("map", "explorer", "seed", "error", "is_finished", *(each.name for each in COLUMNS))
-"""Columns of the results that the tables are made from."""
+"""Columns of the results that the tables need."""
 
 
 class MapTable(NamedTuple):
@@ -47,16 +40,21 @@ class MapTable(NamedTuple):
 
     Args:
         map: name of the map.
-        rows: header, then a row for each explorer. A cell has a line each for the median, the
+        rows: header, then a row for each variant. A cell has a line each for the median, the
             quartiles if they differ, and the ratio to the reference's median.
     """
 
     map: str
     rows: list[tuple[str, ...]]
 
+    @property
+    def title(self) -> str:
+        """The map and what the numbers are."""
+        return f"{self.map}: medians [quartiles]"
+
 
 def map_tables(results: Sequence[Row]) -> list[MapTable]:
-    """Return a table for each map on which any run was made.
+    """Make a table for each map with a run that did not fail.
 
     Args:
         results: rows with the columns `NEEDED`; failed ones are left out.
@@ -68,8 +66,8 @@ def map_tables(results: Sequence[Row]) -> list[MapTable]:
     ]
 
 
-def failures(results: Sequence[Row]) -> list[str]:
-    """Return a line for each map, explorer and reason of failed runs, with their number."""
+def list_failures(results: Sequence[Row]) -> list[str]:
+    """Return a line for each map, variant and reason of failed runs, with their number."""
     counts: dict[tuple[str, str, str], int] = {}
     for row in results:
         if row["error"] is not None:
@@ -82,13 +80,13 @@ def failures(results: Sequence[Row]) -> list[str]:
 
 
 def _rows(runs: Sequence[Row]) -> list[tuple[str, ...]]:
-    by_explorer = {
+    by_variant = {
         name: [row for row in runs if row["explorer"] == name]
         for name in _in_order(row["explorer"] for row in runs)
     }
-    reference = by_explorer.get(REFERENCE)
+    reference = by_variant.get(REFERENCE)
     table = [("", "finished", *(column.header for column in COLUMNS))]
-    for name, own in by_explorer.items():
+    for name, own in by_variant.items():
         finished = f"{sum(bool(row['is_finished']) for row in own)} of {len(own)}"
         other = None if name == REFERENCE else reference
         table.append((name, finished, *(_cell(column, own, other) for column in COLUMNS)))
@@ -96,8 +94,8 @@ def _rows(runs: Sequence[Row]) -> list[tuple[str, ...]]:
 
 
 def _cell(column: Column, runs: Sequence[Row], reference: Sequence[Row] | None) -> str:
-    lines = _spread(quartiles([row[column.name] for row in runs]), column)
-    if reference is not None and column.has_ratio:
+    lines = [column.text(column.value(runs))]
+    if reference is not None and column in COMPARED:
         ours, theirs = (
             {row["seed"]: row[column.name] for row in some} for some in (runs, reference)
         )
@@ -105,21 +103,12 @@ def _cell(column: Column, runs: Sequence[Row], reference: Sequence[Row] | None) 
     return "\n".join(lines)
 
 
-def _spread(spread: Quartiles, column: Column) -> list[str]:
-    low, median, high = (_text(column.factor * value, column.digits) for value in spread)
-    return [median] if low == high else [median, f"[{low}, {high}]"]
-
-
 def _times(ratio: Ratio | None) -> list[str]:
-    # Where one of them never gets there, their own cells say so.
+    # If one of them never gets there, their own cells say so.
     if ratio is None or not 0.0 < ratio.value < math.inf:
         return []
-    value, low, high = (_text(each, 2) for each in ratio)
+    value, low, high = (f"{each:.2f}" if math.isfinite(each) else "-" for each in ratio)
     return [f"x {value} [{low}, {high}]"]
-
-
-def _text(value: float, digits: int) -> str:
-    return f"{value:.{digits}f}" if math.isfinite(value) else "-"
 
 
 def _in_order(names: Iterable[str]) -> list[str]:

@@ -1,21 +1,27 @@
-"""Episodes: where settings are tried out."""
+"""Episodes: where candidates are evaluated."""
 
 import abc
-from collections.abc import Callable, Sequence
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.study.episode import EpisodeTask, one_line
+from jaxplore.study.experiments import SideBySide, in_batches, record_alone
+from jaxplore.study.tuning.objective import flat, with_late_times
 from jaxplore.study.tuning.space import Candidate, Value
 
 
-class Ask(NamedTuple):
-    """An episode that is to be run.
+class Episode(NamedTuple):
+    """One run of a candidate in a scenario with a seed.
 
     Args:
         number: of the candidate.
         candidate: its values.
         scenario: name of the scenario.
-        seed: of everything random: the same for all candidates, common random numbers.
-        time_limit: simulated time after which it is hopeless [s]; the scenario's own when absent.
+        seed: of everything random: the same for all candidates (common random numbers).
+        time_limit: simulated time after which it is stopped [s]; the scenario's own when absent.
     """
 
     number: int
@@ -25,8 +31,8 @@ class Ask(NamedTuple):
     time_limit: float | None = None
 
 
-class Outcome(NamedTuple):
-    """What came of an episode.
+class Result(NamedTuple):
+    """Result of an episode.
 
     Args:
         metrics: numbers of its report by dotted name; None for what has no value.
@@ -38,7 +44,7 @@ class Outcome(NamedTuple):
 
 
 class Episodes(abc.ABC):
-    """Scenarios in which candidates are tried out.
+    """Scenarios in which candidates are evaluated.
 
     To tune something else than a run of jaxplore, give a function: `FunctionEpisodes`,
     `VectorEpisodes`.
@@ -51,22 +57,37 @@ class Episodes(abc.ABC):
 
     @abc.abstractmethod
     def start(self, name: str) -> Value:
-        """Return what a parameter is now.
+        """Return the current value of a parameter.
 
         Raises:
-            ValueError: a name that is none; the nearest ones are named.
+            ValueError: an unknown name; the nearest ones are named.
         """
 
+    @property
+    def metrics(self) -> tuple[str, ...] | None:
+        """Names of the metrics of an episode, if they are known beforehand.
+
+        A name that ends with a dot stands for all metrics that begin with it.
+        """
+        return None
+
+    @property
+    def default_objective(self) -> str | None:
+        """What is minimized if no objective is given; None if one must be given."""
+        return None
+
     def elements(self, name: str) -> tuple[str, ...]:
-        """Return the names of the single values that a name stands for: those of an array."""
+        """Return the names of the single values of a parameter: those of an array's elements."""
         return (name,)
 
     @abc.abstractmethod
-    def run(self, asks: Sequence[Ask], on_done: Callable[[Ask, Outcome], None]) -> None:
-        """Run episodes, and tell of each as soon as it is done.
+    def run(
+        self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        """Run episodes, and report each as soon as it is done.
 
-        One that fails is told with its error. What fails for a reason that is the user's to mend,
-        not the candidate's, raises.
+        An episode that fails is reported with its error. A failure that only the user can mend
+        raises.
 
         Raises:
             KeyboardInterrupt: the user stopped it.
@@ -74,5 +95,128 @@ class Episodes(abc.ABC):
 
     @abc.abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return what the results depend on, in plain values that JSON can hold: a study goes on
+        """Return what the results depend on, in plain values that JSON can hold. A study continues
         only where it is the same."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class MetricsTask(EpisodeTask):
+    """Episodes of several candidates with the same scenario, seed and sizes.
+
+    Args:
+        episodes: those that run together.
+        build: makes the experiment of an episode. Other processes import it by name; it is given
+            the setting that locates the map or path.
+        together: runs them side by side; one after the other when absent.
+    """
+
+    episodes: tuple[Episode, ...]
+    build: Callable[[Episode, Mapping[str, Any]], Experiment]
+    together: SideBySide | None = None
+
+    def measure(self) -> tuple[Result, ...]:
+        """Run the episodes and return their metrics. Each fails for itself."""
+        results: dict[int, Result] = {}
+        ready: dict[int, Experiment] = {}
+        for index, episode in enumerate(self.episodes):
+            try:
+                ready[index] = self.build(episode, self.location)
+            except Exception as error:
+                results[index] = Result({}, self._told(one_line(error)))
+        results |= self._side_by_side(ready) or self._one_by_one(ready)
+        return tuple(results[index] for index in range(len(self.episodes)))
+
+    def failed(self, reason: str) -> tuple[Result, ...]:
+        """Return that all of them failed."""
+        return (Result({}, reason),) * len(self.episodes)
+
+    def _side_by_side(self, ready: Mapping[int, Experiment]) -> dict[int, Result]:
+        """Run experiments side by side; return nothing where that is not possible."""
+        if self.together is None or not ready:
+            return {}
+        limit = self.episodes[0].time_limit
+        try:
+            recordings = self.together.record(self.scenario, list(ready.values()), limit)
+        except ValueError:
+            return {}  # They differ in more than numbers.
+        pairs = zip(ready.items(), recordings, strict=True)
+        return {
+            index: _result(recording, self.episodes[index].seed, experiment)
+            for (index, experiment), recording in pairs
+        }
+
+    def _one_by_one(self, ready: Mapping[int, Experiment]) -> dict[int, Result]:
+        results = {}
+        for index, experiment in ready.items():
+            episode = self.episodes[index]
+            try:
+                recording = record_alone(experiment, episode.time_limit)
+                results[index] = _result(recording, episode.seed, experiment)
+            except Exception as error:
+                results[index] = Result({}, one_line(error))
+        return results
+
+
+def make_tasks(
+    episodes: Sequence[Episode],
+    build: Callable[[Episode, Mapping[str, Any]], Experiment],
+    batch: int,
+    together: SideBySide | None,
+) -> list[MetricsTask]:
+    """Return tasks for episodes, several in a task where they can run side by side.
+
+    Args:
+        episodes: any number.
+        build: see `MetricsTask`.
+        batch: most episodes in a task.
+        together: see `MetricsTask`.
+    """
+
+    def alike(episode: Episode) -> tuple[Any, ...]:
+        return episode.scenario, episode.seed, episode.time_limit, _sizes(episode.candidate)
+
+    return [
+        MetricsTask(
+            name=f"{some[0].number} {some[0].scenario} {some[0].seed}",
+            variant=_sizes(some[0].candidate),
+            scenario=some[0].scenario,
+            episodes=tuple(some),
+            build=build,
+            together=together,
+        )
+        for some in in_batches(episodes, alike, batch)
+    ]
+
+
+def report_each(
+    on_result: Callable[[Episode, Result], None],
+) -> Callable[[MetricsTask, Sequence[Result]], None]:
+    """Return a function that reports the episodes of a task one by one."""
+
+    def report(task: MetricsTask, results: Sequence[Result]) -> None:
+        for episode, result in zip(task.episodes, results, strict=True):
+            on_result(episode, result)
+
+    return report
+
+
+def check_batch(batch: int) -> int:
+    """Return a number of episodes that run side by side.
+
+    Raises:
+        ValueError: a number < 1.
+    """
+    if batch < 1:
+        raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
+    return batch
+
+
+def _sizes(candidate: Candidate) -> str:
+    """Return the values that may change the compiled program: all but real numbers."""
+    return repr([(name, each) for name, each in candidate.items() if not isinstance(each, float)])
+
+
+def _result(recording: Recording, seed: int, experiment: Experiment) -> Result:
+    # As late as if it had gone on to the scenario's own limit, whether it was cut short or not.
+    limit = experiment.num_steps * recording.control_period
+    return Result(with_late_times(flat(recording.metrics(seed=seed).as_dict()), limit))

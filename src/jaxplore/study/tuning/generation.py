@@ -1,34 +1,34 @@
-"""Tries out a generation of candidates, and keeps every episode as soon as it is done."""
+"""Evaluates generations of candidates, and stores every episode as soon as it is done."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxplore.study.tuning.episodes import Ask, Episodes, Outcome
+from jaxplore.study.optional import import_optional
+from jaxplore.study.tuning.episodes import Episode, Episodes, Result
 from jaxplore.study.tuning.objective import Numbers
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.space import Candidate, distribution
-from jaxplore.study.tuning.trials import EPISODE, VERDICT, episodes_of
-from jaxplore.study.workers.packages import package
+from jaxplore.study.tuning.trials import EPISODE, VERDICT, read_episodes
 
 type Where = tuple[str, int]
 """Scenario and seed."""
 type Limits = Mapping[Where, float]
-"""After what time an episode is hopeless [s]."""
+"""Time after which an episode is stopped [s]."""
 
 
 class Generations:
-    """Tries out generations, one after the other.
+    """Evaluates generations, one after the other.
 
-    What is kept is enough to go on from any moment: candidates are kept before they are tried out,
-    episodes when they are done, and what follows from the episodes of a generation before any of
-    its candidates counts as done.
+    A search can be continued from any moment: candidates are stored before they are evaluated,
+    episodes when they are done, and the states of a whole generation before any of its candidates
+    counts as done.
 
     Args:
-        search: what is searched for.
-        episodes: where candidates are tried out.
-        study: of Optuna, which keeps them.
-        start: the values that there were before, the first candidate.
+        search: space, objectives and seeds.
+        episodes: where candidates are evaluated.
+        study: of Optuna, which stores them.
+        start: current values, the first candidate.
     """
 
     def __init__(self, search: Search, episodes: Episodes, study: Any, start: Candidate) -> None:
@@ -46,57 +46,58 @@ class Generations:
         limits: Limits,
         show: Callable[[int], None],
     ) -> None:
-        """Try out a generation, or what is left of it.
+        """Evaluate a generation, or the rest of it.
 
         Args:
             numbers: of its candidates.
-            ask: returns them, the first of a whole generation first; called if some are missing.
-            limits: after what time an episode is hopeless.
-            show: told the number of candidates that are done, after each episode and at the end.
+            ask: returns the candidates of the generation; called if some are not stored yet.
+            limits: time after which an episode is stopped.
+            show: called with the number of finished candidates, after each episode and at the end.
 
         Raises:
-            KeyboardInterrupt: the user stopped it; what was done is kept.
+            KeyboardInterrupt: the user stopped it; finished episodes are stored.
         """
         trials = self._opened(numbers, ask)
-        known = {each.number: episodes_of(each.user_attrs) for each in trials}
+        known = {each.number: read_episodes(each.user_attrs) for each in trials}
         decided = {each.number for each in trials if VERDICT in each.user_attrs}
         if len(decided) < len(trials):
-            self._try_out(trials, known, limits, lambda: show(0))
-        # In their order, whoever was first: the next generation sees them in this one.
+            self._evaluate(trials, known, limits, lambda: show(0))
+        # By number, whichever was done first: the next generation depends on this order.
         for each in trials:
             self._tell(each, known[each.number])
         show(len(trials))
 
-    def _try_out(
+    def _evaluate(
         self,
         trials: Sequence[Any],
         known: dict[int, dict[Where, Any]],
         limits: Limits,
         show: Callable[[], None],
     ) -> None:
-        """Run the episodes that are missing, and keep what became of each candidate."""
+        """Run the missing episodes, and store the state of each candidate."""
         one_by_one = self._search.gives_up and len(self._search.objectives) == 1
         rungs = [[each] for each in self._instances] if one_by_one else [self._instances]
         by_number = {each.number: each for each in trials}
         verdicts = {each.number: ["done", None] for each in trials}
 
-        def keep(ask: Ask, outcome: Outcome) -> None:
-            is_cut = ask.time_limit is not None and not outcome.metrics.get("is_finished")
-            told = {"metrics": outcome.metrics, "error": outcome.error, "is_cut": is_cut}
-            by_number[ask.number].set_user_attr(f"{EPISODE}{ask.scenario} {ask.seed}", told)
-            known[ask.number][ask.scenario, ask.seed] = told
+        def keep(episode: Episode, result: Result) -> None:
+            is_cut = episode.time_limit is not None and not result.metrics.get("is_finished")
+            told = {"metrics": result.metrics, "error": result.error, "is_cut": is_cut}
+            name = f"{EPISODE}{episode.scenario} {episode.seed}"
+            by_number[episode.number].set_user_attr(name, told)
+            known[episode.number][episode.scenario, episode.seed] = told
             show()
 
         alive = list(trials)
         for index, rung in enumerate(rungs):
-            asks = [
-                Ask(each.number, dict(each.params), *where, limits.get(where))
+            missing = [
+                Episode(each.number, dict(each.params), *where, limits.get(where))
                 for where in rung
                 for each in alive
                 if where not in known[each.number]
             ]
-            if asks:
-                self._episodes.run(asks, keep)
+            if missing:
+                self._episodes.run(missing, keep)
             so_far = [where for some in rungs[: index + 1] for where in some]
             is_last = index == len(rungs) - 1
             for each in tuple(alive):
@@ -104,7 +105,7 @@ class Generations:
                 if verdict is not None:
                     verdicts[each.number] = verdict
                     alive.remove(each)
-        # All before the first of them counts: whoever goes on from here decides nothing anew.
+        # All states are stored before the first candidate counts: nothing is decided twice.
         for each in trials:
             each.set_user_attr(VERDICT, verdicts[each.number])
 
@@ -116,7 +117,7 @@ class Generations:
         *,
         is_last: bool,
     ) -> list[str | None] | None:
-        """Return why a candidate is not tried out any further: its state, and an error."""
+        """Return the final state of a candidate and its error; None if it goes on."""
         told = [known[trial.number][where] for where in so_far]
         for each in told:
             if each["error"] is not None:
@@ -134,21 +135,22 @@ class Generations:
         step = len(so_far) - 1
         if step not in _reported(self._study, trial.number):
             trial.report(means[0] - self._reference(known, so_far), step)
-        # What there was before is seen to the end, to be compared with.
+        # The current settings are evaluated to the end, for the comparison.
         if trial.number != 0 and trial.should_prune():
             return ["given up", None]
         return None
 
     def _reference(self, known: Mapping[int, dict[Where, Any]], so_far: Sequence[Where]) -> float:
-        """Return the mean of what there was before: easy and hard episodes count alike then."""
+        """Return the mean of the current settings. Differences to it do not depend on how hard the
+        episodes are."""
         trials = self._study.get_trials(deepcopy=False)
-        first = known.get(0) or episodes_of(trials[0].user_attrs)
+        first = known.get(0) or read_episodes(trials[0].user_attrs)
         told = [first[where]["metrics"] for where in so_far if where in first]
         mean = self._search.objectives[0].mean(told) if len(told) == len(so_far) else 0.0
         return mean if math.isfinite(mean) else 0.0
 
     def _tell(self, trial: Any, known: Mapping[Where, Any]) -> None:
-        states = package("optuna.trial", "tuning").TrialState
+        states = import_optional("optuna.trial", "tuning").TrialState
         state, error = trial.user_attrs[VERDICT]
         told: list[Numbers] = [known[each]["metrics"] for each in self._instances if each in known]
         if state == "failed":
@@ -162,8 +164,8 @@ class Generations:
             self._study.tell(trial.number, values)
 
     def _opened(self, numbers: range, ask: Callable[[], list[Candidate]]) -> list[Any]:
-        """Return the trials of a generation that are not finished, made if they are not there."""
-        trials = package("optuna.trial", "tuning")
+        """Return the unfinished trials of a generation, created if need be."""
+        trials = import_optional("optuna.trial", "tuning")
         there = self._study.get_trials(deepcopy=False)
         asked: list[Candidate] | None = None
         opened = []
@@ -173,7 +175,7 @@ class Generations:
                 continue
             if state == trials.TrialState.RUNNING:
                 trial = trials.Trial(self._study, there[number]._trial_id)
-                # It may have been cut off between two of them; they were fixed beforehand.
+                # An interruption may have left some parameters out; `enqueue_trial` fixed them.
                 for name, each in self._distributions.items():
                     trial._suggest(name, each)
                 opened.append(trial)

@@ -1,4 +1,4 @@
-"""What is to be made small: sums of a report's metrics."""
+"""Objectives: weighted sums of metrics that a search minimizes."""
 
 import dataclasses
 import math
@@ -11,7 +11,7 @@ from jaxplore.report.compute import Compute
 from jaxplore.report.metrics import Metrics
 
 type Numbers = Mapping[str, float | None]
-"""Of one episode, by name; None for what never happened."""
+"""Metrics of one episode by name; None for what never happened."""
 
 _TERM = re.compile(
     r"\s*(?P<sign>[+-])?\s*(?:(?P<weight>\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)\s*\*\s*)?"
@@ -21,10 +21,11 @@ _TERM = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
-    """A weighted sum of metrics; less is better. What is to be large has a negative weight.
+    """A weighted sum of metrics to be minimized. A metric that should be large has a negative
+    weight.
 
     Args:
-        terms: weight and metric, at least one.
+        terms: weights and metrics, at least one.
 
     Raises:
         ValueError: no terms, a weight that is not finite.
@@ -43,7 +44,7 @@ class Objective:
         """Return an objective from a text such as `time_to.90 + 100*collisions - coverage`.
 
         Raises:
-            ValueError: a text that is no such sum.
+            ValueError: a text that is not such a sum.
         """
         terms: list[tuple[float, str]] = []
         position = 0
@@ -69,7 +70,7 @@ class Objective:
 
     @property
     def is_about_time(self) -> bool:
-        """Whether who takes longer is worse: times are among what is to be small."""
+        """Whether slower is worse: whether it has a time with a positive weight."""
         times = ("finished_at", "last_target_at", "duration")
         return any(
             weight > 0.0 and (name in times or name.startswith("time_to."))
@@ -77,13 +78,13 @@ class Objective:
         )
 
     def check(self, known: Sequence[str]) -> None:
-        """Refuse metrics that no report has.
+        """Refuse unknown metrics.
 
         Args:
-            known: metrics; all that begin with one that ends with a dot are, too.
+            known: names of metrics; one that ends with a dot stands for all that begin with it.
 
         Raises:
-            ValueError: a metric that there is not; the nearest ones are named.
+            ValueError: an unknown metric; the nearest ones are named.
         """
         groups = tuple(each for each in known if each.endswith("."))
         for _, name in self.terms:
@@ -93,10 +94,10 @@ class Objective:
                 )
 
     def value(self, metrics: Numbers) -> float:
-        """Return what an episode is worth; not a number where a metric has none.
+        """Compute the objective of an episode; NaN if a metric has no value.
 
         Raises:
-            ValueError: a metric that there is not; the nearest ones are named.
+            ValueError: an unknown metric; the nearest ones are named.
         """
         total = 0.0
         for weight, name in self.terms:
@@ -109,7 +110,7 @@ class Objective:
         return total
 
     def mean(self, episodes: Sequence[Numbers]) -> float:
-        """Return the mean over episodes; not a number of none."""
+        """Compute the mean over episodes; NaN without any."""
         values = [self.value(each) for each in episodes]
         return math.fsum(values) / len(values) if values else math.nan
 
@@ -137,9 +138,9 @@ _NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
 
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:
-    """Return the numbers of a report by dotted names, as in `time_to.90`.
+    """Return the numbers of a report by dotted names, such as `time_to.90`.
 
-    Lists and texts are left out; yes is 1 and no is 0; what is not finite is None.
+    Lists and texts are left out, truth values are 1 and 0, infinite values and NaN are None.
     """
     numbers: dict[str, float | None] = {}
     for name, value in metrics.items():
@@ -153,11 +154,11 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None
 
 
 def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
-    """Return the metrics with times for what did not happen before the time was up.
+    """Fill in times for what did not happen within the time limit.
 
-    A time counts as `limit (1 + missing)`, later the more was missing: of coverage for `time_to.L`
-    and for exploring, of the way along a path, of the targets, of the distance to the goal. So a
-    search from settings with which nobody ever finishes knows in which direction it gets better.
+    Such a time is `limit (1 + missing)`, where `missing` is the share of the mission that was left:
+    of the coverage, of the path, of the targets, or of the distance to the goal. So a search that
+    starts with settings that never finish still knows in which direction it improves.
 
     Args:
         metrics: of one episode.
@@ -177,7 +178,7 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
 
 
 def _missing(metrics: Numbers) -> float:
-    """Return how much of a mission was left undone, from 0 to 1."""
+    """Return the share of a mission that was left, from 0 to 1."""
 
     def number(name: str) -> float:
         value = metrics.get(name)

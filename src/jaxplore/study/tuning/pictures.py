@@ -1,4 +1,4 @@
-"""Pictures of a search: how it went, what mattered, and where good settings are."""
+"""Pictures of a search: convergence, importances, candidates by parameter, fronts, archives."""
 
 import io
 import math
@@ -8,29 +8,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.report.drawing.colours import SERIES
-from jaxplore.study.tuning.strategies import Diversity
+from jaxplore.study.optional import import_optional
+from jaxplore.study.tuning.optimizers import RibsOptimizer
 from jaxplore.study.tuning.study import Study
 from jaxplore.study.tuning.trials import Trial
-from jaxplore.study.workers.packages import package
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 DOTS_PER_INCH = 120
 _FEW_DECADES = 300.0
-"""Ratio of values between which there is room for labels at 1, 2, 5, 10, 20 ..."""
+"""Greatest ratio of values for which labels at 1, 2, 5, 10, 20 ... have room."""
 
 
 def importances(study: Study) -> dict[str, float]:
-    """Return how much of the differences between good and bad candidates each parameter explains.
+    """Return the importance of each parameter for the first objective, by PED-ANOVA.
 
-    Shares that add up to 1, by PED-ANOVA; empty where too few candidates have a value. Of several
-    objectives, those of the first.
+    Importances add up to 1. There are none if too few candidates have a value.
 
     Source: Watanabe, Bansal, Hutter, "PED-ANOVA: efficiently quantifying hyperparameter importance
     in arbitrary subspaces", IJCAI 2023.
     """
-    module = package("optuna.importance", "tuning")
+    module = import_optional("optuna.importance", "tuning")
     done = [each for each in study.trials() if each.state == "done"]
     if len(done) < 10 or len({each.values[0] for each in done}) < 2:
         return {}
@@ -41,7 +40,7 @@ def importances(study: Study) -> dict[str, float]:
             return float(trial.values[0])
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that it is experimental
+        warnings.simplefilter("ignore")  # the importances are experimental
         try:
             found = module.get_param_importances(study.optuna, target=target)
         except (RuntimeError, ValueError):
@@ -50,7 +49,7 @@ def importances(study: Study) -> dict[str, float]:
 
 
 def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
-    """Return the pictures of a search, with the chosen candidate, by the names of their files."""
+    """Draw the pictures of a search, with the chosen candidate, by file name without suffix."""
     found = {"convergence": _convergence(study), "slices": _slices(study, chosen, 0)}
     for number in range(1, len(study.search.objectives)):
         found[f"slices-{number + 1}"] = _slices(study, chosen, number)
@@ -59,8 +58,8 @@ def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
         found["importance"] = _bars(shares)
     if len(study.search.objectives) > 1:
         found["front"] = _front(study, chosen)
-    if isinstance(study.strategy, Diversity) and len(study.search.measures) <= 2:
-        found["archive"] = _archive(study, study.strategy)
+    if isinstance(study.optimizer, RibsOptimizer) and len(study.search.measures) <= 2:
+        found["archive"] = _archive(study, study.optimizer)
     return found
 
 
@@ -72,7 +71,7 @@ def _convergence(study: Study) -> "Figure":
     trials = study.trials()
     for state, colour, label in (
         ("given up", _GIVEN_UP, "given up early"),
-        ("done", _DONE, "tried out"),
+        ("done", _DONE, "evaluated"),
     ):
         some = [each for each in trials if each.state == state]
         numbers, values = [each.number for each in some], [each.values[0] for each in some]
@@ -88,7 +87,7 @@ def _convergence(study: Study) -> "Figure":
 
 
 def _slices(study: Study, chosen: Trial, number: int) -> "Figure":
-    """Draw one of the objectives, counted from 0, by each parameter."""
+    """Draw one of the objectives, counted from 0, over each parameter."""
     parameters = study.search.space.parameters
     figure, axes = _axes(len(parameters))
     trials = [each for each in study.trials() if each.state == "done"]
@@ -125,7 +124,7 @@ def _front(study: Study, chosen: Trial) -> "Figure":
     figure, axes = _axes(1)
     done = [each for each in study.trials() if each.state == "done"]
     front = sorted(study.front(), key=lambda each: each.values)
-    for some, colour, label in ((done, _GIVEN_UP, "tried out"), (front, _DONE, "front")):
+    for some, colour, label in ((done, _GIVEN_UP, "evaluated"), (front, _DONE, "front")):
         across, up = [each.values[0] for each in some], [each.values[1] for each in some]
         axes[0].scatter(across, up, s=18, color=colour, label=label)
     axes[0].scatter(*chosen.values[:2], s=80, marker="*", color=_CHOSEN, label="chosen", zorder=3)
@@ -136,7 +135,7 @@ def _front(study: Study, chosen: Trial) -> "Figure":
 
 
 def _axes(number: int) -> tuple["Figure", list[Any]]:
-    """Return a figure with so many axes beside each other, which share the vertical one."""
+    """Return a figure with several axes beside each other that share the vertical scale."""
     from matplotlib.figure import Figure
 
     columns = min(number, 4)
@@ -151,15 +150,15 @@ def _axes(number: int) -> tuple["Figure", list[Any]]:
 
 
 def _scale(axes: Any, which: str, values: list[float]) -> None:
-    """Use a logarithmic scale where the worst are far away: the best would all lie on one line."""
+    """Use a logarithmic scale where the worst are far away: else the best would lie on one line."""
     if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
         _logarithmic(axes, which, max(values) / min(values))
 
 
 def _logarithmic(axes: Any, which: str, ratio: float) -> None:
-    """Use a logarithmic scale for values that far apart.
+    """Use a logarithmic scale with plain labels.
 
-    Matplotlib's own labels, 2 x 10^0, 3 x 10^0, run into each other.
+    Matplotlib's default labels, 2 x 10^0, 3 x 10^0, overlap.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -177,8 +176,8 @@ def _label(study: Study, number: int = 0) -> str:
     return label if len(label) <= 36 else "objective"
 
 
-def _archive(study: Study, strategy: Diversity) -> "Figure":
-    archive, measures = strategy.archive, study.search.measures
+def _archive(study: Study, optimizer: RibsOptimizer) -> "Figure":
+    archive, measures = optimizer.archive, study.search.measures
     found = archive.data(["index", "objective"])
     best = np.full(archive.cells, np.nan)
     best[found["index"]] = -found["objective"]
@@ -196,7 +195,7 @@ def _archive(study: Study, strategy: Diversity) -> "Figure":
 
 
 def png(figure: "Figure") -> bytes:
-    """Return a figure as a picture."""
+    """Return a figure as a PNG."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()

@@ -1,19 +1,19 @@
-"""What is searched for, and how."""
+"""The search: space, objectives, seeds and optimizer."""
 
 import dataclasses
 from typing import Any
 
 from jaxplore.study.tuning.objective import Objective
-from jaxplore.study.tuning.space import Candidate, Space
-from jaxplore.study.tuning.strategies import (
+from jaxplore.study.tuning.optimizers import (
     EVOSAX,
     NAMES,
     OPTUNA,
-    Diversity,
-    Evolution,
-    Sampling,
-    Strategy,
+    EvosaxOptimizer,
+    Optimizer,
+    OptunaOptimizer,
+    RibsOptimizer,
 )
+from jaxplore.study.tuning.space import Candidate, Space
 
 POPULATION = 8
 """Candidates in a generation."""
@@ -21,13 +21,13 @@ POPULATION = 8
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """A metric over which quality diversity spreads candidates.
+    """A metric over which quality diversity spreads candidates, cut into cells.
 
     Args:
         metric: its name.
-        low: least value that has a cell.
-        high: greatest.
-        cells: number of them.
+        low: lower bound of the cells.
+        high: upper bound.
+        cells: their number.
 
     Raises:
         ValueError: bounds that are reversed, fewer than two cells.
@@ -48,21 +48,21 @@ class Measure:
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """What is searched for, and how.
+    """A search: what is varied, what is minimized, and how.
 
     Args:
-        space: what is searched.
-        objectives: to be made small; several for a front of compromises.
+        space: parameters that are varied.
+        objectives: to be minimized; several for a Pareto front.
         seeds: of the episodes in each scenario, the same for all candidates.
-        optimizer: see `jaxplore.study.tuning.strategies.NAMES`.
-        population: candidates in a generation. The next one knows of all of them, so results do not
-            depend on how many are tried out at the same time.
+        optimizer: one of `jaxplore.study.tuning.optimizers.NAMES`.
+        population: candidates in a generation. The next one is proposed after all of them, so the
+            results do not depend on how many are evaluated at the same time.
         seed: of the search.
         gives_up: whether candidates that look worse than most are given up early.
         measures: of quality diversity.
 
     Raises:
-        ValueError: an optimizer that there is not, or that does not take the objectives, measures
+        ValueError: an unknown optimizer, or one that does not accept the objectives, measures
             or population; no seeds, or one twice.
     """
 
@@ -121,23 +121,25 @@ class Search:
         }
 
 
-def strategy_of(search: Search, start: Candidate) -> Strategy:
-    """Return the optimiser of a search.
+def make_optimizer(search: Search, start: Candidate) -> Optimizer:
+    """Make the optimizer of a search.
 
     Args:
-        search: what is searched for.
-        start: the values that there are.
+        search: of which it proposes candidates.
+        start: current values.
 
     Raises:
         ValueError: its library is not installed.
     """
     if search.optimizer in OPTUNA:
-        return Sampling(
+        return OptunaOptimizer(
             search.optimizer, search.space, search.population, search.seed, len(search.objectives)
         )
     if search.optimizer in EVOSAX:
-        return Evolution(search.optimizer, search.space, start, search.population, search.seed)
-    return Diversity(
+        return EvosaxOptimizer(
+            search.optimizer, search.space, start, search.population, search.seed
+        )
+    return RibsOptimizer(
         search.space,
         start,
         search.population,

@@ -1,4 +1,4 @@
-"""What is searched: numbers between bounds, whole numbers, and choices."""
+"""The search space: numbers between bounds, whole numbers, and choices."""
 
 import dataclasses
 import math
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from jaxplore.study.workers.packages import package
+from jaxplore.study.optional import import_optional
 
 type Value = float | int | str | bool
 type Candidate = dict[str, Value]
@@ -21,7 +21,7 @@ AROUND = 10.0
 
 @dataclasses.dataclass(frozen=True)
 class Parameter:
-    """One thing that is searched.
+    """A parameter of the search.
 
     Args:
         name: a setting, or the path of a number of the controller; `name[i]` of one element.
@@ -29,11 +29,11 @@ class Parameter:
         high: greatest value.
         is_log: equal ratios count the same, not equal differences.
         is_whole: whole numbers only.
-        choices: instead of bounds, the values there are.
+        choices: possible values, in place of bounds.
 
     Raises:
-        ValueError: bounds that are missing, not finite or reversed; a logarithm of what is not
-            positive; no whole number between them; fewer than two choices, or one twice.
+        ValueError: bounds that are missing, not finite or reversed; a logarithmic scale with a
+            bound <= 0; no whole number between the bounds; fewer than two choices, or one twice.
     """
 
     name: str
@@ -77,9 +77,9 @@ class Parameter:
         return 0 if self.choices is None else len(self.choices)
 
     def value(self, place: float) -> Value:
-        """Return the value at a place in [0, 1]: `low` at 0, `high` at 1; choices in equal parts.
+        """Map a number in [0, 1] to a value: `low` at 0, `high` at 1; choices have equal parts.
 
-        Of a number `x = low + u (high - low)`, on a logarithmic scale `x = low (high / low)^u`.
+        A number is `low + u (high - low)`, on a logarithmic scale `low (high / low)^u`.
         """
         place = min(max(float(place), 0.0), 1.0)
         if self.choices is not None:
@@ -89,7 +89,7 @@ class Parameter:
         return self.clipped(math.exp(value) if self.is_log else value)
 
     def place(self, value: Value) -> float:
-        """Return where in [0, 1] a value is: the inverse of `value`; the nearest end outside."""
+        """Map a value to [0, 1], the inverse of `value`. Values out of bounds are clipped."""
         if self.choices is not None:
             index = self.choices.index(value) if value in self.choices else 0
             return (index + 0.5) / self.size
@@ -100,17 +100,17 @@ class Parameter:
         return min(max((number - low) / (high - low), 0.0), 1.0)
 
     def _ends(self) -> tuple[float, float]:
-        """Return what 0 and 1 stand for, logarithms on a logarithmic scale."""
+        """Return the values at 0 and 1; their logarithms on a logarithmic scale."""
         assert self.low is not None
         assert self.high is not None
         low, high = self.low, self.high
         if self.is_whole:
-            # Every whole number has as much room, the first and the last too.
+            # Every whole number has an interval of length 1, the first and the last too.
             low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
         return (math.log(low), math.log(high)) if self.is_log else (low, high)
 
     def clipped(self, value: Value) -> Value:
-        """Return the value nearest to one that may be outside of the bounds."""
+        """Return the nearest value within the bounds."""
         if self.choices is not None:
             return value if value in self.choices else self.choices[0]
         assert self.low is not None
@@ -120,7 +120,7 @@ class Parameter:
         return min(max(float(value), self.low), self.high)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values, to compare and to write down."""
+        """Return it as plain values that JSON can hold."""
         if self.choices is not None:
             return {"choices": list(self.choices)}
         scale = {"log": True} if self.is_log else {}
@@ -134,7 +134,7 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Space:
-    """All parameters that are searched together, as a cube with sides from 0 to 1.
+    """All parameters of a search, as a unit cube.
 
     Args:
         parameters: at least one, of different names.
@@ -156,14 +156,14 @@ class Space:
         return tuple(each.name for each in self.parameters)
 
     def candidate(self, places: Sequence[float] | np.ndarray) -> Candidate:
-        """Return the values at a point of the cube, (N,)."""
+        """Return the values at a point (N,) of the unit cube."""
         return {
             each.name: each.value(float(place))
             for each, place in zip(self.parameters, places, strict=True)
         }
 
     def places(self, candidate: Mapping[str, Value]) -> np.ndarray:
-        """Return the point (N,) of the cube at which the values are."""
+        """Return the point (N,) of the unit cube for the values."""
         return np.array([each.place(candidate[each.name]) for each in self.parameters])
 
 
@@ -172,15 +172,15 @@ _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(:log|:whole|:log:whole)?")
 
 
 def parse_parameter(text: str, start: Value | None = None) -> Parameter:
-    """Return a parameter from a text.
+    """Read a parameter from a text.
 
     Args:
-        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for ten times less
-            to ten times more than it is now.
-        start: what it is now. A whole number stays one.
+        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for a tenth to ten
+            times its current value.
+        start: current value. A whole number stays one.
 
     Raises:
-        ValueError: a text that is none of these; bounds or choices that are not accepted.
+        ValueError: another text; bounds or choices that are not accepted.
     """
     name, separator, rest = (part.strip() for part in text.partition("="))
     is_whole = isinstance(start, int) and not isinstance(start, bool)
@@ -218,12 +218,12 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
 
 
 def distribution(parameter: Parameter) -> Any:
-    """Return a parameter as Optuna has it.
+    """Return a parameter as a distribution of Optuna.
 
     Raises:
         ValueError: Optuna is not installed.
     """
-    distributions = package("optuna.distributions", "tuning")
+    distributions = import_optional("optuna.distributions", "tuning")
     if parameter.choices is not None:
         return distributions.CategoricalDistribution(parameter.choices)
     assert parameter.low is not None

@@ -1,4 +1,4 @@
-"""Where a study is kept: Optuna's storage in SQLite, which one process at a time writes."""
+"""Storage of a study: Optuna's SQLite database, written by one process at a time."""
 
 import contextlib
 import warnings
@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore.report.folder import in_one_line
+from jaxplore.study.optional import import_optional
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.study import Study
-from jaxplore.study.workers.packages import package
 
 FORMAT = 1
-"""Version of what a study writes."""
+"""Version of the stored data."""
 STUDY = "study.db"
 """Optuna's storage in the folder of a study."""
 _NAME, _ASKED = "jaxplore", "asked"
@@ -22,31 +22,31 @@ _SQLITE = b"SQLite format 3\0"
 
 @contextlib.contextmanager
 def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -> Iterator[Study]:
-    """Yield the study of a search: what there is goes on.
+    """Open the study of a search, a new one or one that continues.
 
     Args:
-        search: what is searched for.
-        episodes: where candidates are tried out.
-        folder: keeps it in `study.db`, SQLite, which `optuna-dashboard` shows; missing parents are
-            made. Nowhere when absent.
+        search: space, objectives, seeds and optimizer.
+        episodes: where candidates are evaluated.
+        folder: for `study.db`, which `optuna-dashboard` shows; missing parents are made. The study
+            is in memory only when absent.
 
     Raises:
         ValueError: Optuna is not installed; a folder that cannot be written, that another process
-            works in, or whose study is another one's.
+            uses, or that holds another study.
     """
-    optuna = package("optuna", "tuning")
+    optuna = import_optional("optuna", "tuning")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    # As JSON has it, to compare with what was written.
+    # Plain values, to be compared with those that are stored.
     asked = {"format": FORMAT, "search": search.describe(), "episodes": episodes.describe()}
     with contextlib.ExitStack() as stack:
         storage = None
         if folder is not None:
             with in_one_line("study folder", folder):
                 folder.mkdir(parents=True, exist_ok=True)
-                lock = package("filelock", "tuning").FileLock(folder / ".lock", timeout=0)
+                lock = import_optional("filelock", "tuning").FileLock(folder / ".lock", timeout=0)
                 try:
                     stack.enter_context(lock)
-                except package("filelock", "tuning").Timeout:
+                except import_optional("filelock", "tuning").Timeout:
                     raise ValueError(
                         f"study folder {str(folder)!r} is in use by another process; accepted: "
                         "another folder, or when that one has ended"
@@ -73,7 +73,7 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         if former is None:
             study.set_user_attr(_ASKED, asked)
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that it is experimental: a name for a dashboard
+                warnings.simplefilter("ignore")  # set_metric_names is experimental
                 study.set_metric_names([str(each) for each in search.objectives])
         yield Study(search, episodes, study)
 
@@ -88,8 +88,8 @@ def _storage(optuna: Any, folder: Path) -> Any:
     try:
         if path.exists() and path.read_bytes()[: len(_SQLITE)] not in (_SQLITE, b""):
             raise ValueError("no SQLite")
-        # A connection for each transaction: nothing is open when it is not in use.
-        options = {"poolclass": package("sqlalchemy.pool", "tuning").NullPool}
+        # One connection per transaction: no file is open between two of them.
+        options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
         return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
     except Exception as error:
         raise ValueError(
@@ -99,7 +99,7 @@ def _storage(optuna: Any, folder: Path) -> Any:
 
 
 def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
-    # Which scenarios, before what is in them: the first setting that differs would say little.
+    # The names of the scenarios first: a setting that differs would say less.
     ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
     if ways[0] != ways[1]:
         was, is_ = (", ".join(names) or "none" for names in ways)

@@ -1,4 +1,4 @@
-"""A search: generations of candidates, tried out in episodes, kept in Optuna's storage."""
+"""A study: a search and its results so far, in Optuna's storage."""
 
 import math
 import time
@@ -7,36 +7,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxplore.study.tuning.episodes import Ask, Episodes, Outcome
+from jaxplore.study.tuning.episodes import Episode, Episodes, Result
 from jaxplore.study.tuning.generation import Generations
 from jaxplore.study.tuning.objective import Numbers, Objective
-from jaxplore.study.tuning.search import Search, strategy_of
+from jaxplore.study.tuning.optimizers import Evaluated, Optimizer
+from jaxplore.study.tuning.search import Search, make_optimizer
 from jaxplore.study.tuning.space import Candidate
-from jaxplore.study.tuning.strategies import (
-    Scored,
-    Strategy,
-)
-from jaxplore.study.tuning.trials import Trial, trial_of
+from jaxplore.study.tuning.trials import Trial, make_trial
 
 BEFORE = -1
-"""Number of the values that there were before, whatever the bounds are."""
+"""Number of the current values, whatever the bounds are."""
 HOPELESS = 2.0
-"""An episode is given up after so many times the duration of the best candidate's."""
+"""An episode is stopped after this many times the duration of the best candidate's."""
 SEARCHED_PER_FINALIST = 8
-"""Candidates that are tried out for each that comes among the finalists."""
+"""Evaluated candidates for each finalist, at least."""
 _UNPROMISING = 10
-"""Candidates after which a search without a single value is given up."""
+"""Candidates without a value after which the search ends with an error."""
 
 
-class Progress(NamedTuple):
-    """How far a search is.
+class SearchProgress(NamedTuple):
+    """Progress of a search.
 
     Args:
-        num_done: candidates that have been tried out.
+        num_done: candidates that were evaluated.
         best: the least value of the first objective so far; infinite before there is one.
-        seconds: spent by this command.
-        num_now: candidates tried out by this command.
-        num_episodes: of the generation that is being tried out.
+        seconds: spent by this call.
+        num_now: candidates evaluated by this call.
+        num_episodes: finished ones of the current generation.
     """
 
     num_done: int
@@ -55,35 +52,36 @@ class Study:
             each.name: each.clipped(episodes.start(each.name)) for each in search.space.parameters
         }
         self._generations = Generations(search, episodes, study, self._start)
-        self._strategy: Strategy | None = None
+        self._optimizer: Optimizer | None = None
         self._told = 0
 
     @property
     def start(self) -> Candidate:
-        """The first candidate: the values that there were before, within the bounds."""
+        """The first candidate: the current values, clipped to the bounds."""
         return dict(self._start)
 
     @property
     def before(self) -> Candidate:
-        """The values that there were before."""
+        """The current values."""
         return {name: self.episodes.start(name) for name in self._start}
 
     @property
-    def strategy(self) -> Strategy:
-        """The optimiser, told all complete generations."""
-        if self._strategy is None:
-            self._strategy = strategy_of(self.search, self._start)
+    def optimizer(self) -> Optimizer:
+        """The optimizer, told all complete generations."""
+        if self._optimizer is None:
+            self._optimizer = make_optimizer(self.search, self._start)
         while self._is_done(self._told, self.search.population):
-            self._strategy.tell(self._scored(self._told))
+            self._optimizer.tell(self._evaluated(self._told))
             self._told += 1
-        return self._strategy
+        return self._optimizer
 
     def trials(self) -> list[Trial]:
         """Return all candidates so far, by number."""
-        return [trial_of(each) for each in self.optuna.get_trials(deepcopy=False)]
+        return [make_trial(each) for each in self.optuna.get_trials(deepcopy=False)]
 
     def best(self) -> Trial:
-        """Return the best candidate; of several objectives the front's nearest to all their bests.
+        """Return the best candidate; of several objectives the one of the Pareto front that is
+        nearest to the least values of all.
 
         Raises:
             ValueError: none has a value.
@@ -104,7 +102,7 @@ class Study:
         return front[int(distance.argmin())]
 
     def front(self) -> list[Trial]:
-        """Return those that no other one is better than in every objective."""
+        """Return the Pareto front: the candidates that no other one beats in every objective."""
         done = [each for each in self.trials() if each.state == "done"]
 
         def is_beaten(one: Trial) -> bool:
@@ -120,26 +118,26 @@ class Study:
         self,
         budget: int | None = None,
         seconds: float | None = None,
-        on_progress: Callable[[Progress], None] = lambda _: None,
+        on_progress: Callable[[SearchProgress], None] = lambda _: None,
     ) -> bool:
-        """Try out candidates until the budget is spent, and return whether it was.
+        """Evaluate candidates until the budget is spent. Return whether it was spent.
 
-        Every episode is kept as soon as it is done. Ctrl-C ends it; the same call goes on from
-        there as if nothing had happened.
+        Every episode is stored as soon as it is done. Ctrl-C ends the call; the same call
+        continues with the same results as without a break.
 
         Args:
-            budget: candidates in all, those of former calls included.
-            seconds: time of this call, after which no generation is begun [s].
-            on_progress: told after each episode.
+            budget: number of candidates, those of former calls included.
+            seconds: time of this call after which no generation starts [s].
+            on_progress: called after each episode.
 
         Raises:
-            ValueError: no budget; a metric that there is not; an objective without a value for any
+            ValueError: no budget; an unknown metric; an objective without a value for any
                 candidate.
         """
         if (budget is None and seconds is None) or (budget is not None and budget < 1):
             raise ValueError(f"budget is {budget}; accepted: a whole number >= 1, or a time")
         began, before = time.perf_counter(), self._num_done()
-        now = Progress(before, self._least(), 0.0, 0, 0)
+        now = SearchProgress(before, self._least(), 0.0, 0, 0)
         on_progress(now)
 
         def show(trials: int) -> None:
@@ -148,7 +146,9 @@ class Study:
             if trials:
                 best = self._least()
             spent = time.perf_counter() - began
-            now = Progress(done, best, spent, done - before, 0 if trials else now.num_episodes + 1)
+            now = SearchProgress(
+                done, best, spent, done - before, 0 if trials else now.num_episodes + 1
+            )
             on_progress(now)
 
         generation, size = 0, self.search.population
@@ -166,7 +166,7 @@ class Study:
             return False
         return True
 
-    def try_out(
+    def evaluate(
         self,
         numbers: Sequence[int],
         seeds: Sequence[int],
@@ -174,39 +174,40 @@ class Study:
     ) -> dict[int, dict[tuple[str, int], Numbers]]:
         """Run candidates with other seeds, and return the metrics of each by scenario and seed.
 
-        Kept like the episodes of the search; an episode that fails has no metrics.
+        Episodes are stored like those of the search. One that fails has no metrics.
 
         Args:
             numbers: of the candidates, or `BEFORE`.
             seeds: of the episodes in each scenario.
-            on_progress: told how many episodes are done, and of how many.
+            on_progress: called with the number of finished episodes, and of all.
 
         Raises:
-            KeyboardInterrupt: the user stopped it; what was done is kept.
+            KeyboardInterrupt: the user stopped it; finished episodes are stored.
         """
         trials = self.optuna.get_trials(deepcopy=False)
         instances = [(scenario, seed) for seed in seeds for scenario in self.episodes.scenarios]
         kept = self.optuna.user_attrs
         found: dict[int, dict[tuple[str, int], Numbers]] = {number: {} for number in numbers}
-        asks = []
+        missing = []
         for where in instances:
             for number in dict.fromkeys(numbers):
                 told = kept.get(_unseen(number, *where))
                 if told is None:
                     values = self.before if number == BEFORE else dict(trials[number].params)
-                    asks.append(Ask(number, values, *where))
+                    missing.append(Episode(number, values, *where))
                 else:
                     found[number][where] = told["metrics"]
         total = len(instances) * len(found)
 
-        def keep(ask: Ask, outcome: Outcome) -> None:
-            told = {"metrics": outcome.metrics, "error": outcome.error}
-            self.optuna.set_user_attr(_unseen(ask.number, ask.scenario, ask.seed), told)
-            found[ask.number][ask.scenario, ask.seed] = outcome.metrics
+        def keep(episode: Episode, result: Result) -> None:
+            where = episode.scenario, episode.seed
+            told = {"metrics": result.metrics, "error": result.error}
+            self.optuna.set_user_attr(_unseen(episode.number, *where), told)
+            found[episode.number][where] = result.metrics
             on_progress(sum(map(len, found.values())), total)
 
-        if asks:
-            self.episodes.run(asks, keep)
+        if missing:
+            self.episodes.run(missing, keep)
         return {
             number: {where: some[where] for where in instances} for number, some in found.items()
         }
@@ -217,16 +218,16 @@ class Study:
         seeds: Sequence[int],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Trial:
-        """Return the best of the best candidates by other seeds.
+        """Return the best finalist by its results on further seeds.
 
-        The best of many with few seeds is in part the luckiest. So the finalists, and the first
-        candidate, are compared by new seeds alone. Of several objectives it is `best`, without
-        further runs.
+        The best of many candidates by few seeds is in part the luckiest. So the finalists and the
+        first candidate are compared by new seeds alone. Of several objectives it is `best`,
+        without further runs.
 
         Args:
-            finalists: how many of the best, at most an eighth of the candidates.
+            finalists: most of them; never more than an eighth of the candidates.
             seeds: new ones.
-            on_progress: told how many episodes are done, and of how many.
+            on_progress: called with the number of finished episodes, and of all.
 
         Raises:
             ValueError: no candidate has a value.
@@ -239,12 +240,12 @@ class Study:
         distinct: dict[str, Trial] = {}
         for each in sorted(done, key=lambda each: (each.values[0], each.number)):
             distinct.setdefault(repr(each.candidate), each)
-        # Of few candidates few: to choose is not to cost more than to search.
+        # Few of few candidates: the choice must not cost more than the search.
         most = min(finalists, max(2, len(done) // SEARCHED_PER_FINALIST))
         ranked = list(distinct.values())[:most]
         if done[0].number == 0 and done[0].candidate not in [each.candidate for each in ranked]:
             ranked.append(done[0])
-        further = self.try_out([each.number for each in ranked], seeds, on_progress)
+        further = self.evaluate([each.number for each in ranked], seeds, on_progress)
         objective = self.search.objectives[0]
 
         def mean(each: Trial) -> tuple[float, int]:
@@ -273,14 +274,14 @@ class Study:
 
     def _some(self, numbers: range) -> list[Trial]:
         kept = self.optuna.get_trials(deepcopy=False)
-        return [trial_of(kept[number]) for number in numbers]
+        return [make_trial(kept[number]) for number in numbers]
 
     def _asked(self) -> list[Candidate]:
-        return self.strategy.ask()
+        return self.optimizer.ask()
 
     def _limits(self, generation: int) -> dict[tuple[str, int], float]:
-        """Return after what time each episode is hopeless, from former generations [s]: where it
-        is time that is to be small."""
+        """Return the times after which episodes are stopped [s], from former generations. There are
+        none unless the objective is about time."""
         objective, *others = self.search.objectives
         if others or not self.search.gives_up or not objective.is_about_time:
             return {}
@@ -295,7 +296,7 @@ class Study:
             if metrics.get("is_finished") and metrics.get("duration")
         }
 
-    def _scored(self, generation: int) -> list[Scored]:
+    def _evaluated(self, generation: int) -> list[Evaluated]:
         """Return a complete generation with its ranks."""
         trials = self._some(self._numbers(generation))
 
@@ -308,7 +309,7 @@ class Study:
 
         ranked = sorted({order(each) for each in trials})
         return [
-            Scored(
+            Evaluated(
                 each.candidate,
                 float(ranked.index(order(each))),
                 each.state,

@@ -1,4 +1,4 @@
-"""Candidates of a study, and what came of them."""
+"""Candidates of a study and their results."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -7,19 +7,19 @@ from jaxplore.study.tuning.objective import Numbers
 from jaxplore.study.tuning.space import Candidate, Value
 
 EPISODE = "episode "
-"""Begins the names under which a trial keeps its episodes."""
+"""Prefix of the names under which a trial stores its episodes."""
 VERDICT = "verdict"
-"""Name under which it keeps what became of it, and an error."""
+"""Name under which it stores its state and an error."""
 
 
 class Trial(NamedTuple):
-    """A candidate and what came of it.
+    """A candidate and its results.
 
     Args:
-        number: from 0, the settings that there were before.
+        number: from 0, the current settings.
         candidate: its values.
         values: of the objectives; empty if it failed.
-        state: "done", "given up", "failed", or "running" where it was cut off.
+        state: "done", "given up", "failed", or "running" if it was interrupted.
         episodes: metrics by scenario and seed.
         error: why it failed.
     """
@@ -32,8 +32,8 @@ class Trial(NamedTuple):
     error: str | None = None
 
 
-def trial_of(frozen: Any) -> Trial:
-    """Return a candidate from a trial as Optuna keeps it."""
+def make_trial(frozen: Any) -> Trial:
+    """Read a candidate from a trial of Optuna."""
     names = {"COMPLETE": "done", "PRUNED": "given up", "FAIL": "failed"}
     state = names.get(frozen.state.name, "running")
     values: tuple[float, ...] = ()
@@ -43,15 +43,15 @@ def trial_of(frozen: Any) -> Trial:
         values = (frozen.user_attrs["value"],)
     episodes = {
         where: told["metrics"]
-        for where, told in episodes_of(frozen.user_attrs).items()
+        for where, told in read_episodes(frozen.user_attrs).items()
         if told["error"] is None
     }
     candidate: dict[str, Value] = dict(frozen.params)
     return Trial(frozen.number, candidate, values, state, episodes, frozen.user_attrs.get("error"))
 
 
-def episodes_of(attributes: Mapping[str, Any]) -> dict[tuple[str, int], Any]:
-    """Return what a trial's attributes keep of its episodes, by scenario and seed."""
+def read_episodes(attributes: Mapping[str, Any]) -> dict[tuple[str, int], Any]:
+    """Read the episodes from the attributes of a trial, by scenario and seed."""
     found = {}
     for name, told in attributes.items():
         if name.startswith(EPISODE):

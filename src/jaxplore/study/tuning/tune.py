@@ -1,124 +1,225 @@
-"""A search in one call."""
+"""A search in one call, from the parameters to the verdict."""
 
+import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 
+from jaxplore.report.console import progress_bar
+from jaxplore.study.tuning.before_after import before_and_after
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.objective import Objective
+from jaxplore.study.tuning.report import write_results, write_settings
+from jaxplore.study.tuning.result import TuningResult, Unseen
 from jaxplore.study.tuning.search import POPULATION, Measure, Search
-from jaxplore.study.tuning.space import Candidate, Parameter, Space, parse_parameter
+from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
+from jaxplore.study.tuning.significance import changes, verdict
+from jaxplore.study.tuning.space import Parameter, Space, parse_parameter
 from jaxplore.study.tuning.storage import open_study
-from jaxplore.study.tuning.study import Progress
+from jaxplore.study.tuning.study import BEFORE, SearchProgress, Study
 from jaxplore.study.tuning.trials import Trial
 
 FINALISTS = 8
-"""Candidates at most that are compared by new seeds before one is chosen."""
+"""Most candidates that are compared by further seeds before one is chosen."""
+UNSEEN = 10
+"""Seeds for the comparison of the current and the chosen settings."""
 
 
 def further_seeds(first: int, seeds: int) -> range:
-    """Return the seeds by which finalists are compared: twice as many as a search has.
+    """Return the seeds by which finalists are compared: twice as many as in the search.
 
     Args:
-        first: the first one that the search did not use.
-        seeds: of the search.
+        first: the first one that the search has not used.
+        seeds: number of seeds of the search.
     """
     return range(first, first + max(2 * seeds, 6))
-
-
-@dataclasses.dataclass(frozen=True)
-class Tuned:
-    """What a search found.
-
-    Args:
-        chosen: the best candidate by seeds that the search did not use.
-        before: the values that there were.
-        trials: all candidates, by number.
-        front: those that no other one is better than in every objective.
-        is_complete: whether the budget was spent; if not, Ctrl-C ended it.
-    """
-
-    chosen: Trial
-    before: Candidate
-    trials: tuple[Trial, ...]
-    front: tuple[Trial, ...]
-    is_complete: bool
 
 
 def tune(
     episodes: Episodes,
     parameters: Sequence[Parameter | str],
-    objective: str | Sequence[str],
+    objective: str | Sequence[str] | None = None,
     *,
-    budget: int,
+    budget: int | None = None,
+    seconds: float | None = None,
     seeds: int = 5,
+    unseen: int = UNSEEN,
     optimizer: str = "tpe",
     population: int = POPULATION,
     seed: int = 0,
     gives_up: bool | None = None,
     measures: Sequence[Measure] = (),
     folder: str | PathLike[str] | None = None,
-    on_progress: Callable[[Progress], None] = lambda _: None,
-) -> Tuned:
-    """Search the values with which an objective is least.
+    title: str = "",
+    animation: bool = True,
+    progress: bool = False,
+) -> TuningResult:
+    """Search the values with the least objective, and compare them with the current ones.
 
-    Every candidate is tried out in the same episodes (common random numbers). The eight best, and
-    the values that there were, are then compared by other seeds, twice as many and at least six.
+    Every candidate is evaluated in the same episodes (common random numbers). The eight best and
+    the current values are compared by further seeds, twice as many and at least six; these choose
+    one. The chosen and the current values are then compared on `unseen` seeds that were used for
+    neither.
+
+    Ctrl-C ends the call and keeps what was done; with a folder the same call continues.
 
     Args:
-        episodes: where candidates are tried out: `ControllerEpisodes`, `SettingsEpisodes`,
+        episodes: where candidates are evaluated: `ControllerEpisodes`, `SettingsEpisodes`,
             `FunctionEpisodes`, `VectorEpisodes`.
-        parameters: what is searched: each a `Parameter`, or a text `NAME=LOW:HIGH`,
-            `NAME=LOW:HIGH:log`, `NAME=A,B,C`, or `NAME` for a tenth to ten times what it is.
-        objective: a sum of metrics, less is better: `time_to.90 + 100*collisions`; several for a
-            front of compromises.
-        budget: candidates to try out, those of former calls in the same folder included.
+        parameters: to be varied: each a `Parameter`, or a text `NAME=LOW:HIGH`,
+            `NAME=LOW:HIGH:log`, `NAME=A,B,C`, or `NAME` for a tenth to ten times its value.
+        objective: a sum of metrics to be minimized, such as `time_to.90 + 100*collisions`; several
+            for a Pareto front. `episodes.default_objective` when absent.
+        budget: number of candidates, those of former calls in the same folder included.
+        seconds: time after which no generation starts [s], in place of a budget or beside it.
         seeds: episodes of each candidate in each scenario.
+        unseen: seeds for the comparison of the current and the chosen values.
         optimizer: of Optuna tpe, nsga-ii, qmc or random; of evosax cma-es, sep-cma-es, open-es,
             snes, cr-fm-nes or pgpe; of pyribs cma-me.
         population: candidates in a generation.
         seed: of the search and of the first episode.
         gives_up: whether candidates that look worse than most are given up after their first
             episodes; where there is one objective and no cma-me, when absent.
-        measures: of cma-me, what it spreads over.
-        folder: keeps the study; the same call goes on from there. Nowhere when absent.
-        on_progress: told after each episode.
+        measures: metrics over which cma-me spreads candidates.
+        folder: for the study, tables, pictures, a page, and with `SettingsEpisodes` the chosen
+            settings and an animation. Nothing is written when absent.
+        title: of the page; the names of the scenarios when absent.
+        animation: whether to draw a run before and a run after the search.
+        progress: show progress bars.
 
     Raises:
-        ValueError: what `Search`, `open_study` and `Study.run` refuse; parameters and metrics that
-            there are not.
+        ValueError: what `Search`, `open_study` and `Study.run` refuse; unknown parameters and
+            metrics.
+        KeyboardInterrupt: the user stopped it before any candidate had a value.
     """
-    texts = (objective,) if isinstance(objective, str) else tuple(objective)
+    if unseen < 1:
+        raise ValueError(f"unseen is {unseen}; accepted: a whole number >= 1")
+    objectives = _objectives(episodes, objective)
     search = Search(
         space_of(parameters, episodes),
-        tuple(map(Objective.parse, texts)),
+        objectives,
         tuple(range(seed, seed + seeds)),
         optimizer,
         population=population,
         seed=seed,
-        gives_up=(len(texts) == 1 and optimizer != "cma-me") if gives_up is None else gives_up,
+        gives_up=len(objectives) == 1 and optimizer != "cma-me" if gives_up is None else gives_up,
         measures=tuple(measures),
     )
     where = None if folder is None else Path(folder)
     with open_study(search, episodes, where) as study:
-        is_complete = study.run(budget, on_progress=on_progress)
+        found = _search(study, budget, seconds, unseen, progress=progress)
+        if where is None:
+            return found
+        files = [write_settings(study, found.chosen, where)]
+        if found.is_complete:
+            clip = _animation(study, found, progress=progress) if animation else None
+            name = title or f"Tuned: {', '.join(episodes.scenarios)}"
+            files += write_results(study, found, where, title=name, animation=clip)
+        return dataclasses.replace(found, files=tuple(each for each in files if each is not None))
+
+
+def _objectives(episodes: Episodes, given: str | Sequence[str] | None) -> tuple[Objective, ...]:
+    """Read the objectives; the default one if none is given."""
+    if given is None:
+        given = episodes.default_objective
+    if not given:
+        raise ValueError("objective is missing; accepted: a sum of metrics, such as collisions")
+    objectives = tuple(map(Objective.parse, (given,) if isinstance(given, str) else given))
+    if episodes.metrics is not None:
+        for each in objectives:
+            each.check(episodes.metrics)
+    return objectives
+
+
+def _search(
+    study: Study, budget: int | None, seconds: float | None, unseen: int, *, progress: bool
+) -> TuningResult:
+    """Search, choose and compare. After Ctrl-C the rest is left out."""
+    seeds = study.search.seeds
+    further = further_seeds(seeds[-1] + 1, len(seeds))
+    with progress_bar("tuning", enabled=progress) as advance:
+        is_spent = study.run(budget, seconds, _show_search(advance, study, budget, seconds))
+    chosen: Trial | None = None
+    if is_spent:
+        with contextlib.suppress(KeyboardInterrupt):
+            with progress_bar("choosing", enabled=progress) as advance:
+                chosen = study.select(FINALISTS, further, _show_episodes(advance))
+            with progress_bar("comparing", enabled=progress) as advance:
+                last = range(further.stop, further.stop + unseen)
+                return compare_on_unseen(study, chosen, last, _show_episodes(advance))
+    if chosen is None:
+        if not any(each.state == "done" for each in study.trials()):
+            raise KeyboardInterrupt
         chosen = study.best()
-        if is_complete:
-            chosen = study.select(FINALISTS, further_seeds(seed + seeds, seeds))
-        front = tuple(study.front())
-        return Tuned(chosen, study.before, tuple(study.trials()), front, is_complete)
+    return _result(study, chosen, {}, {}, is_complete=False)
+
+
+def compare_on_unseen(
+    study: Study,
+    chosen: Trial,
+    seeds: Sequence[int],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> TuningResult:
+    """Compare a candidate with the current values on seeds that the search did not use.
+
+    Args:
+        study: the search.
+        chosen: the candidate.
+        seeds: of the episodes in each scenario.
+        on_progress: called with the number of finished episodes, and of all.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it; finished episodes are stored.
+    """
+    found = study.evaluate((BEFORE, chosen.number), seeds, on_progress)
+    return _result(study, chosen, found[BEFORE], found[chosen.number], is_complete=True)
+
+
+def _result(
+    study: Study, chosen: Trial, before: Unseen, after: Unseen, *, is_complete: bool
+) -> TuningResult:
+    found = tuple(changes(study.search.objectives, before, after))
+    told = "The search was interrupted; the same call continues it."
+    if is_complete:
+        told = verdict(chosen.number, study.search.objectives, found)
+    return TuningResult(
+        chosen,
+        study.before,
+        tuple(study.trials()),
+        tuple(study.front()),
+        is_complete,
+        before,
+        after,
+        found,
+        told,
+    )
+
+
+def _animation(study: Study, found: TuningResult, *, progress: bool) -> bytes | None:
+    """Draw a run before and a run after the search, beside each other, if they can be drawn."""
+    episodes = study.episodes
+    if not isinstance(episodes, SettingsEpisodes) or not found.before:
+        return None
+    scenario = episodes.scenarios[0]
+    seed = next(seed for name, seed in found.before if name == scenario)
+    candidates = (found.current, found.chosen.candidate)
+    with progress_bar("drawing", enabled=progress) as advance:
+        return before_and_after(
+            episodes, scenario, candidates, seed, lambda share: advance(share, "")
+        )
 
 
 def space_of(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
-    """Return what is searched; an array stands for all of its elements.
+    """Build the search space; an array stands for all of its elements.
 
     Args:
         parameters: see `tune`.
-        episodes: where candidates are tried out.
+        episodes: where candidates are evaluated.
 
     Raises:
-        ValueError: a name that there is not, bounds that are not accepted.
+        ValueError: an unknown name, bounds that are not accepted.
     """
     found: list[Parameter] = []
     for each in parameters:
@@ -131,3 +232,29 @@ def space_of(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space
                 bounds = each.partition("=")[1:]
                 found.append(parse_parameter(element + "".join(bounds), start))
     return Space(tuple(found))
+
+
+def _show_search(
+    advance: Callable[[float, str], None], study: Study, budget: int | None, seconds: float | None
+) -> Callable[[SearchProgress], None]:
+    per_candidate = len(study.search.seeds) * len(study.episodes.scenarios)
+
+    def show(now: SearchProgress) -> None:
+        exact = now.num_done + now.num_episodes / per_candidate
+        spent = exact - (now.num_done - now.num_now)
+        if budget is None:
+            assert seconds is not None
+            left, share = max(seconds - now.seconds, 0.0), min(now.seconds / seconds, 1.0)
+            text = f"{now.num_done} candidates"
+        else:
+            left = now.seconds / spent * (budget - exact) if spent > 0 else math.nan
+            share, text = min(exact / budget, 1.0), f"{now.num_done} of {budget}"
+        time_left = "" if math.isnan(left) else f", about {left:.0f} s left"
+        best = f", best {now.best:.5g}" if math.isfinite(now.best) else ""
+        advance(share, text + best + time_left)
+
+    return show
+
+
+def _show_episodes(advance: Callable[[float, str], None]) -> Callable[[int, int], None]:
+    return lambda done, total: advance(done / total, f"{done} of {total} episodes")

@@ -1,1 +1,1 @@
-"""Jobs spread over processes or the workers of a Ray cluster, whatever the jobs are."""
+"""Tasks, distributed over processes or the workers of a Ray cluster."""

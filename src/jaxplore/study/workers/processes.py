@@ -1,4 +1,4 @@
-"""Workers that are processes on this machine."""
+"""A pool of processes on this machine."""
 
 import contextlib
 import multiprocessing
@@ -11,16 +11,15 @@ from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
-from jaxplore.study.workers.answer import answer_to
-from jaxplore.study.workers.crew import Crew, Event, limit_threads, num_processors
-from jaxplore.study.workers.job import Job
+from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads, num_processors
+from jaxplore.study.workers.task import Task, run_task
 
-_PATIENCE = 10.0
-"""Time for a process to end after its last word [s]."""
+_END_TIMEOUT = 10.0
+"""Time for a process to end after its connection is closed [s]."""
 
 
-class Processes(Crew):
-    """Processes that are started afresh: a fork would share JAX's threads and locks.
+class ProcessPool(WorkerPool):
+    """Processes on this machine, spawned: a fork would share JAX's threads and locks.
 
     Args:
         number: of processes.
@@ -34,38 +33,38 @@ class Processes(Crew):
 
     @property
     def size(self) -> int:
-        """How many workers there are to be."""
+        """Most workers at a time."""
         return self._number
 
-    def start(self, example: Job) -> None:
+    def start(self, example: Task) -> None:
         """Start one more process."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        # Packed: no array is made of it before the number of threads is set.
+        # Pickled here: unpickling makes arrays, and the number of threads must be set before.
         arguments = (theirs, self._threads, pickle.dumps(example))
         process = context.Process(target=_serve, args=arguments, daemon=True)
         with _interrupts_held():
             process.start()
-        # Only the process itself holds its end now: when it dies, ours says so.
+        # Only the process holds its end now, so ours is closed when it dies.
         theirs.close()
         self._workers[self._started] = (ours, process)
         self._started += 1
 
-    def ask(self, worker: int) -> None:
-        """Ask a process whether it is there."""
+    def ping(self, worker: int) -> None:
+        """Ask a process whether it is alive."""
         self._send(worker, None)
 
-    def give(self, worker: int, job: Job) -> None:
-        """Send a job."""
-        self._send(worker, job)
+    def submit(self, worker: int, task: Task) -> None:
+        """Send a task."""
+        self._send(worker, task)
 
-    def _send(self, worker: int, job: Job | None) -> None:
-        # That nobody is there any more is for `wait` to find out.
+    def _send(self, worker: int, task: Task | None) -> None:
+        # `wait` reports a worker that is dead.
         with contextlib.suppress(OSError):
-            self._workers[worker][0].send(job)
+            self._workers[worker][0].send(task)
 
     def wait(self) -> list[Event]:
-        """Wait for a word, or the end, of some process."""
+        """Wait for a message, or the end, of some process."""
         by_end = {ours: worker for worker, (ours, _) in self._workers.items()}
         return [self._event(by_end[ours], ours) for ours in connection.wait(list(by_end))]  # type: ignore[index, arg-type]
 
@@ -74,18 +73,18 @@ class Processes(Crew):
             return Event(worker, ours.recv())
         except (EOFError, OSError):
             _, process = self._workers.pop(worker)
-            return Event(worker, death=_end(ours, process, _PATIENCE))
+            return Event(worker, death=_end(ours, process, _END_TIMEOUT))
 
     def close(self) -> None:
-        """Kill all processes: they hold nothing that would be lost but their jobs."""
+        """Kill all processes. Nothing but their tasks is lost."""
         while self._workers:
             _, (ours, process) = self._workers.popitem()
             _end(ours, process, 0.0)
 
 
-def _end(ours: Connection, process: SpawnProcess, patience: float) -> str:
-    """See to it that a process has ended, and return how."""
-    process.join(patience)
+def _end(ours: Connection, process: SpawnProcess, timeout: float) -> str:
+    """Wait for a process to end, kill it after a timeout, and return how it ended."""
+    process.join(timeout)
     if process.exitcode is None:
         process.kill()
         process.join()
@@ -98,14 +97,14 @@ def _end(ours: Connection, process: SpawnProcess, patience: float) -> str:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back: what is started meanwhile never gets it, this process afterwards.
+    """Block Ctrl-C: processes started meanwhile never receive it, this process does afterwards.
 
-    A terminal sends it to all processes; what becomes of the workers is decided here.
+    A terminal sends it to all processes. This process decides what becomes of the workers.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # It lets signals through again when it starts, which would be in between.
+    # Started now: its start unblocks signals, which would undo the block below.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -115,20 +114,20 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _serve(theirs: Connection, threads: int, example: bytes) -> None:
-    """Do jobs until nobody asks any more. Runs in a process of its own."""
+    """Run tasks until the connection is closed. The body of a worker process."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
     pickle.loads(example)
-    # Nobody to talk to: it is over.
+    # The parent has closed the connection or is gone.
     with contextlib.suppress(EOFError, BrokenPipeError):
         theirs.send(None)
         while True:
-            job = theirs.recv()
-            theirs.send(None if job is None else answer_to(job))
+            task = theirs.recv()
+            theirs.send(None if task is None else run_task(task))
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has ended, in the middle of a job too."""
+    """End this process when its parent has ended, also in the middle of a task."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

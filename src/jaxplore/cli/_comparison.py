@@ -1,0 +1,248 @@
+"""`jaxplore compare`: calls `jaxplore.compare` and `compare_maps`, and prints their tables."""
+
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxplore.build.exploration import comparable
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.cli._options import entries_of, place_name
+from jaxplore.cli._runner import RUNNER, make_runner
+from jaxplore.cli._show import free_name, show_comparison
+from jaxplore.report.console import progress_bar
+from jaxplore.report.folder import check_folder
+from jaxplore.report.table import print_table
+from jaxplore.settings.exploration import GROUND, make_exploration_settings, merged
+from jaxplore.settings.path import PATH
+from jaxplore.settings.sections import RunSettings
+from jaxplore.study.comparison.compare import compare
+from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
+from jaxplore.study.comparison.maps import maps_in, with_starts
+from jaxplore.study.comparison.store import Plan
+from jaxplore.study.runner import Runner
+from jaxplore.study.variants import make_variants
+
+_OF_MAPS = ("starts", "batch")
+"""Options for --maps only."""
+_OF_ONE_PLACE = {
+    "map_": "the map",
+    "path_file": "--path",
+    "start": "--start",
+    "goal": "--goal",
+}
+"""Options for one place only."""
+
+_FAILED, _INTERRUPTED = 1, 130
+
+
+def comparison_options(command: Any) -> Any:
+    """Add the options that say what is compared, and where."""
+    folder = click.Path(path_type=Path)
+    for option in (
+        click.option(
+            "--batch",
+            type=int,
+            help="With --maps: runs side by side in one program, for accelerators.  [default: 1]",
+        ),
+        click.option(
+            "--starts",
+            type=folder,
+            metavar="FILE",
+            help="With --maps: where to start, NAME: [x, y, yaw] in YAML.  [default: starts.yaml "
+            "of the folder, else the most open spot]",
+        ),
+        click.option(
+            "--maps",
+            type=folder,
+            metavar="DIR",
+            help="Compare on all ROS maps of a folder; can be interrupted and continued.",
+        ),
+        click.option(
+            "--vary",
+            "varied",
+            multiple=True,
+            metavar="NAME=A,B,C",
+            help="Compare values of a setting, or of a number of the controller by its path.",
+        ),
+        click.option(
+            "--variants",
+            metavar="FILE,FILE",
+            help="Compare files of settings, each over the common settings.",
+        ),
+        click.option(
+            "--architectures",
+            metavar="NAME,NAME",
+            help="Compare architectures.  [default: all that the map allows, unless something else "
+            "varies]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def run_comparison(
+    options: dict[str, Any], seeds: int, out: Path | None, *, overwrite: bool, animation: bool
+) -> None:
+    """Compare variants, write the folder of the comparison and print its tables.
+
+    With several maps it ends the process with 1 if runs failed, and with 130 if the user stopped
+    it.
+
+    Raises:
+        ValueError: options that are not accepted.
+    """
+    if seeds < 1:
+        raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
+    variants = make_variants(
+        _names(options.pop("architectures")),
+        _names(options.pop("variants")),
+        options.pop("varied"),
+    )
+    given = {name: options.pop(name) for name in ("maps", *_OF_MAPS, *RUNNER)}
+    runner = make_runner(given)
+    if given["maps"] is not None:
+        _on_maps(options, given, variants, seeds, out, runner, overwrite=overwrite)
+        return
+    for name in _OF_MAPS:
+        if given[name] is not None:
+            raise ValueError(f"--{name} is {given[name]}; accepted: with --maps")
+    _in_one_place(options, variants, seeds, out, runner, overwrite=overwrite, animation=animation)
+
+
+def _names(text: str | None) -> list[str]:
+    return [] if text is None else [name.strip() for name in text.split(",")]
+
+
+def _in_one_place(
+    options: dict[str, Any],
+    variants: Mapping[str, dict[str, Any]],
+    seeds: int,
+    out: Path | None,
+    runner: Runner,
+    *,
+    overwrite: bool,
+    animation: bool,
+) -> None:
+    entries = entries_of(options)
+    along_path = PATH in entries
+    if not variants:
+        variants = {name: {"architecture": name} for name in _architectures(entries, along_path)}
+    settings = {name: make_settings(merged(entries, own)) for name, own in variants.items()}
+    _check_one_robot(settings)
+    common = next(iter(settings.values()))
+    folder = free_name(Path("runs") / f"{place_name(entries)}-comparison") if out is None else out
+    check_folder(folder, overwrite=overwrite)
+    experiments = {name: build(each)[:3] for name, each in settings.items()}
+    first = common.seed
+    result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
+    # Defaults depend on the architecture: those of the first one are kept.
+    kind = {} if along_path else {"architecture": getattr(common, "architecture", None)}
+    kept = make_settings({**entries, **kind}).model_dump(mode="json", exclude={"architecture"})
+    own = {
+        name: settings[name].model_dump(mode="json")
+        for name, each in variants.items()
+        if set(each) != {"architecture"}
+    }
+    with progress_bar("drawing", enabled=animation) as advance:
+        result.save(
+            folder,
+            overwrite=overwrite,
+            animation=animation,
+            settings=kept,
+            variants=own,
+            on_progress=lambda share: advance(share, ""),
+        )
+    show_comparison(result, folder)
+
+
+def _architectures(entries: dict[str, Any], along_path: bool) -> tuple[str, ...]:
+    """Return the architectures that are compared if nothing is said."""
+    if along_path:
+        raise ValueError(
+            "--vary is missing; accepted along a path: --vary NAME=A,B or --variants FILE,FILE"
+        )
+    if make_exploration_settings(entries).architecture == "portfolio":
+        return ("explorer", "portfolio")
+    return comparable(make_exploration_settings({**entries, "architecture": "two-layer"}))
+
+
+def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
+    """Refuse architectures that drive another robot than the others."""
+    names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
+    ground = [name for name, architecture in names.items() if architecture in GROUND]
+    if ground and len(ground) < len(names):
+        raise ValueError(
+            f"--architectures is {','.join(names)!r}, of which {', '.join(ground)} drives another "
+            f"robot with another sensor; accepted: {', '.join(GROUND)}, or of the others"
+        )
+
+
+def _on_maps(
+    options: dict[str, Any],
+    given: dict[str, Any],
+    variants: Mapping[str, dict[str, Any]],
+    seeds: int,
+    out: Path | None,
+    runner: Runner,
+    *,
+    overwrite: bool,
+) -> None:
+    for name, shown in _OF_ONE_PLACE.items():
+        if options[name] is not None:
+            raise ValueError(
+                f"{shown} is {options[name]} beside --maps; accepted: one of them, and --starts"
+            )
+    entries = entries_of(options)
+    maps = maps_in(given["maps"])
+    if given["starts"] is not None:
+        maps = with_starts(maps, given["starts"])
+    first = entries.get("seed", 0)
+    if not isinstance(first, int):
+        raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
+    plan = Plan(
+        maps,
+        variants or GROUND,
+        tuple(range(first, first + seeds)),
+        entries,
+        1 if given["batch"] is None else given["batch"],
+    )
+    folder = _default_folder(given["maps"]) if out is None else out
+    _show(compare_maps(plan, folder, runner=runner, overwrite=overwrite, progress=True))
+
+
+def _default_folder(maps: Path) -> Path:
+    """Return the folder for the results of a folder of maps.
+
+    Raises:
+        ValueError: there is one with the name of former versions.
+    """
+    name = os.path.basename(os.path.realpath(maps))
+    folder, former = Path("runs") / f"{name}-comparison", Path("runs") / f"{name}-benchmark"
+    if former.is_dir() and not folder.exists():
+        raise ValueError(f"{former} is of a former version; accepted: --out {former}, or rename it")
+    return folder
+
+
+def _show(found: MapComparison) -> None:
+    """Print the tables, where the files are, and what is missing."""
+    for table in found.tables:
+        click.echo(table.title)
+        print_table(table.rows, has_lines=True)
+    click.echo(str(found.results))
+    click.echo(str(found.page))
+    for line in found.failures:
+        click.echo(line, err=True)
+    counts = found.counts
+    if counts.is_interrupted:
+        click.echo(
+            f"Interrupted: {counts.num_former + counts.num_done} of {found.num_episodes} runs are "
+            "done; the same command does the others.",
+            err=True,
+        )
+        sys.exit(_INTERRUPTED)
+    if counts.num_failed:
+        sys.exit(_FAILED)

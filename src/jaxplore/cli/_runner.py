@@ -1,0 +1,39 @@
+"""Options that say where runs are computed: in this process, in several, or on a Ray cluster."""
+
+from typing import Any
+
+import click
+
+from jaxplore.study.runner import Runner
+
+RUNNER = ("workers", "ray", "address")
+"""Names of these options."""
+
+
+def runner_options(command: Any) -> Any:
+    """Add the options of a runner."""
+    for option in (
+        click.option("--address", metavar="HOST:PORT", help="Join a Ray cluster."),
+        click.option("--ray", is_flag=True, help="Start a local Ray cluster."),
+        click.option(
+            "--workers",
+            type=int,
+            help="Processes, or workers of Ray.  [default: 1; all that Ray has]",
+        ),
+    ):
+        command = option(command)
+    return command
+
+
+def make_runner(given: dict[str, Any]) -> Runner:
+    """Make the runner that the options describe.
+
+    Raises:
+        ValueError: a number of workers < 1.
+    """
+    workers, on_ray, address = given["workers"], given["ray"], given["address"]
+    if workers is not None and workers < 1:
+        raise ValueError(f"--workers is {workers}; accepted: a whole number >= 1")
+    if workers is None and not on_ray and address is None:
+        workers = 1
+    return Runner(workers, address, on_ray=on_ray)

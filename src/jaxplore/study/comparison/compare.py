@@ -1,0 +1,141 @@
+"""Compares variants in one place: every variant runs with the same seeds."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import jax
+
+from jaxplore.control.base import Controller
+from jaxplore.report.console import progress_bar
+from jaxplore.report.metrics import Metrics
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.run import NUM_TRAJECTORIES
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.study.comparison.comparison import Comparison, check_names
+from jaxplore.study.experiments import record_alone
+from jaxplore.study.runner import Runner
+from jaxplore.study.workers.task import Task
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordingTask(Task):
+    """One run of a variant. Its result are the metrics and the recording.
+
+    Args:
+        variant: its name.
+        seed: of the run.
+        controller: computes the controls.
+        scenario: the task.
+        num_steps: most control periods.
+    """
+
+    variant: str
+    seed: int
+    controller: Controller
+    scenario: Scenario
+    num_steps: int
+
+    @property
+    def id(self) -> str:
+        """Variant and seed."""
+        return f"{self.variant}, seed {self.seed}"
+
+    @property
+    def group(self) -> str:
+        """The variant: its closed loop is one compiled program."""
+        return self.variant
+
+    def run(self) -> tuple[Metrics, Recording]:
+        """Run it.
+
+        Raises:
+            KeyboardInterrupt: the user stopped it.
+        """
+        # The key is made here: a key cannot be sent to another process.
+        key = jax.random.key(self.seed)
+        experiment = Experiment(self.controller, self.scenario, self.num_steps, key)
+        recording = record_alone(experiment, num_trajectories=NUM_TRAJECTORIES)
+        return recording.metrics(seed=self.seed), recording
+
+    def failed(self, reason: str) -> tuple[Metrics, Recording]:
+        """Raise that workers died of it.
+
+        Raises:
+            ChildProcessError: always.
+        """
+        raise ChildProcessError(f"run of {self.variant} with seed {self.seed} failed: {reason}")
+
+
+def compare(
+    experiments: Mapping[str, tuple[Controller, Scenario, int]],
+    seeds: Sequence[int],
+    *,
+    runner: Runner | None = None,
+    progress: bool = False,
+) -> Comparison:
+    """Run several variants with the same seeds.
+
+    Runs go seed by seed. Ctrl-C ends the call, and finished runs are returned.
+
+    Args:
+        experiments: controller, scenario and number of steps by the name of the variant; the
+            arguments of `simulate`.
+        seeds: of the runs.
+        runner: runs them in other processes or on a cluster; this process when absent. It is closed
+            at the end.
+        progress: show a progress bar.
+
+    Raises:
+        ValueError: no experiments, no seeds, a seed twice, a name that is no file name.
+    """
+    if not experiments:
+        raise ValueError("experiments is empty; accepted: at least one controller")
+    check_names(experiments)
+    if not seeds or len(set(seeds)) != len(seeds):
+        raise ValueError(f"seeds is {list(seeds)}; accepted: different whole numbers, at least one")
+    tasks = [
+        RecordingTask(name, seed, *experiment[:3])
+        for seed in seeds
+        for name, experiment in experiments.items()
+    ]
+    found: dict[tuple[str, int], Metrics] = {}
+    recordings: dict[str, Recording] = {}
+    is_interrupted = False
+    with progress_bar("comparing", enabled=progress) as advance:
+        show = _show(advance, len(tasks))
+
+        def keep(task: RecordingTask, result: tuple[Metrics, Recording]) -> None:
+            metrics, recording = result
+            found[task.variant, task.seed] = metrics
+            if task.seed == seeds[0]:
+                recordings[task.variant] = recording
+            show(len(found), task)
+
+        try:
+            with Runner() if runner is None else runner as active:
+                active.run(tasks, keep)
+        except KeyboardInterrupt:
+            is_interrupted = True
+    runs = {
+        name: tuple(found[name, seed] for seed in seeds if (name, seed) in found)
+        for name in experiments
+    }
+    ordered = {name: recordings[name] for name in experiments if name in recordings}
+    return Comparison(runs, ordered, is_interrupted)
+
+
+def _show(
+    advance: Callable[[float, str], None], total: int
+) -> Callable[[int, RecordingTask], None]:
+    """Return a function that shows how many runs are done, and the time left."""
+    began = time.perf_counter()
+    advance(0.0, f"{total} runs")
+
+    def show(done: int, task: RecordingTask) -> None:
+        left = (time.perf_counter() - began) / done * (total - done)
+        rest = f", about {left:.0f} s left" if left > 0.0 else ""
+        advance(done / total, f"{done} of {total} runs{rest}, done: {task.id}")
+
+    return show

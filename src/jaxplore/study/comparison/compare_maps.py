@@ -1,0 +1,225 @@
+"""Compares variants on all maps of a folder; a call that can be interrupted and continued."""
+
+import dataclasses
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxplore.report.console import progress_bar
+from jaxplore.report.table import to_markdown
+from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merged
+from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
+from jaxplore.study.comparison.maps import read_grids
+from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
+from jaxplore.study.comparison.rows import StoredRow
+from jaxplore.study.comparison.store import Plan, Store, open_store
+from jaxplore.study.comparison.table import NEEDED, MapTable, list_failures, map_tables
+from jaxplore.study.runner import Runner
+
+PROTOCOL: dict[str, Any] = {
+    "rates": {"control": 20.0, "sensing": 10.0, "fields": 5.0},
+    "lidar": {"num_beams": 180, "max_range": 5.0},
+    "resolution": 0.1,
+    "target_coverage": 0.99,
+    "time_limit": 900.0,
+}
+"""Settings of a comparison on maps where none are given."""
+QUADROTOR: dict[str, Any] = {
+    "lidar": {"field_of_view_degrees": 90.0, "num_beams": 46, "range_noise": 0.02},
+    "sensor_model": {"kind": "log_odds"},
+    "robot": {"radius": 0.3, "max_speed": 2.0},
+}
+"""Those of a quadrotor, which sees ahead, with beams as far apart. `two-layer` and `parallel` have
+other defaults for these than the ground vehicles' explorers; here they are the same for all.
+`fields`, which say what is worth seeing, remain those of each architecture."""
+
+
+class EpisodeDone(NamedTuple):
+    """An episode that has just been run.
+
+    Args:
+        episode: which.
+        error: why it failed; None if it did not.
+        num_done: episodes that this call has run.
+        num_left: episodes that were left before this call.
+    """
+
+    episode: MapEpisode
+    error: str | None
+    num_done: int
+    num_left: int
+
+
+class RunCounts(NamedTuple):
+    """Numbers of runs of a comparison.
+
+    Args:
+        num_done: that were run now, the failed ones included.
+        num_failed: of these.
+        num_former: that had been run before.
+        is_interrupted: whether the user stopped it.
+    """
+
+    num_done: int
+    num_failed: int
+    num_former: int
+    is_interrupted: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class MapComparison:
+    """Result of a comparison on maps. `print` shows its tables.
+
+    Args:
+        tables: one for each map.
+        failures: a line for each reason of failed runs.
+        counts: numbers of runs.
+        num_episodes: number of runs that were asked for.
+        results: path of the table of all rows, in Parquet.
+        page: path of the page, in HTML.
+    """
+
+    tables: tuple[MapTable, ...]
+    failures: tuple[str, ...]
+    counts: RunCounts
+    num_episodes: int
+    results: Path
+    page: Path
+
+    def __str__(self) -> str:
+        return "\n\n".join(
+            f"{table.title}\n\n{to_markdown(_in_lines(table.rows))}" for table in self.tables
+        )
+
+
+def compare_maps(
+    plan: Plan,
+    folder: str | os.PathLike[str],
+    *,
+    runner: Runner | None = None,
+    overwrite: bool = False,
+    progress: bool = False,
+) -> MapComparison:
+    """Run each variant on each map with each seed, and write tables and a page.
+
+    Runs that the folder has already are not repeated; failed ones are. Settings that the plan
+    leaves open are those of `PROTOCOL`. Ctrl-C ends the call and keeps finished runs; the same call
+    continues.
+
+    Args:
+        plan: maps, variants, seeds and settings; see `maps_in` for the maps of a folder.
+        folder: for a file for each run, `results.parquet` and `results.html`.
+        runner: runs them in other processes or on a cluster; this process when absent. It is closed
+            at the end.
+        overwrite: remove a former comparison in the folder first.
+        progress: show a progress bar.
+
+    Raises:
+        ValueError: a plan or folder that is not accepted; Ray or pyarrow are not installed; a
+            cluster that cannot be reached.
+        ChildProcessError: workers that do not start.
+    """
+    plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
+    episodes = plan.episodes()
+    store = open_store(folder, plan, overwrite=overwrite)
+    with progress_bar("exploring", enabled=progress) as advance:
+        advance(0.0, f"{len(episodes)} runs")
+        counts = run_episodes(episodes, store, runner, _show(advance))
+    resolution = make_exploration_settings({**episodes[0].entries, "map": OFFICE}).resolution
+    page = store.write_page(read_grids(plan.maps, resolution))
+    rows = store.rows(NEEDED)
+    return MapComparison(
+        tuple(map_tables(rows)),
+        tuple(list_failures(rows)),
+        counts,
+        len(episodes),
+        store.results,
+        page,
+    )
+
+
+def run_episodes(
+    episodes: Sequence[MapEpisode],
+    store: Store,
+    runner: Runner | None = None,
+    on_done: Callable[[EpisodeDone], None] = lambda _: None,
+    *,
+    make: MakeRows = make_rows,
+) -> RunCounts:
+    """Run the episodes that a store does not have, and write its table of results.
+
+    Failed ones are run again. Those of one map and variant run one after the other if possible,
+    because they share a compiled program. Ctrl-C keeps finished runs.
+
+    Args:
+        episodes: to be run.
+        store: for the rows. Only this process writes there.
+        runner: runs them; this process when absent. It is closed at the end.
+        on_done: called in this process after each episode.
+        make: runs a batch. Other processes import it by name.
+
+    Raises:
+        ValueError: Ray or pyarrow are not installed; a cluster that cannot be reached; a store that
+            cannot be written.
+        ChildProcessError: workers that do not start.
+    """
+    left = make_batches(each for each in episodes if not store.is_done(each.id))
+    num_left = sum(map(len, left))
+    num_done = num_failed = 0
+    is_interrupted = False
+
+    def finish(task: RowTask, rows: Sequence[StoredRow]) -> None:
+        nonlocal num_done, num_failed
+        for episode, row in zip(task.episodes, rows, strict=True):
+            store.put(row)
+            num_done += 1
+            num_failed += row.error is not None
+            on_done(EpisodeDone(episode, row.error, num_done, num_left))
+
+    try:
+        with Runner() if runner is None else runner as active:
+            active.run([RowTask.of(batch, make) for batch in left], finish)
+    except KeyboardInterrupt:
+        is_interrupted = True
+    finally:
+        store.write_results()
+    return RunCounts(num_done, num_failed, len(episodes) - num_left, is_interrupted)
+
+
+def with_protocol(settings: Entries) -> dict[str, Any]:
+    """Return settings of a comparison on maps: those given, over those of the protocol."""
+    robot = settings.get("robot")
+    flies = isinstance(robot, Mapping) and robot.get("model") == "quadrotor"
+    protocol = merged(PROTOCOL, QUADROTOR) if flies else PROTOCOL
+    return merged(protocol, dict(settings))
+
+
+def _in_lines(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
+    """Return rows whose cells have one line each."""
+    return [tuple(" ".join(cell.split("\n")) for cell in row) for row in rows]
+
+
+def _show(advance: Callable[[float, str], None]) -> Callable[[EpisodeDone], None]:
+    """Return a function that shows how many runs are done, and the time left."""
+    began = time.perf_counter()
+
+    def show(done: EpisodeDone) -> None:
+        left = (time.perf_counter() - began) * (done.num_left / done.num_done - 1.0)
+        result = "done" if done.error is None else "failed"
+        episode = done.episode
+        advance(
+            done.num_done / done.num_left,
+            f"{done.num_done} of {done.num_left}, about {_duration(left)} left, {result}: "
+            f"{episode.map}, {episode.explorer}, seed {episode.seed}",
+        )
+
+    return show
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60.0)
+    return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60} min"

@@ -1,0 +1,219 @@
+"""Episodes of a comparison on maps: what each is made from, and what tells it from the others."""
+
+import dataclasses
+import functools
+import hashlib
+import itertools
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, get_args
+
+from jaxplore.settings.exploration import (
+    OFFICE,
+    Architecture,
+    Settings,
+    make_exploration_settings,
+    merged,
+)
+from jaxplore.study.comparison.maps import MapFile
+
+FORMAT = 3
+"""Version of the stored results. It is raised when former results would mean something else, also
+because a default or an architecture has changed."""
+
+Entries = Mapping[str, Any]
+"""Settings as in a settings file."""
+
+
+@dataclasses.dataclass(frozen=True)
+class MapEpisode:
+    """One run of a variant on a map with a seed.
+
+    Args:
+        map: name of the map.
+        path: of its YAML file.
+        content: hash of the map.
+        explorer: name of the variant: the setting `architecture`, unless `settings` have one.
+        seed: the setting `seed`.
+        settings: the entries of all other settings, plain values that JSON can hold. Without a
+            `start` the robot begins at the most open spot, heading along x.
+        batch: runs of consecutive seeds that are computed side by side, by `jax.vmap`: those with
+            the same `seed // batch`. Rounding depends on it.
+        copy: path of the YAML file on this machine; `path` when absent.
+    """
+
+    map: str
+    path: str
+    content: str
+    explorer: str
+    seed: int
+    settings: Entries
+    batch: int = 1
+    copy: str | None = None
+
+    @functools.cached_property
+    def id(self) -> str:
+        """Hash of everything but where the map is, 20 hexadecimal digits.
+
+        So results outlast a folder that moves.
+        """
+        told = {"format": FORMAT, **dataclasses.asdict(self)}
+        del told["path"], told["copy"]
+        if self.batch == 1:
+            # Left out, so that ids are those of results from before there were batches.
+            del told["batch"]
+        return hashlib.sha256(canonical(told).encode()).hexdigest()[:20]
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """The entries of all settings."""
+        own = {"map": self.copy or self.path, "seed": self.seed}
+        return {"architecture": self.explorer, **self.settings, **own}
+
+    @property
+    def seeds(self) -> range:
+        """The seeds of its batch. All of them are run, whichever are asked for: a run must not
+        depend on which others are still to be done."""
+        first = self.seed - self.seed % self.batch
+        return range(first, first + self.batch)
+
+
+Batch = tuple[MapEpisode, ...]
+"""Episodes that run together: of the same map and variant, and with the same `seeds`."""
+
+
+def make_batches(episodes: Iterable[MapEpisode]) -> tuple[Batch, ...]:
+    """Group episodes into batches, sorted by map, variant and seed."""
+
+    def together(each: MapEpisode) -> tuple[str, str, int]:
+        return each.map, each.explorer, each.seeds.start
+
+    in_order = sorted(episodes, key=lambda each: (each.map, each.explorer, each.seed))
+    return tuple(tuple(each) for _, each in itertools.groupby(in_order, together))
+
+
+def make_episodes(
+    maps: Sequence[MapFile],
+    variants: Sequence[str] | Mapping[str, Entries],
+    seeds: Sequence[int],
+    settings: Entries,
+    batch: int = 1,
+) -> tuple[MapEpisode, ...]:
+    """Return an episode for each map, variant and seed, in this order.
+
+    Args:
+        maps: at least one.
+        variants: architectures; or entries of the settings that differ, by name. At least one.
+        seeds: whole numbers >= 0, at least one.
+        settings: entries that all of them share; see `common_settings`.
+        batch: runs computed side by side.
+
+    Raises:
+        ValueError: a batch < 1; nothing of a kind, or something twice; an unknown architecture;
+            settings that are not accepted; variants that do not drive the same robot.
+    """
+    if batch < 1:
+        raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
+    kinds: dict[str, list[Any]] = {
+        "maps": [each.name for each in maps],
+        "variants": list(variants),
+        "seeds": list(seeds),
+    }
+    for kind, values in kinds.items():
+        if not values or len(set(values)) != len(values):
+            raise ValueError(f"{kind} is {values}; accepted: different ones, at least one")
+    common = common_settings(settings)
+    own = {
+        name: {**common_settings(merged(common, entries)), **_architecture(entries)}
+        for name, entries in variant_entries(variants).items()
+    }
+    for seed in (min(seeds), max(seeds)):
+        make_exploration_settings({"map": OFFICE, "seed": seed})
+    _check_same_robot(
+        {
+            name: make_exploration_settings({"architecture": name, **entries, "map": OFFICE})
+            for name, entries in own.items()
+        }
+    )
+    return tuple(
+        MapEpisode(
+            each.name,
+            each.path,
+            each.content,
+            name,
+            seed,
+            {**own[name], **({} if each.start is None else {"start": list(each.start)})},
+            batch,
+        )
+        for each in maps
+        for name in own
+        for seed in seeds
+    )
+
+
+def variant_entries(
+    variants: Sequence[str] | Mapping[str, Entries],
+) -> dict[str, dict[str, Any]]:
+    """Return the entries of the settings that differ, by variant; none for an architecture.
+
+    Raises:
+        ValueError: an unknown architecture, entries that are not accepted.
+    """
+    known = get_args(Architecture)
+    found: dict[str, dict[str, Any]] = {}
+    for name in variants:
+        entries = {} if not isinstance(variants, Mapping) else dict(variants[name])
+        if entries.get("architecture") == name:
+            del entries["architecture"]
+        if name not in known and "architecture" not in entries:
+            if not entries:
+                raise ValueError(f"architecture is {name!r}; accepted: {', '.join(known)}")
+            entries["architecture"] = Settings.model_fields["architecture"].default
+        found[name] = entries
+    return found
+
+
+def _architecture(entries: Entries) -> dict[str, Any]:
+    return {name: entries[name] for name in ("architecture",) if name in entries}
+
+
+def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the entries that all runs share in one form: 900 and 900.0 are the same time limit.
+
+    Args:
+        settings: entries; map, architecture and seed belong to each run and are left out.
+
+    Raises:
+        ValueError: an entry that is not accepted.
+    """
+    shared = {name: value for name, value in settings.items() if name not in _OWN}
+    given = make_exploration_settings({**shared, "map": OFFICE})
+    return given.model_dump(mode="json", exclude_unset=True, exclude=set(_OWN))
+
+
+_OWN = ("map", "architecture", "seed")
+_ALIKE = ("robot", "lidar", "camera", "sensor_model", "rates")
+
+
+def _check_same_robot(settings: Mapping[str, Settings]) -> None:
+    """Refuse variants with different robots, sensors or rates."""
+    first, *others = settings
+    for other in others:
+        for section in _ALIKE:
+            if getattr(settings[first], section) != getattr(settings[other], section):
+                raise ValueError(
+                    f"variants {first} and {other} differ in the settings {section}; accepted: "
+                    "variants that drive the same robot with the same sensor"
+                )
+
+
+def canonical(value: Any) -> str:
+    """Return plain values as JSON, always the same text for the same values.
+
+    Raises:
+        ValueError: what JSON cannot hold.
+    """
+    try:
+        return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"settings are no JSON: {error}; accepted: plain values") from None

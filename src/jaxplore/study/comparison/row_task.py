@@ -1,0 +1,98 @@
+"""Episodes of a comparison on maps as workers run them: from settings to rows."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import jax
+
+from jaxplore.build.parts import build_robot
+from jaxplore.build.tasks import build
+from jaxplore.settings.exploration import Settings, make_exploration_settings
+from jaxplore.simulation.exploration.reachability import open_spot
+from jaxplore.study.comparison.episodes import Batch
+from jaxplore.study.comparison.maps import read_grid
+from jaxplore.study.comparison.rows import Row, StoredRow, failed_row, make_row, store_row
+from jaxplore.study.episode import EpisodeTask, InputFile
+from jaxplore.study.experiments import SideBySide, record_alone
+
+MakeRows = Callable[[Batch], Sequence[Row]]
+"""Runs a batch of episodes and returns their rows. Other processes import it by name."""
+
+
+def make_rows(batch: Batch) -> tuple[Row, ...]:
+    """Run a batch of episodes, side by side if there are several, and return their rows.
+
+    Raises:
+        ValueError: settings, a map or a start that are not accepted.
+        KeyboardInterrupt: the user stopped the runs.
+    """
+    first = batch[0]
+    settings = make_exploration_settings(first.entries)
+    if settings.start is None:
+        settings = make_exploration_settings({**first.entries, "start": _open_start(settings)})
+    experiment = build(settings)
+    if first.batch == 1:
+        recordings = {first.seed: record_alone(experiment)}
+    else:
+        # On a map only the key of an experiment depends on the seed.
+        experiments = [experiment._replace(key=jax.random.key(seed)) for seed in first.seeds]
+        together = SideBySide(first.batch).record("", experiments, with_frames=True)
+        recordings = dict(zip(first.seeds, together, strict=True))
+    return tuple(
+        make_row(
+            episode,
+            recordings[episode.seed],
+            recordings[episode.seed].metrics(seed=episode.seed),
+            settings=settings.model_copy(update={"map": episode.path, "seed": episode.seed}),
+        )
+        for episode in batch
+    )
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class RowTask(EpisodeTask):
+    """A batch of episodes on a map. Its result are their rows.
+
+    Args:
+        episodes: the batch.
+        make: runs them.
+    """
+
+    episodes: Batch
+    make: MakeRows = make_rows
+
+    @classmethod
+    def of(cls, episodes: Batch, make: MakeRows = make_rows) -> "RowTask":
+        """Make the task of a batch.
+
+        Args:
+            episodes: the batch.
+            make: runs them.
+        """
+        first = episodes[0]
+        return cls(
+            name=first.id,
+            variant=first.explorer,
+            scenario=first.map,
+            file=InputFile("map", first.path, first.content),
+            episodes=episodes,
+            make=make,
+        )
+
+    def measure(self) -> tuple[StoredRow, ...]:
+        """Run the episodes and return their rows."""
+        batch = self.episodes
+        if self.copy is not None:
+            batch = tuple(dataclasses.replace(each, copy=self.copy) for each in batch)
+        return tuple(map(store_row, self.make(batch)))
+
+    def failed(self, reason: str) -> tuple[StoredRow, ...]:
+        """Return rows with an error."""
+        return tuple(store_row(failed_row(each, reason)) for each in self.episodes)
+
+
+def _open_start(settings: Settings) -> tuple[float, float, float]:
+    """Return the most open spot of the map at the resolution of the run, heading along x."""
+    grid = read_grid(settings.map, settings.resolution)
+    x, y = open_spot(grid, float(build_robot(settings.robot).radius))
+    return x, y, 0.0

@@ -1,0 +1,119 @@
+"""Episodes as workers run them: a variant in a scenario, with one seed or a batch of seeds."""
+
+import abc
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jaxplore.maps.files.packing import PACKED, pack_map
+from jaxplore.study.workers.task import Files, Read, Task
+
+
+@dataclasses.dataclass(frozen=True)
+class InputFile:
+    """A map or a path that the settings of an episode name.
+
+    Args:
+        setting: "map" or "path".
+        path: of the file on the user's machine.
+        content: hash of its content, with that of a map's image.
+    """
+
+    setting: str
+    path: str
+    content: str
+
+    def read(self) -> Files:
+        """Read the file, and of a map its image, into memory."""
+        if self.setting == "map":
+            return pack_map(self.path)
+        return {Path(self.path).name: Path(self.path).read_bytes()}
+
+    def in_folder(self, folder: Path) -> str:
+        """Return the path of a copy, made of what `read` returns."""
+        return str(folder / (PACKED if self.setting == "map" else Path(self.path).name))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class EpisodeTask(Task, abc.ABC):
+    """Episodes of the same scenario that run together: one, or several side by side.
+
+    Args:
+        name: of the task.
+        variant: name of the variant: an architecture or any other settings.
+        scenario: name of where.
+        file: map or path of the scenario; None if there is none.
+        copy: path of the file on this machine, if it is a copy.
+    """
+
+    name: str
+    variant: str
+    scenario: str
+    file: InputFile | None = None
+    copy: str | None = None
+
+    @property
+    def id(self) -> str:
+        """Its name."""
+        return self.name
+
+    @property
+    def group(self) -> tuple[str, str]:
+        """Scenario and variant: their closed loop is one compiled program."""
+        return self.scenario, self.variant
+
+    @property
+    def kind(self) -> str:
+        """The variant: in a scenario of the same shape its program is the same."""
+        return self.variant
+
+    def files(self) -> Mapping[str, Read]:
+        """Return what reads the map or path."""
+        return {} if self.file is None else {self.file.content: self.file.read}
+
+    def located(self, folders: Mapping[str, Path]) -> Task:
+        """Return the same task with a copy of its map or path."""
+        if self.file is None:
+            return self
+        copy = self.file.in_folder(folders[self.file.content])
+        return dataclasses.replace(self, copy=copy)
+
+    @property
+    def location(self) -> dict[str, Any]:
+        """Setting that says where the map or path is on this machine; empty without one."""
+        if self.file is None:
+            return {}
+        return {self.file.setting: self.copy or self.file.path}
+
+    def run(self) -> Any:
+        """Run the episodes and return their results; failed ones if they cannot be run.
+
+        Raises:
+            KeyboardInterrupt: the user stopped it.
+        """
+        try:
+            return self.measure()
+        except Exception as error:
+            return self.failed(self._told(one_line(error)))
+
+    @abc.abstractmethod
+    def measure(self) -> Any:
+        """Run the episodes and return their results.
+
+        Raises:
+            Exception: any; it becomes the reason of `failed`.
+            KeyboardInterrupt: the user stopped it.
+        """
+
+    def _told(self, reason: str) -> str:
+        """Return a reason with the name of the user's own file in place of its copy's."""
+        if self.copy is None or self.file is None:
+            return reason
+        return reason.replace(self.copy, self.file.path)
+
+
+def one_line(error: Exception) -> str:
+    """Return an error in one line. The type is named unless it is bad input."""
+    kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
+    return " ".join(f"{kind}{error}".split())

@@ -1,0 +1,101 @@
+"""Runs experiments: one alone, or several side by side."""
+
+from collections.abc import Callable, Sequence
+
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.batch import record_experiments
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.run import record_run
+from jaxplore.simulation.stacking import Places
+
+
+def record_alone(
+    experiment: Experiment, time_limit: float | None = None, *, num_trajectories: int = 0
+) -> Recording:
+    """Run one experiment.
+
+    Args:
+        experiment: controller, scenario, number of steps and key.
+        time_limit: simulated at most [s]; the experiment's own number of steps when absent.
+        num_trajectories: rollouts in each frame, for animations.
+
+    Raises:
+        KeyboardInterrupt: the user stopped it.
+    """
+    steps = _num_steps(experiment, time_limit)
+    recording = record_run(
+        experiment.controller,
+        experiment.scenario,
+        steps,
+        key=experiment.key,
+        num_trajectories=num_trajectories,
+    )
+    return _complete(recording)
+
+
+class SideBySide:
+    """Runs experiments side by side, by `jax.vmap`, always the same number of them.
+
+    It remembers which arrays have differed between the experiments of a kind so far and stacks
+    them in all later batches. So later batches run the same compiled program.
+
+    Args:
+        size: experiments in a batch. A smaller batch is filled with copies of its last one: another
+            size would be another program, with other rounding.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._differs: dict[str, Places] = {}
+
+    def record(
+        self,
+        kind: str,
+        experiments: Sequence[Experiment],
+        time_limit: float | None = None,
+        *,
+        with_frames: bool = False,
+    ) -> list[Recording]:
+        """Run experiments that differ in keys and in numbers only.
+
+        Args:
+            kind: name of what they share, such as the scenario.
+            experiments: at least one and at most `size`.
+            time_limit: simulated at most [s].
+            with_frames: whether to keep frames of the runs.
+
+        Raises:
+            ValueError: experiments that differ in more than numbers.
+            KeyboardInterrupt: the user stopped them.
+        """
+        padded = [*experiments, *[experiments[-1]] * (self._size - len(experiments))]
+        steps = max(_num_steps(each, time_limit) for each in padded)
+        recordings, self._differs[kind] = record_experiments(
+            padded, steps, with_frames=with_frames, differs=self._differs.get(kind)
+        )
+        return [_complete(each) for each in recordings[: len(experiments)]]
+
+
+def in_batches[T](items: Sequence[T], alike: Callable[[T], object], size: int) -> list[list[T]]:
+    """Group items that are alike, in their order, into batches of at most `size`."""
+    groups: dict[object, list[T]] = {}
+    for item in items:
+        groups.setdefault(alike(item), []).append(item)
+    return [
+        some[first : first + size]
+        for some in groups.values()
+        for first in range(0, len(some), size)
+    ]
+
+
+def _num_steps(experiment: Experiment, time_limit: float | None) -> int:
+    if time_limit is None:
+        return experiment.num_steps
+    steps = round(time_limit / experiment.scenario.period)
+    return max(1, min(experiment.num_steps, steps))
+
+
+def _complete(recording: Recording) -> Recording:
+    if recording.is_interrupted:
+        raise KeyboardInterrupt
+    return recording

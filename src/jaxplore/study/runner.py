@@ -1,0 +1,94 @@
+"""The one way to run tasks: in this process, in several, or on a Ray cluster."""
+
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any
+
+from jaxplore.study.workers.pool import WorkerPool, num_processors
+from jaxplore.study.workers.processes import ProcessPool
+from jaxplore.study.workers.ray_pool import RayPool
+from jaxplore.study.workers.scheduler import Scheduler
+from jaxplore.study.workers.task import Task, run_task
+
+
+class Runner:
+    """Runs tasks in this process, in several processes, or on a Ray cluster.
+
+    Workers start with the first task. They live until the runner is closed and keep their compiled
+    programs. When a worker dies, another one repeats its task; a task that killed three workers has
+    failed. Results do not depend on the number of workers, their order does.
+
+    Args:
+        workers: 1 to run tasks in this process, one after the other; N for N processes, or N
+            workers of a cluster; None for as many as there are processors.
+        address: of a Ray cluster to join: HOST:PORT of its head, or auto.
+        on_ray: use Ray; without an address a local cluster is started.
+
+    Raises:
+        ValueError: a number of workers < 1.
+    """
+
+    def __init__(
+        self, workers: int | None = 1, address: str | None = None, *, on_ray: bool = False
+    ) -> None:
+        if workers is not None and workers < 1:
+            raise ValueError(f"workers is {workers}; accepted: a whole number >= 1")
+        self._workers, self._address = workers, address
+        self._is_on_ray = on_ray or address is not None
+        self._scheduler: Scheduler | None = None
+        self._is_closed = False
+
+    @property
+    def is_local(self) -> bool:
+        """Whether tasks run in this process."""
+        return self._workers == 1 and not self._is_on_ray
+
+    def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
+        """Run tasks, and return when there is a result of each. An exception ends all workers.
+
+        Args:
+            tasks: any number.
+            on_result: called in this process with each task and its result, as soon as it is there.
+
+        Raises:
+            ValueError: the runner is closed; Ray is not installed; a cluster cannot be reached.
+            ChildProcessError: workers do not start.
+            KeyboardInterrupt: the user stopped it.
+        """
+        if self._is_closed:
+            raise ValueError("runner is closed; accepted: a new one")
+        if not tasks:
+            return
+        if self.is_local:
+            for task in tasks:
+                on_result(task, run_task(task))
+            return
+        try:
+            if self._scheduler is None:
+                self._scheduler = Scheduler(self._make_pool())
+            self._scheduler.run(tasks, on_result)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End all workers, also in the middle of a task."""
+        self._is_closed = True
+        if self._scheduler is not None:
+            self._scheduler.close()
+
+    def _make_pool(self) -> WorkerPool:
+        if self._is_on_ray:
+            return RayPool(self._workers, self._address)
+        return ProcessPool(self._workers or num_processors())
+
+    def __enter__(self) -> "Runner":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,167 @@
+"""Episodes of controllers and scenarios that were built in Python."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxplore.control.base import Controller
+from jaxplore.parameters import find_parameter, get_parameters, set_parameters
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.scenario import Scenario
+from jaxplore.study.experiments import SideBySide
+from jaxplore.study.runner import Runner
+from jaxplore.study.tuning.episodes import (
+    Episode,
+    Episodes,
+    Result,
+    check_batch,
+    make_tasks,
+    report_each,
+)
+from jaxplore.study.tuning.objective import known_metrics
+from jaxplore.study.tuning.space import Candidate, Value
+
+
+class ControllerEpisodes(Episodes):
+    """Episodes of one controller. Its numbers are searched by their path: see `get_parameters`.
+
+    Args:
+        controller: with its current numbers.
+        scenarios: by name.
+        time_limit: simulated at most [s].
+        batch: candidates side by side, by `jax.vmap`; for accelerators, and small problems.
+
+    Raises:
+        ValueError: no scenarios, a batch < 1.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        scenarios: Mapping[str, Scenario],
+        *,
+        time_limit: float,
+        batch: int = 1,
+    ) -> None:
+        if not scenarios:
+            raise ValueError("scenarios is empty; accepted: at least one")
+        self._controller, self._scenarios = controller, dict(scenarios)
+        self._time_limit = time_limit
+        self._batch = check_batch(batch)
+        self._together = SideBySide(batch) if batch > 1 else None
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Names of the scenarios."""
+        return tuple(self._scenarios)
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics of an episode."""
+        return known_metrics(self._example.scenario.metrics_type)
+
+    @property
+    def default_objective(self) -> str:
+        """The time to the end, and contacts."""
+        return self._example.scenario.objective
+
+    @property
+    def _example(self) -> Experiment:
+        return self._build(Episode(0, {}, self.scenarios[0], 0), {})
+
+    def start(self, name: str) -> Value:
+        """Return the current value of a number of the controller."""
+        return leaf_value(self._controller, name)
+
+    def elements(self, name: str) -> tuple[str, ...]:
+        """Return the name, or of an array one for each of its elements."""
+        return leaf_elements(self._controller, name)
+
+    def run(
+        self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        """Run episodes one after the other, or a batch at a time."""
+        tasks = make_tasks(episodes, self._build, self._batch, self._together)
+        Runner().run(tasks, report_each(on_result))
+
+    def _build(self, episode: Episode, _: Mapping[str, Any]) -> Experiment:
+        scenario = self._scenarios[episode.scenario]
+        return Experiment(
+            set_parameters(self._controller, leaf_values(self._controller, episode.candidate)),
+            scenario,
+            max(1, round(self._time_limit / scenario.period)),
+            jax.random.key(episode.seed),
+        )
+
+    def describe(self) -> dict[str, Any]:
+        """Return the scenarios' names and the controller's numbers."""
+        return {
+            "scenarios": list(self._scenarios),
+            "time_limit": self._time_limit,
+            "controller": {
+                path: np.asarray(value).tolist()
+                for path, value in get_parameters(self._controller).items()
+            },
+        }
+
+
+def leaf_value(controller: Any, name: str) -> float:
+    """Return one number of a controller, `path` or `path[i]`.
+
+    Raises:
+        ValueError: a path that is none, or an array without an index.
+    """
+    path, index = split_index(name)
+    value = np.asarray(get_parameters(controller)[find_parameter(controller, path)])
+    if index is None and value.size != 1:
+        raise ValueError(
+            f"parameter {name} has {value.size} elements; accepted: one of them, {path}[0] to "
+            f"{path}[{value.size - 1}]"
+        )
+    if index is not None and not 0 <= index < value.size:
+        raise ValueError(
+            f"parameter {name} has no element {index}; accepted: 0 to {value.size - 1}"
+        )
+    return float(value.reshape(-1)[0 if index is None else index])
+
+
+def leaf_elements(controller: Any, name: str) -> tuple[str, ...]:
+    """Return a path, or of an array `path[i]` for each of its elements.
+
+    Raises:
+        ValueError: a path that is none.
+    """
+    if "[" in name:
+        return (name,)
+    size = get_parameters(controller)[find_parameter(controller, name)].size
+    return (name,) if size == 1 else tuple(f"{name}[{i}]" for i in range(size))
+
+
+def leaf_values(controller: Any, candidate: Candidate) -> dict[str, np.ndarray]:
+    """Return the arrays that `set_parameters` takes: elements that are not searched stay."""
+    known = get_parameters(controller)
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in candidate.items():
+        path, index = split_index(name)
+        full = find_parameter(controller, path)
+        array = arrays.setdefault(full, np.array(known[full]))
+        if index is None:
+            array[...] = value
+        else:
+            array.reshape(-1)[index] = value
+    return arrays
+
+
+def split_index(name: str) -> tuple[str, int | None]:
+    """Return the path and the index of `path[i]`."""
+    path, bracket, rest = name.partition("[")
+    if not bracket:
+        return name, None
+    number = rest.removesuffix("]")
+    if not rest.endswith("]") or not number.isdigit():
+        raise ValueError(
+            f"parameter is {name!r}; accepted: a path, or a path with an index, a.b[0]"
+        )
+    return path, int(number)

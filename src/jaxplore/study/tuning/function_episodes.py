@@ -1,0 +1,123 @@
+"""Episodes of functions: any simulator, or a loop in JAX."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from jaxplore._types import Key
+from jaxplore.parameters import nearest
+from jaxplore.study.experiments import in_batches
+from jaxplore.study.tuning.episodes import Episode, Episodes, Result, check_batch
+from jaxplore.study.tuning.objective import flat
+from jaxplore.study.tuning.space import Candidate, Value
+
+
+class _Named(Episodes):
+    """One scenario with a name, and the current values of the parameters."""
+
+    def __init__(self, start: Mapping[str, Value], name: str) -> None:
+        self._start, self._name = dict(start), name
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Its name."""
+        return (self._name,)
+
+    def start(self, name: str) -> Value:
+        """Return the current value of a parameter."""
+        if name not in self._start:
+            raise ValueError(
+                f"parameter {name} is not known; accepted: {nearest(name, self._start)}"
+            )
+        return self._start[name]
+
+    def describe(self) -> dict[str, Any]:
+        """Return its name and the current values."""
+        return {"function": self._name, "start": dict(sorted(self._start.items()))}
+
+
+class FunctionEpisodes(_Named):
+    """Episodes that a function runs, one after the other. It may call any simulator.
+
+    Args:
+        function: from a candidate and a seed to metrics, by name.
+        start: current values by parameter.
+        name: of the scenario.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[Candidate, int], Mapping[str, Any]],
+        start: Mapping[str, Value],
+        name: str = "function",
+    ) -> None:
+        super().__init__(start, name)
+        self._function = function
+
+    def run(
+        self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        """Call the function for each episode."""
+        for episode in episodes:
+            try:
+                result = Result(flat(self._function(dict(episode.candidate), episode.seed)))
+            except Exception as error:
+                result = Result({}, f"{type(error).__name__}: {error}")
+            on_result(episode, result)
+
+
+class VectorEpisodes(_Named):
+    """Episodes that a JAX function runs, a batch of candidates in one `jax.vmap`.
+
+    Args:
+        function: from numbers by name, each a scalar array, and a key to metrics, scalar arrays by
+            name. It is traced once.
+        start: current numbers by parameter.
+        name: of the scenario.
+        batch: candidates side by side. Smaller batches are filled up: nothing compiles again, and
+            rounding does not depend on how many are left.
+
+    Raises:
+        ValueError: a batch < 1.
+    """
+
+    def __init__(
+        self,
+        function: Callable[[dict[str, Array], Key], Mapping[str, Array]],
+        start: Mapping[str, float],
+        name: str = "function",
+        batch: int = 8,
+    ) -> None:
+        super().__init__(start, name)
+        self._batch = check_batch(batch)
+
+        @eqx.filter_jit
+        def together(values: dict[str, Array], key: Key) -> dict[str, Array]:
+            return jax.vmap(lambda each: dict(function(each, key)))(values)
+
+        self._together = together
+
+    def run(
+        self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        """Run episodes with the same seed side by side."""
+        for some in in_batches(episodes, lambda episode: episode.seed, self._batch):
+            self._run(some, some[0].seed, on_result)
+
+    def _run(
+        self, episodes: list[Episode], seed: int, on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        padded = episodes + [episodes[-1]] * (self._batch - len(episodes))
+        values = {
+            name: jnp.asarray([float(episode.candidate[name]) for episode in padded], jnp.float32)
+            for name in episodes[0].candidate
+        }
+        found = jax.device_get(self._together(values, jax.random.key(seed)))
+        for i, episode in enumerate(episodes):
+            on_result(
+                episode, Result(flat({name: float(column[i]) for name, column in found.items()}))
+            )

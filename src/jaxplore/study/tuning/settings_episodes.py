@@ -1,0 +1,321 @@
+"""Episodes that are described by settings, run here, in processes or on a cluster."""
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.control.base import Controller
+from jaxplore.maps.files.packing import find_image
+from jaxplore.parameters import get_parameters, nearest, set_parameters
+from jaxplore.settings.exploration import BASELINES
+from jaxplore.settings.sections import RunSettings
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.study.episode import InputFile
+from jaxplore.study.experiments import SideBySide
+from jaxplore.study.runner import Runner
+from jaxplore.study.tuning.controller_episodes import leaf_elements, leaf_value, leaf_values
+from jaxplore.study.tuning.episodes import (
+    Episode,
+    Episodes,
+    MetricsTask,
+    Result,
+    check_batch,
+    make_tasks,
+    report_each,
+)
+from jaxplore.study.tuning.objective import known_metrics
+from jaxplore.study.tuning.space import Candidate, Value
+
+Entries = Mapping[str, Any]
+"""Settings as in a settings file."""
+
+PARAMETERS = "parameters"
+"""The setting that holds numbers of the controller by path."""
+_FIXED = ("map", "world", "seed", "start", "goal", "path", "architecture", PARAMETERS)
+"""Settings that say where and what is run, not how well."""
+_OF_CONTROLLERS = ("controller", "portfolio", "informative")
+
+
+class SettingsEpisodes(Episodes):
+    """Episodes of one or several scenarios that are described by settings.
+
+    Parameters are settings, `controller.temperature`, or numbers of the controller by their path,
+    `cost.information.weight`: see `jaxplore.get_parameters`.
+
+    Args:
+        scenarios: entries of the settings, by name.
+        batch: candidates side by side, by `jax.vmap`.
+        runner: runs the episodes; this process when absent.
+        common: entries for the settings file that a search over several scenarios writes; those
+            that all scenarios share when absent.
+
+    Raises:
+        ValueError: settings that are not accepted, a file that cannot be read, a batch for workers.
+    """
+
+    def __init__(
+        self,
+        scenarios: Mapping[str, Entries],
+        *,
+        batch: int = 1,
+        runner: Runner | None = None,
+        common: Entries | None = None,
+    ) -> None:
+        runner = Runner() if runner is None else runner
+        if batch > 1 and not runner.is_local:
+            raise ValueError(f"batch is {batch} with workers; accepted: one of them")
+        if not scenarios:
+            raise ValueError("scenarios is empty; accepted: at least one")
+        self._scenarios = {name: dict(entries) for name, entries in scenarios.items()}
+        self._runner, self._batch = runner, check_batch(batch)
+        self._together = SideBySide(batch) if batch > 1 else None
+        self._common = shared_entries(self._scenarios) if common is None else dict(common)
+        first = next(iter(self._scenarios.values()))
+        self._settings = make_settings(first)
+        self._known = _settings_of(self._settings)
+        self._built: dict[tuple[str, int | None], Experiment] = {}
+        for name in self._scenarios:
+            # Built now: a file that cannot be read is reported before any episode runs.
+            self._current(name, None)
+        self._files = {name: _file_of(entries) for name, entries in self._scenarios.items()}
+
+    @property
+    def example(self) -> Experiment:
+        """Experiment of the first scenario with the current settings."""
+        return self._current(self.scenarios[0], None)
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """Names of the metrics of an episode."""
+        return known_metrics(self.example.scenario.metrics_type)
+
+    @property
+    def default_objective(self) -> str:
+        """The time to the end, and contacts."""
+        return self.example.scenario.objective
+
+    @property
+    def _controller(self) -> Controller:
+        return self.example.controller
+
+    def _current(self, scenario: str, seed: int | None) -> Experiment:
+        """Return the experiment of a scenario with the current settings. It is built once."""
+        at = (scenario, seed)
+        if at not in self._built:
+            self._built[at] = self.experiment(scenario, {}, seed)
+        return self._built[at]
+
+    @property
+    def scenarios(self) -> tuple[str, ...]:
+        """Names of the scenarios."""
+        return tuple(self._scenarios)
+
+    def entries(
+        self, scenario: str, candidate: Candidate, seed: int | None = None
+    ) -> dict[str, Any]:
+        """Return the entries of a scenario's settings with a candidate's values.
+
+        Args:
+            scenario: its name.
+            candidate: the values; empty for the current settings.
+            seed: of the run; that of the settings when absent.
+        """
+        inside = [name for name in candidate if name not in self._known]
+        # Elements of an array that are not searched keep the values of this scenario's robot.
+        arrays = self._current(scenario, None).controller if inside else None
+        return self._with_values(self._scenarios[scenario], candidate, seed, arrays)
+
+    def chosen_settings(self, candidate: Candidate) -> dict[str, Any]:
+        """Return the content of a settings file with a candidate's values.
+
+        Of one scenario these are all settings. Of several, those that they have in common.
+
+        Raises:
+            ValueError: values that are not accepted.
+        """
+        if len(self._scenarios) == 1:
+            settings = self.settings(self.scenarios[0], candidate)
+            return settings.model_dump(mode="json")
+        return self._with_values(self._common, candidate, None, self._controller)
+
+    def _with_values(
+        self, entries: Entries, candidate: Candidate, seed: int | None, controller: Any
+    ) -> dict[str, Any]:
+        chosen = {**entries} if seed is None else {**entries, "seed": seed}
+        inside = {}
+        for name, value in candidate.items():
+            if name not in self._known:
+                inside[name] = value
+                continue
+            *sections, last = name.split(".")
+            place = chosen
+            for section in sections:
+                place[section] = dict(place.get(section) or {})
+                place = place[section]
+            place[last] = value
+        if inside:
+            arrays = leaf_values(controller, inside)
+            before = chosen.get(PARAMETERS) or {}
+            plain = {path: array.tolist() for path, array in arrays.items()}
+            chosen[PARAMETERS] = {**before, **plain}
+        return chosen
+
+    def start(self, name: str) -> Value:
+        """Return the current value of a setting or of a number of the controller."""
+        if name in self._known:
+            return self._known[name]
+        with self._nearest(name):
+            return leaf_value(self._controller, name)
+
+    @contextlib.contextmanager
+    def _nearest(self, name: str) -> Iterator[None]:
+        """Name near settings too in the error for a name that is neither a setting nor a path."""
+        try:
+            yield
+        except ValueError as error:
+            if " is not known" not in str(error):
+                raise
+            everything = {**self._known, **get_parameters(self._controller)}
+            raise ValueError(
+                f"parameter {name} is not known; accepted: such as {nearest(name, everything)}"
+            ) from None
+
+    def elements(self, name: str) -> tuple[str, ...]:
+        """Return the name, or of an array of the controller one for each of its elements."""
+        if name in self._known:
+            return (name,)
+        with self._nearest(name):
+            return leaf_elements(self._controller, name)
+
+    def run(
+        self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
+    ) -> None:
+        """Run episodes in this process, one after the other or a batch at a time, or by workers."""
+        tasks = make_tasks(episodes, self._build, self._batch, self._together)
+        if not self._runner.is_local:
+            # Workers are sent settings, not arrays, and the file that the settings name.
+            tasks = [
+                dataclasses.replace(
+                    task,
+                    build=functools.partial(build_entries, self._entries_of(task)),
+                    file=self._files[task.scenario],
+                )
+                for task in tasks
+            ]
+        self._runner.run(tasks, report_each(on_result))
+
+    def _entries_of(self, task: MetricsTask) -> Entries:
+        (episode,) = task.episodes
+        return self.entries(episode.scenario, episode.candidate, episode.seed)
+
+    def _build(self, episode: Episode, _: Entries) -> Experiment:
+        if any(name in self._known for name in episode.candidate):
+            return self.experiment(episode.scenario, episode.candidate, episode.seed)
+        # Only numbers of the controller change: the rest is built once.
+        built = self._current(episode.scenario, episode.seed)
+        values = leaf_values(built.controller, episode.candidate)
+        return built._replace(controller=set_parameters(built.controller, values))
+
+    def experiment(
+        self, scenario: str, candidate: Candidate, seed: int | None = None
+    ) -> Experiment:
+        """Build the experiment of a scenario with a candidate's values.
+
+        Args:
+            scenario: its name.
+            candidate: the values; empty for the current settings.
+            seed: of the run; that of the settings when absent.
+
+        Raises:
+            ValueError: values that are not accepted.
+        """
+        return build(make_settings(self.entries(scenario, candidate, seed)))
+
+    def settings(self, scenario: str, candidate: Candidate) -> RunSettings:
+        """Return the settings of a scenario with a candidate's values.
+
+        Raises:
+            ValueError: values that are not accepted.
+        """
+        return make_settings(self.entries(scenario, candidate))
+
+    def describe(self) -> dict[str, Any]:
+        """Return all settings, and hashes of the files that they name."""
+        return {
+            "scenarios": {
+                name: make_settings(entries).model_dump(mode="json", exclude={"seed"})
+                for name, entries in self._scenarios.items()
+            },
+            "files": {name: file.content for name, file in self._files.items() if file},
+        }
+
+
+def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment:
+    """Build the experiment of an episode in a worker.
+
+    Args:
+        entries: of its settings, with the candidate's values.
+        location: where the map or path is on this machine.
+    """
+    return build(make_settings({**entries, **location}))
+
+
+def shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
+    """Return the entries that are the same in all scenarios."""
+    first, *others = scenarios.values()
+    return {
+        name: value
+        for name, value in first.items()
+        if all(name in other and other[name] == value for other in others)
+    }
+
+
+def _file_of(entries: Entries) -> InputFile | None:
+    """Return the file that settings name as their map or path."""
+    setting = "path" if "path" in entries else "map"
+    name = entries.get(setting)
+    if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
+        return None
+    path = str(Path(name).absolute())
+    return InputFile(setting, path, _content(path))
+
+
+def _content(path: str) -> str:
+    parts = [Path(path).read_bytes()]
+    if path.endswith((".yaml", ".yml")):
+        image = find_image(path)
+        parts += [] if image is None else [image.read_bytes()]
+    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+
+
+def _settings_of(settings: RunSettings) -> dict[str, Value]:
+    """Return the settings that may be searched, by dotted name: those that the run reads."""
+    entries = settings.model_dump(mode="python", exclude=set(_FIXED))
+    architecture = getattr(settings, "architecture", None)
+    if architecture is not None:
+        read = _SECTION.get(architecture, "informative")
+        for section in _OF_CONTROLLERS:
+            if section != read:
+                del entries[section]
+    return _scalars(entries)
+
+
+_SECTION = {"explorer": "controller", "portfolio": "portfolio"} | dict.fromkeys(
+    BASELINES, "controller"
+)
+"""Section with the numbers of the controller, by architecture."""
+
+
+def _scalars(entries: Mapping[str, Any], prefix: str = "") -> dict[str, Value]:
+    found: dict[str, Value] = {}
+    for name, value in entries.items():
+        if isinstance(value, Mapping):
+            found |= _scalars(value, f"{prefix}{name}.")
+        elif isinstance(value, bool | int | float | str):
+            found[f"{prefix}{name}"] = value
+    return found

@@ -1,0 +1,155 @@
+"""Significance of a search: current and chosen settings on seeds that were not tuned on."""
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jaxplore.report.statistics import paired_difference
+from jaxplore.study.tuning.objective import Numbers, Objective
+
+SHOWN = (
+    "finished_at",
+    "time_to.50",
+    "time_to.90",
+    "time_to.95",
+    "time_to.99",
+    "coverage",
+    "path_length",
+    "progress",
+    "mean_deviation",
+    "max_deviation",
+    "corridor_violations",
+    "targets_seen",
+    "last_target_at",
+    "mean_idleness",
+    "worst_idleness",
+    "goal_distance",
+    "collisions",
+    "collision_steps",
+    "minimum_clearance",
+    "minimum_gap",
+    "command_jerk",
+    "mean_effective_sample_size",
+    "compute.step_ms_p50",
+)
+"""Metrics that are shown, if the runs have them."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Change:
+    """One quantity before and after a search, over the same episodes.
+
+    Args:
+        name: of the metric or the objective.
+        before: mean.
+        after: mean.
+        difference: after less before, mean over the episodes.
+        low: lower end of its 95 % interval.
+        high: upper end.
+    """
+
+    name: str
+    before: float
+    after: float
+    difference: float
+    low: float
+    high: float
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the interval of the difference leaves out zero."""
+        return self.low > 0.0 or self.high < 0.0
+
+
+def change(name: str, before: Sequence[float], after: Sequence[float]) -> Change:
+    """Compute the change of a quantity, episode by episode; see `paired_difference`.
+
+    Args:
+        name: of the quantity.
+        before: one value for each episode.
+        after: of the same episodes.
+    """
+    difference = paired_difference(before, after)
+    return Change(name, float(np.mean(before)), float(np.mean(after)), *difference)
+
+
+def changes(
+    objectives: Sequence[Objective],
+    before: Mapping[tuple[str, int], Numbers],
+    after: Mapping[tuple[str, int], Numbers],
+) -> list[Change]:
+    """Compute the changes of the objectives first, then of the metrics that are shown.
+
+    An episode that failed with one of the settings is left out.
+
+    Args:
+        objectives: that were minimized.
+        before: metrics by scenario and seed.
+        after: of the same.
+    """
+    where = [each for each in before if before[each] and after.get(each)]
+    found = []
+    for objective in objectives:
+        pairs = [(objective.value(before[each]), objective.value(after[each])) for each in where]
+        found += _change(str(objective), pairs)
+    for name in SHOWN:
+        pairs = [(_number(before[each], name), _number(after[each], name)) for each in where]
+        if name not in map(str, objectives):
+            found += _change(name, pairs)
+    return found
+
+
+def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
+    """Return in a sentence whether the search has improved the settings.
+
+    Args:
+        chosen: number of the candidate; 0 is the current settings.
+        objectives: that were minimized.
+        found: changes on unseen seeds.
+    """
+    names = set(map(str, objectives))
+    if chosen == 0:
+        return "No candidate beat the current settings."
+    if any(each.high < 0.0 for each in found if each.name in names):
+        return "The chosen settings are better than the current ones, also on unseen seeds."
+    return (
+        "The chosen settings are not significantly better than the current ones on unseen seeds. "
+        "More seeds or a larger budget may find better ones."
+    )
+
+
+def _number(metrics: Numbers, name: str) -> float:
+    value = metrics.get(name)
+    return math.nan if value is None else value
+
+
+def _change(name: str, pairs: Sequence[tuple[float, float]]) -> list[Change]:
+    complete = [pair for pair in pairs if all(map(math.isfinite, pair))]
+    if not complete or len(complete) < len(pairs):
+        return []
+    before, after = zip(*complete, strict=True)
+    return [change(name, before, after)]
+
+
+def table(
+    objectives: Sequence[Objective],
+    before: Mapping[tuple[str, int], Numbers],
+    after: Mapping[tuple[str, int], Numbers],
+) -> list[dict[str, Any]]:
+    """Return a row for each episode: scenario, seed, and every metric before and after."""
+    rows = []
+    for (scenario, seed), metrics in before.items():
+        other = after.get((scenario, seed), {})
+        row: dict[str, Any] = {"scenario": scenario, "seed": seed}
+        for objective in objectives:
+            for label, some in (("before", metrics), ("after", other)):
+                row[f"{objective} {label}"] = objective.value(some) if some else math.nan
+        for name in SHOWN:
+            if name in metrics or name in other:
+                row[f"{name} before"] = metrics.get(name)
+                row[f"{name} after"] = other.get(name)
+        rows.append(row)
+    return rows

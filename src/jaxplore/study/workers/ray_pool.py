@@ -1,0 +1,165 @@
+"""A pool of Ray actors, on this machine or on several that need not share a disk."""
+
+import contextlib
+import os
+import pickle
+import socket
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxplore.study.optional import import_optional
+from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads
+from jaxplore.study.workers.task import Files, Task, run_task
+
+_CONNECT_TIMEOUT = 10.0
+"""Time for the head of a cluster to accept a connection [s]."""
+
+
+class RayPool(WorkerPool):
+    """Ray actors with one processor each. Files travel to them with the tasks, results back.
+
+    Args:
+        number: of workers; None for as many as the cluster has processors.
+        address: of a cluster to join; a local one is started when absent, unless Ray is in use.
+
+    Raises:
+        ValueError: Ray is not installed, or the cluster cannot be reached.
+    """
+
+    def __init__(self, number: int | None, address: str | None) -> None:
+        self._ray = import_optional("ray", "distributed")
+        self._errors = import_optional("ray.exceptions", "distributed")
+        self._is_ours = not self._ray.is_initialized()
+        if self._is_ours:
+            self._join(number, address)
+        self._number = number or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        self._started = 0
+        self._actor = self._ray.remote(num_cpus=1, max_restarts=0)(_Worker)
+        self._actors: dict[int, Any] = {}
+        self._tasks: dict[int, Task] = {}
+        self._awaited: dict[Any, int] = {}
+        self._files: dict[str, Any] = {}
+        self._failed: list[Event] = []
+
+    def _join(self, number: int | None, address: str | None) -> None:
+        options: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
+        if address is None:
+            # The user has not agreed to usage statistics.
+            os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+            # Only this machine uses it.
+            options |= {"_node_ip_address": "127.0.0.1"}
+            options |= {"num_cpus": number, "include_dashboard": False}
+        try:
+            _check_reachable(address)
+            self._ray.init(address="local" if address is None else address, **options)
+        except (OSError, RuntimeError, ValueError) as error:
+            where = "started" if address is None else f"reached at {address!r}"
+            raise ValueError(
+                f"Ray cannot be {where}: {error}; accepted: HOST:PORT of a cluster's head, auto, "
+                "or none to start one"
+            ) from error
+
+    @property
+    def size(self) -> int:
+        """Most workers at a time."""
+        return self._number
+
+    def start(self, example: Task) -> None:
+        """Ask the cluster for one more worker."""
+        # Pickled here: unpickling makes arrays, and the number of threads must be set before.
+        packed = import_optional("ray.cloudpickle", "distributed").dumps(example)
+        self._actors[self._started] = self._actor.remote(packed)
+        self.ping(self._started)
+        self._started += 1
+
+    def ping(self, worker: int) -> None:
+        """Ask a worker whether it is alive."""
+        self._awaited[self._actors[worker].ready.remote()] = worker
+
+    def submit(self, worker: int, task: Task) -> None:
+        """Send a task, and those of its files that were not sent before."""
+        try:
+            files = task.files()
+            for key, read in files.items():
+                if key not in self._files:
+                    content = read()
+                    self._files[key] = self._ray.put(content)
+        except (OSError, ValueError) as error:
+            # The files are gone: tasks that need them fail, the others go on.
+            self._failed.append(Event(worker, task.failed(str(error))))
+            return
+        self._tasks[worker] = task
+        # Ray fetches only top-level arguments for the worker, not those inside a list.
+        stored = [self._files[key] for key in files]
+        self._awaited[self._actors[worker].run.remote(task, list(files), *stored)] = worker
+
+    def wait(self) -> list[Event]:
+        """Wait for a message, or the end, of some worker."""
+        if self._failed:
+            return [self._failed.pop()]
+        done, _ = self._ray.wait(list(self._awaited), num_returns=1)
+        return [self._event(self._awaited.pop(each), each) for each in done]
+
+    def _event(self, worker: int, result: Any) -> Event:
+        task = self._tasks.pop(worker, None)
+        try:
+            return Event(worker, self._ray.get(result))
+        except self._errors.RayTaskError as error:
+            if task is not None:
+                return Event(worker, task.failed(str(error).strip().splitlines()[-1]))
+            reason = str(error)
+        except self._errors.RayError as error:
+            reason = f"{type(error).__name__}: {error}"
+        self._kill(self._actors.pop(worker))
+        return Event(worker, death=" ".join(reason.split())[:200])
+
+    def _kill(self, actor: Any) -> None:
+        with contextlib.suppress(self._errors.RayError):
+            self._ray.kill(actor)
+
+    def close(self) -> None:
+        """End all workers, and the cluster or the connection if this made it."""
+        while self._actors:
+            self._kill(self._actors.popitem()[1])
+        if self._is_ours:
+            self._ray.shutdown()
+            self._is_ours = False
+
+
+class _Worker:
+    """Runs tasks, with one processor and a folder of its own."""
+
+    def __init__(self, example: bytes) -> None:
+        limit_threads(1)
+        pickle.loads(example)
+        self._top = tempfile.TemporaryDirectory(prefix="jaxplore-")
+        self._folders: dict[str, Path] = {}
+
+    def ready(self) -> None:
+        """Return when the worker is ready for a task."""
+
+    def run(self, task: Task, keys: Sequence[str], *files: Files) -> Any:
+        """Return the result of a task.
+
+        Args:
+            task: to be run.
+            keys: of its files.
+            files: their content, for each key.
+        """
+        for key, each in zip(keys, files, strict=True):
+            if key not in self._folders:
+                folder = Path(tempfile.mkdtemp(dir=self._top.name))
+                for name, data in each.items():
+                    (folder / name).write_bytes(data)
+                # Noted when it is complete: the next task takes what is noted.
+                self._folders[key] = folder
+        return run_task(task.located({key: self._folders[key] for key in keys}))
+
+
+def _check_reachable(address: str | None) -> None:
+    """Connect to HOST:PORT once, to fail at once: Ray would try for minutes."""
+    host, separator, port = (address or "").rpartition(":")
+    if separator and "/" not in host and port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), _CONNECT_TIMEOUT).close()
