@@ -8,11 +8,43 @@ working directory, and no test runner can spread them over several workers.
 
 import contextlib
 import gc
+import hashlib
 import os
+import platform
+import shutil
 import tempfile
 from collections.abc import Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+
+# Tests compile far more than they compute: without LLVM's optimisations a fifth is saved.
+# XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
+
+def compiled_programs() -> Path:
+    """Return the folder of compiled programs of these versions, this processor and these flags.
+
+    JAX's own keys hold versions and flags but not the processor: a program that was compiled for
+    another one may stop with an illegal instruction, or round differently.
+    """
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    named = ("vendor_id", "model name", "flags", "CPU implementer", "CPU part", "Features")
+    key = [version("jax"), version("jaxlib"), os.environ["XLA_FLAGS"], platform.machine()]
+    key += sorted({line for line in lines if line.startswith(named)})
+    name = hashlib.sha256("\n".join(key).encode()).hexdigest()[:16]
+    return Path(__file__).parent / ".jax_cache" / name
+
+
+# What was compiled in an earlier run, by the other worker or by a command that a test starts is
+# read. Even the smallest program is: to compile `x * 2.0` takes 23 ms, to read it 7 ms. Through the
+# environment, so that subprocesses inherit it, and before JAX is imported, which reads it then.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(compiled_programs()))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+# Commands that are tested leave the user's own programs alone.
+os.environ["JAXPLORE_CACHE"] = "off"
 
 import jax
 import pytest
@@ -20,11 +52,6 @@ from jaxtyping import install_import_hook
 from sybil import Sybil
 from sybil.parsers.markdown import PythonCodeBlockParser
 
-# Tests compile far more than they compute: without LLVM's optimisations a fifth is saved.
-# XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
-# Commands that are tested leave the user's own programs alone.
-os.environ["JAXPLORE_CACHE"] = "off"
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Nobody looks for lines of Python in the programs: that saves a fiftieth.
 jax.config.update("jax_traceback_in_locations_limit", 0)
@@ -37,6 +64,19 @@ documents = Sybil(
     patterns=["README.md", "docs/*.md"],
     path=str(Path(__file__).parent),
 )
+
+
+MOST_COMPILED = 2**31
+"""Bytes of compiled programs that are kept. Sources change, and nobody asks for the old ones."""
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Start again with no compiled programs when there are too many; before any worker starts."""
+    folder = compiled_programs()
+    if hasattr(config, "workerinput") or not folder.is_dir():
+        return
+    if sum(entry.stat().st_size for entry in os.scandir(folder)) > MOST_COMPILED:
+        shutil.rmtree(folder)
 
 
 MOST_MAPPINGS = 20_000
