@@ -57,7 +57,11 @@ jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
 with install_import_hook("jaxplore", "beartype.beartype"):
-    import jaxplore  # noqa: F401
+    import jaxplore
+
+    # Packages are imported when they are first used: here, so that the hook sees them.
+    for name in dir(jaxplore):
+        getattr(jaxplore, name)
 
 documents = Sybil(
     parsers=[PythonCodeBlockParser()],

@@ -30,16 +30,18 @@ from benchmarks.timing import Timed, timed
 from jaxplore import (
     MPPI,
     RK4,
-    AdaptiveSoftmax,
-    AntitheticNoise,
     ColouredNoise,
-    CovarianceAdaptation,
     Elite,
     Euler,
     FeedbackMPPI,
     GaussianProposal,
-    NoiseBank,
     PointMass,
+)
+from jaxplore.control import (
+    AdaptiveSoftmax,
+    AntitheticNoise,
+    CovarianceAdaptation,
+    NoiseBank,
     SobolNoise,
     WhiteNoise,
     step_with_gains,

@@ -11,7 +11,6 @@ from benchmarks.timing import Timed, timed
 from jaxplore import (
     MPPI,
     RK4,
-    Controller,
     ControlRateCost,
     Cost,
     DifferentialDrive,
@@ -24,10 +23,11 @@ from jaxplore import (
     Smooth,
     Softmax,
     State,
-    clearance_field,
     office,
     start_pose,
 )
+from jaxplore.control import Controller
+from jaxplore.maps import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 

@@ -16,10 +16,8 @@ import numpy as np
 from benchmarks.timing import timed
 from jaxplore import (
     FieldSensor,
-    GaussianNoise,
     InverseSensorModel,
     Lidar,
-    LocalFieldSensor,
     OccupancyGrid,
     PoseInformation,
     TrajectoryInformation,
@@ -28,6 +26,7 @@ from jaxplore import (
     start_pose,
 )
 from jaxplore.dynamics.differential_drive import DifferentialDrive
+from jaxplore.information import GaussianNoise, LocalFieldSensor
 from jaxplore.information.trajectory import METHODS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk

@@ -44,8 +44,8 @@ import numpy as np
 
 from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
-from jaxplore import InformativeMPPI
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.planning import InformativeMPPI
 from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
 
 ARCHITECTURES = ("two-layer", "parallel")

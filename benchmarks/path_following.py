@@ -121,7 +121,7 @@ def _drive(
     following: PathFollowing, problem: dict[str, Any], seed: int
 ) -> Iterator[tuple[jax.Array, float]]:
     """Yield the state after each step, and the time it took."""
-    planner, model = jx.Planner(following.controller), following.model
+    planner, model = jx.compat.Planner(following.controller), following.model
     move = jax.jit(lambda state, control: model.step(state, control, jnp.asarray(problem["dt"])))
     state, nominal = model.at_pose(0.0, 0.0, 0.0), planner.initial_nominal
     for step in range(problem["steps"]):

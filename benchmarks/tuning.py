@@ -128,7 +128,7 @@ def _generations(problem: Problem, batch: int) -> Callable[[], tuple[float, floa
 
 def _point_mass() -> Problem:
     robot = jx.PointMass(2, max_acceleration=4.0)
-    cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.QuadraticControlCost([1.0, 1.0])
+    cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.costs.QuadraticControlCost([1.0, 1.0])
     controller = jx.MPPI(
         robot, cost, horizon=10, num_samples=32, temperature=1.0, noise_std=[1.0, 1.0], dt=0.1
     )

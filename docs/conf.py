@@ -3,6 +3,7 @@
 import re
 from typing import Any
 
+import jaxplore
 from jaxplore import __version__
 
 project = "jaxplore"
@@ -27,9 +28,7 @@ _LITERAL = re.compile(r"`([^`]+)`")
 _MARKUP = re.compile(r"([\\*|]|(?<=\w)_(?!\w))")
 
 
-def _to_rest(
-    app: Any, what: str, name: str, obj: object, options: object, lines: list[str]
-) -> None:
+def _to_rest(app: Any, what: str, name: str, obj: Any, options: object, lines: list[str]) -> None:
     """Turn a docstring, written to be read in the source, into reST.
 
     Indented formulas become literal blocks and `code` becomes a literal; what reST would take for
@@ -49,7 +48,14 @@ def _to_rest(
             paragraphs.append("::\n\n" + paragraph)
         else:
             paragraphs.append(_inline(paragraph))
-    lines[:] = ["", *"\n\n".join(paragraphs).split("\n"), ""]
+    also = [f"Flat: ``jaxplore.{obj.__name__}``.", ""] if _is_flat(name, obj) else []
+    lines[:] = ["", *also, *"\n\n".join(paragraphs).split("\n"), ""]
+
+
+def _is_flat(name: str, obj: Any) -> bool:
+    """Say whether a documented object, not a member of one, is also a name of `jaxplore` itself."""
+    flat = name.rpartition(".")[2]
+    return flat in jaxplore.__all__ and getattr(jaxplore, flat) is obj
 
 
 def _inline(text: str) -> str:

@@ -62,9 +62,9 @@ def beam() -> Figure:
     occupancy, model = jnp.asarray(cells, jnp.float32), jx.InverseSensorModel()
     passed = np.cumprod(1.0 - cells)
     reach = np.concatenate([[1.0], passed[:-1]])
-    noise = jx.GaussianNoise(1.5)  # [cells]
-    exact = np.asarray(jx.cell_information(occupancy, model))
-    noisy = np.asarray(jx.cell_information(occupancy, model, noise=noise))
+    noise = jx.information.GaussianNoise(1.5)  # [cells]
+    exact = np.asarray(jx.information.cell_information(occupancy, model))
+    noisy = np.asarray(jx.information.cell_information(occupancy, model, noise=noise))
     middle = np.arange(len(cells)) + 0.5
 
     figure, axes = plt.subplots(3, 1, figsize=(7.5, 6.2), sharex=True, layout="constrained")
@@ -113,9 +113,9 @@ def field() -> Figure:
     robot = jnp.asarray([2.8, 4.95])
     everywhere = eqx.filter_jit(jx.FieldSensor(lidar, grid.resolution, 64).field)(grid, model)
     camera = jx.Lidar(num_beams=30, max_range=5.0, field_of_view=np.pi / 2)
-    sensor = jx.LocalFieldSensor(jx.PoseInformation(camera, model), grid.resolution)
+    sensor = jx.information.LocalFieldSensor(jx.PoseInformation(camera, model), grid.resolution)
     potential = eqx.filter_jit(sensor.field)(grid, robot).best
-    climb = jx.GradientReference()(potential, grid, jnp.append(robot, 0.0))
+    climb = jx.planning.GradientReference()(potential, grid, jnp.append(robot, 0.0))
 
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 5.6), layout="constrained")
     corner = np.asarray(potential.frame.origin[:2])
@@ -263,14 +263,14 @@ def control_parts() -> Figure:
     robot = jx.PointMass(1, max_acceleration=3.0)
     white = jx.GaussianProposal([1.0])
     panels = {
-        "Direct, white noise": (white, jx.Direct()),
+        "Direct, white noise": (white, jx.control.Direct()),
         "Direct, ColouredNoise(1)": (
             jx.GaussianProposal([1.0], noise=jx.ColouredNoise(1.0)),
-            jx.Direct(),
+            jx.control.Direct(),
         ),
         "Direct, ColouredNoise(2)": (
             jx.GaussianProposal([1.0], noise=jx.ColouredNoise(2.0)),
-            jx.Direct(),
+            jx.control.Direct(),
         ),
         "Smooth, 4 per second": (jx.GaussianProposal([4.0]), jx.Smooth()),
         "Knots(8, RBFKernel(2))": (white, jx.Knots(8, jx.RBFKernel(2.0))),
@@ -279,7 +279,7 @@ def control_parts() -> Figure:
     figure, grid_of_axes = plt.subplots(
         2, 3, figsize=(8.4, 4.6), sharex=True, sharey=True, layout="constrained"
     )
-    space = jx.ControlSpace(
+    space = jx.control.ControlSpace(
         robot.control_min, robot.control_max, robot.default_control, jnp.asarray(dt), horizon
     )
     times = dt * np.arange(horizon + 1)
@@ -308,16 +308,16 @@ def control_parts() -> Figure:
 
 
 def _sampled(
-    proposal: jx.Proposal,
-    parts: jx.Parameterisation,
+    proposal: jx.control.Proposal,
+    parts: jx.control.Parameterisation,
     plan: jax.Array,
-    space: jx.ControlSpace,
+    space: jx.control.ControlSpace,
     count: int,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return controls (T, 1, K) and parameters (P, 1, K) sampled around a plan (T, 1)."""
     size = parts.num_parameters(space.horizon)
     nominal = parts.init(plan, space)
-    around = jx.SamplingContext(parts, nominal, space)
+    around = jx.control.SamplingContext(parts, nominal, space)
     memory = proposal.init(size, 1)
     samples = proposal.sample(memory, around, count, key=jax.random.key(3))
     controls, knots = parts.decode(nominal, samples, space)
@@ -375,7 +375,7 @@ def fusion_pillar() -> Figure:
     x = robot.at_pose(*np.asarray(belief.pose)).at[robot.state_names.index("v")].set(1.0)
     mppi = jx.MPPI(
         robot,
-        0.3 * jx.CollisionCost(),
+        0.3 * jx.costs.CollisionCost(),
         horizon=30,
         num_samples=1000,
         temperature=0.3,
@@ -383,15 +383,17 @@ def fusion_pillar() -> Figure:
         dt=0.12,
         control_period=0.02,
     )
-    sides = [jx.RegionCost(0.25 * np.pi), jx.RegionCost(-0.25 * np.pi)]
+    sides = [jx.costs.RegionCost(0.25 * np.pi), jx.costs.RegionCost(-0.25 * np.pi)]
     row = {"goal": 0.8, "side": 0.2, "effort": 0.02}
     average = jx.Portfolio(
         mppi,
-        {"goal": jx.ToGoalCost(), "side": sides, "effort": jx.ControlCost()},
+        {"goal": jx.costs.ToGoalCost(), "side": sides, "effort": jx.ControlCost()},
         {"left": row, "right": row},
         fusion="average",
     )
-    safe = eqx.tree_at(lambda one: one.fusion, average, jx.SafeFusion(jx.Average()))
+    safe = eqx.tree_at(
+        lambda one: one.fusion, average, jx.planning.SafeFusion(jx.planning.Average())
+    )
     step, state = eqx.filter_jit(jx.Portfolio.step), average.init()
     for number in range(60):
         _, state, _ = step(average, state, x, belief, key=jax.random.key(number))
@@ -404,7 +406,9 @@ def fusion_pillar() -> Figure:
     plans["average"] = step(average, state, x, belief, key=key)[2].controls
     plans["safe fusion"] = step(safe, state, x, belief, key=key)[2].controls
     paths = {
-        name: np.asarray(jx.rollout(robot, jx.ControlCost(), x, plan, mppi.dt, belief).states)
+        name: np.asarray(
+            jx.control.rollout(robot, jx.ControlCost(), x, plan, mppi.dt, belief).states
+        )
         for name, plan in plans.items()
     }
 
@@ -435,7 +439,7 @@ def fusion_pillar() -> Figure:
 
 def _seen_pillar(
     robot: jx.Dynamics,
-) -> tuple[jx.Belief, tuple[float, ...], tuple[float, float], tuple[float, float]]:
+) -> tuple[jx.belief.Belief, tuple[float, ...], tuple[float, float], tuple[float, float]]:
     """Return what a robot knows of a room with a pillar (x, y, radius), its size, and a goal."""
     (width, height), pillar, start = (6.0, 4.0), (2.6, 2.0, 0.3), (0.7, 2.0, 0.0)
     corners = (0.0, 0.0), (width, 0.0), (width, height), (0.0, height)

@@ -189,6 +189,7 @@ def test_a_real_map(ros_maps: Path) -> None:
 def test_importing_is_light_and_changes_nothing_global_and_the_command_runs() -> None:
     code = (
         "import jax, sys; before = dict(jax.config.values); import jaxplore; "
+        "[getattr(jaxplore, name) for name in dir(jaxplore)]; "
         "assert dict(jax.config.values) == before; assert 'matplotlib' not in sys.modules; "
         "from jaxplore.cli import main; main(['--version'])"
     )
@@ -217,10 +218,12 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     """Compare nothing, as if it was interrupted at once, and return the list of what was asked."""
     asked: list[Asked] = []
 
-    def compare(experiments: dict[str, Any], seeds: range, *, progress: bool) -> jx.Comparison:
+    def compare(
+        experiments: dict[str, Any], seeds: range, *, progress: bool
+    ) -> jx.report.Comparison:
         assert progress
         asked.append(Asked(dict(experiments), list(seeds)))
-        return jx.Comparison(dict.fromkeys(experiments, ()), {}, is_interrupted=True)
+        return jx.report.Comparison(dict.fromkeys(experiments, ()), {}, is_interrupted=True)
 
     monkeypatch.setattr("jaxplore.cli.compare_runs", compare)
     return asked
@@ -360,10 +363,10 @@ def test_all_that_is_compared_differs_in_the_architecture_only(
 @pytest.mark.parametrize(
     ("given", "rule", "weight"),
     [
-        ({}, jx.RemainingInformation, 0.05),
-        ({"target_choice": "occlusion"}, jx.TrajectoryChoice, 1.0),
-        ({"target_choice": "direct", "distance_weight": 0.3}, jx.TrajectoryChoice, 0.3),
-        ({"distance_weight": 0.2}, jx.RemainingInformation, 0.2),
+        ({}, jx.planning.RemainingInformation, 0.05),
+        ({"target_choice": "occlusion"}, jx.planning.TrajectoryChoice, 1.0),
+        ({"target_choice": "direct", "distance_weight": 0.3}, jx.planning.TrajectoryChoice, 0.3),
+        ({"distance_weight": 0.2}, jx.planning.RemainingInformation, 0.2),
     ],
 )
 def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weight: float) -> None:
@@ -373,5 +376,5 @@ def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weigh
     assert type(choice) is rule
     assert float(choice.weight) == pytest.approx(weight)
     assert choice.targets.zones.member.shape[0] == 3
-    if rule is jx.TrajectoryChoice:
+    if rule is jx.planning.TrajectoryChoice:
         assert choice.information.method == given["target_choice"]

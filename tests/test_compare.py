@@ -18,7 +18,7 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore import Comparison, Metrics, compare
+from jaxplore import Metrics, compare
 from jaxplore.build import controllers as building
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
@@ -27,6 +27,7 @@ from jaxplore.control.rollout import Trajectory
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk
+from jaxplore.study import Comparison
 from jaxplore.study import experiments as running
 
 Experiments = dict[str, tuple[Controller, ExplorationScenario, int]]

@@ -99,7 +99,7 @@ def test_settings_become_what_they_say(file: Path) -> None:
     assert num_steps == 6000
     assert controller.num_outcomes == 4
     assert isinstance(controller.risk, jx.ConditionalValueAtRisk)
-    assert isinstance(controller.disturbance, jx.UncertainObstacles)
+    assert isinstance(controller.disturbance, jx.control.UncertainObstacles)
     assert scenario.standing.number == 2
     assert scenario.prediction == "constant-velocity"
     np.testing.assert_allclose(scenario.start[:3], [0.1, 0.0, 0.2])

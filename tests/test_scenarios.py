@@ -207,12 +207,12 @@ def test_options_win_over_a_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("fusion", "kind"),
     [
-        ("weighted-vote", jx.WeightedVote),
-        ("best-only", jx.BestOnly),
-        ("average", jx.Average),
-        ("median", jx.Median),
-        ("trust-weighted", jx.TrustWeighted),
-        ("contextual", jx.Contextual),
+        ("weighted-vote", jx.planning.WeightedVote),
+        ("best-only", jx.planning.BestOnly),
+        ("average", jx.planning.Average),
+        ("median", jx.planning.Median),
+        ("trust-weighted", jx.planning.TrustWeighted),
+        ("contextual", jx.planning.Contextual),
     ],
 )
 @pytest.mark.parametrize("is_safe", [True, False])
@@ -221,7 +221,7 @@ def test_fusions_by_name(fusion: str, kind: type, is_safe: bool) -> None:
     settings = make_settings({**SMALL, "map": "yard", "portfolio": given})
     found = build(settings).controller.fusion
     if is_safe:
-        assert isinstance(found, jx.SafeFusion)
+        assert isinstance(found, jx.planning.SafeFusion)
         found = found.fusion
     assert type(found) is kind
 

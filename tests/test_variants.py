@@ -87,5 +87,5 @@ def test_processes_come_to_the_same_as_this_one() -> None:
         assert (there.recordings[name].arrays()["state"] == _states(here, name)).all()
 
 
-def _states(comparison: jx.Comparison, name: str):
+def _states(comparison: jx.study.Comparison, name: str):
     return comparison.recordings[name].arrays()["state"]

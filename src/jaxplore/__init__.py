@@ -1,270 +1,238 @@
-"""Sampling-based control and informative exploration on JAX."""
+"""Sampling-based control and informative exploration on JAX.
 
+The names that README, examples and guides use are flat in `jaxplore`: `jaxplore.MPPI`. Every
+public name is in the package of its subject: `jaxplore.costs.CorridorCost`.
+
+A package is imported when one of its names is first used, so that `import jaxplore` costs nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from jaxplore._renamed import RENAMED
 from jaxplore._version import __version__ as __version__
-from jaxplore.belief.belief import Belief as Belief
-from jaxplore.belief.belief import StrategicBelief as StrategicBelief
-from jaxplore.belief.guidance import GuidanceField as GuidanceField
-from jaxplore.belief.idleness import IdlenessMap as IdlenessMap
-from jaxplore.belief.obstacles import Obstacles as Obstacles
-from jaxplore.belief.perception import Perception as Perception
-from jaxplore.belief.zones import Zones as Zones
-from jaxplore.belief.zones import entropy_proxy as entropy_proxy
-from jaxplore.belief.zones import unknown_fraction as unknown_fraction
-from jaxplore.belief.zones import visible as visible
-from jaxplore.compat.batch import Batch as Batch
-from jaxplore.compat.batch import rollout_batch as rollout_batch
-from jaxplore.compat.planner import PlannedControl as PlannedControl
-from jaxplore.compat.planner import Planner as Planner
-from jaxplore.compilation_cache import (
-    enable_compilation_cache as enable_compilation_cache,
-)
-from jaxplore.control.adaptation import CovarianceAdaptation as CovarianceAdaptation
-from jaxplore.control.augmented import AugmentedProposal as AugmentedProposal
-from jaxplore.control.base import Controller as Controller
-from jaxplore.control.base import Info as Info
-from jaxplore.control.base import Members as Members
-from jaxplore.control.base import SampledPlan as SampledPlan
-from jaxplore.control.coloured_noise import ColouredNoise as ColouredNoise
-from jaxplore.control.disturbance import ControlNoise as ControlNoise
-from jaxplore.control.disturbance import Disturbance as Disturbance
-from jaxplore.control.disturbance import ModelEnsemble as ModelEnsemble
-from jaxplore.control.disturbance import StateNoise as StateNoise
-from jaxplore.control.disturbance import UncertainObstacles as UncertainObstacles
-from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
-from jaxplore.control.feedback import FeedbackState as FeedbackState
-from jaxplore.control.gains import step_with_gains as step_with_gains
-from jaxplore.control.interpolation import CubicSpline as CubicSpline
-from jaxplore.control.interpolation import Interpolation as Interpolation
-from jaxplore.control.interpolation import LinearInterpolation as LinearInterpolation
-from jaxplore.control.interpolation import MaternKernel as MaternKernel
-from jaxplore.control.interpolation import RBFKernel as RBFKernel
-from jaxplore.control.interpolation import ZeroOrderHold as ZeroOrderHold
-from jaxplore.control.knots import Knots as Knots
-from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
-from jaxplore.control.mixtures import InjectedProposal as InjectedProposal
-from jaxplore.control.mppi import MPPI as MPPI
-from jaxplore.control.mppi_state import MPPIState as MPPIState
-from jaxplore.control.mppi_state import SampledControls as SampledControls
-from jaxplore.control.noise import AntitheticNoise as AntitheticNoise
-from jaxplore.control.noise import LogNormalNoise as LogNormalNoise
-from jaxplore.control.noise import Noise as Noise
-from jaxplore.control.noise import NoiseBank as NoiseBank
-from jaxplore.control.noise import WhiteNoise as WhiteNoise
-from jaxplore.control.parameterisations import ControlSpace as ControlSpace
-from jaxplore.control.parameterisations import Direct as Direct
-from jaxplore.control.parameterisations import Parameterisation as Parameterisation
-from jaxplore.control.proposals import GaussianProposal as GaussianProposal
-from jaxplore.control.proposals import Proposal as Proposal
-from jaxplore.control.proposals import SamplingContext as SamplingContext
-from jaxplore.control.quasi_random_noise import HaltonNoise as HaltonNoise
-from jaxplore.control.quasi_random_noise import SobolNoise as SobolNoise
-from jaxplore.control.risk import ConditionalValueAtRisk as ConditionalValueAtRisk
-from jaxplore.control.risk import Entropic as Entropic
-from jaxplore.control.risk import MeanVariance as MeanVariance
-from jaxplore.control.risk import Risk as Risk
-from jaxplore.control.risk import ValueAtRisk as ValueAtRisk
-from jaxplore.control.risk import WorstCase as WorstCase
-from jaxplore.control.rollout import Outcomes as Outcomes
-from jaxplore.control.rollout import Trajectory as Trajectory
-from jaxplore.control.rollout import rollout as rollout
-from jaxplore.control.rollout import rollout_costs as rollout_costs
-from jaxplore.control.rollout import rollout_objectives as rollout_objectives
-from jaxplore.control.smooth import Smooth as Smooth
-from jaxplore.control.smooth import SmoothNominal as SmoothNominal
-from jaxplore.control.smoothing import SavitzkyGolay as SavitzkyGolay
-from jaxplore.control.weighting import AdaptiveSoftmax as AdaptiveSoftmax
-from jaxplore.control.weighting import Elite as Elite
-from jaxplore.control.weighting import Softmax as Softmax
-from jaxplore.control.weighting import Weighting as Weighting
-from jaxplore.costs import extract as extract
-from jaxplore.costs.base import Cost as Cost
-from jaxplore.costs.base import NamedCost as NamedCost
-from jaxplore.costs.bounds import SpeedLimitCost as SpeedLimitCost
-from jaxplore.costs.bounds import StateBoundsCost as StateBoundsCost
-from jaxplore.costs.collision import CollisionCost as CollisionCost
-from jaxplore.costs.comfort import ComfortCost as ComfortCost
-from jaxplore.costs.effort import ControlCost as ControlCost
-from jaxplore.costs.effort import ControlJerkCost as ControlJerkCost
-from jaxplore.costs.effort import ControlRateCost as ControlRateCost
-from jaxplore.costs.effort import QuadraticControlCost as QuadraticControlCost
-from jaxplore.costs.exploration import GuidanceCost as GuidanceCost
-from jaxplore.costs.exploration import HomingCost as HomingCost
-from jaxplore.costs.exploration import InformationCost as InformationCost
-from jaxplore.costs.exploration import LocalInformationCost as LocalInformationCost
-from jaxplore.costs.exploration import PotentialCost as PotentialCost
-from jaxplore.costs.exploration import StrategyReferenceCost as StrategyReferenceCost
-from jaxplore.costs.heading_for import RegionCost as RegionCost
-from jaxplore.costs.heading_for import ToGoalCost as ToGoalCost
-from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
-from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
-from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
-from jaxplore.costs.path_following import ContouringCost as ContouringCost
-from jaxplore.costs.path_following import CorridorCost as CorridorCost
-from jaxplore.costs.path_following import LagCost as LagCost
-from jaxplore.costs.path_following import PathErrorCost as PathErrorCost
-from jaxplore.costs.path_following import ProgressCost as ProgressCost
-from jaxplore.costs.terrain import TerrainCost as TerrainCost
-from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost
-from jaxplore.costs.tracking import GoalCost as GoalCost
-from jaxplore.costs.tracking import PathCost as PathCost
-from jaxplore.costs.tracking import ReferenceCost as ReferenceCost
-from jaxplore.costs.tracking import StateCost as StateCost
-from jaxplore.costs.tracking import WaypointCost as WaypointCost
-from jaxplore.dynamics.ackermann import Ackermann as Ackermann
-from jaxplore.dynamics.augmented import Augmented as Augmented
-from jaxplore.dynamics.base import ContinuousDynamics as ContinuousDynamics
-from jaxplore.dynamics.base import Dynamics as Dynamics
-from jaxplore.dynamics.base import State as State
-from jaxplore.dynamics.differential_drive import DifferentialDrive as DifferentialDrive
-from jaxplore.dynamics.integrators import RK4 as RK4
-from jaxplore.dynamics.integrators import Euler as Euler
-from jaxplore.dynamics.integrators import Integrator as Integrator
-from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle as KinematicBicycle
-from jaxplore.dynamics.path_parameter import PathParameter as PathParameter
-from jaxplore.dynamics.pendulum import Pendulum as Pendulum
-from jaxplore.dynamics.point_mass import PointMass as PointMass
-from jaxplore.dynamics.quadrotor import Quadrotor as Quadrotor
-from jaxplore.dynamics.unicycle import Unicycle as Unicycle
-from jaxplore.geometry.angles import sin_cos as sin_cos
-from jaxplore.geometry.curves import arc_path as arc_path
-from jaxplore.geometry.curves import clothoid_path as clothoid_path
-from jaxplore.geometry.curves import line_path as line_path
-from jaxplore.geometry.curves import path_through as path_through
-from jaxplore.geometry.footprint import Disc as Disc
-from jaxplore.geometry.footprint import Footprint as Footprint
-from jaxplore.geometry.footprint import Rectangle as Rectangle
-from jaxplore.geometry.outlines import Outlines as Outlines
-from jaxplore.geometry.path import Path as Path
-from jaxplore.geometry.path import PathErrors as PathErrors
-from jaxplore.geometry.path import PathPoint as PathPoint
-from jaxplore.geometry.track import race_track as race_track
-from jaxplore.information.beam import beam_information as beam_information
-from jaxplore.information.beam import cauchy_schwarz_information as cauchy_schwarz_information
-from jaxplore.information.beam import cell_information as cell_information
-from jaxplore.information.entropy import EntropyFan as EntropyFan
-from jaxplore.information.entropy import pose_table as pose_table
-from jaxplore.information.field import InformationField as InformationField
-from jaxplore.information.field_sensor import FieldSensor as FieldSensor
-from jaxplore.information.gain import IdealSensor as IdealSensor
-from jaxplore.information.gain import cell_gains as cell_gains
-from jaxplore.information.gain import expected_gain as expected_gain
-from jaxplore.information.gain import update_gain as update_gain
-from jaxplore.information.heading_field import HeadingField as HeadingField
-from jaxplore.information.local_field import LocalFieldSensor as LocalFieldSensor
-from jaxplore.information.noise import GaussianNoise as GaussianNoise
-from jaxplore.information.noise import RangeNoise as RangeNoise
-from jaxplore.information.noise import ToeplitzNoise as ToeplitzNoise
-from jaxplore.information.noise import UniformNoise as UniformNoise
-from jaxplore.information.pose import PoseInformation as PoseInformation
-from jaxplore.information.pose import PoseView as PoseView
-from jaxplore.information.trajectory import TrajectoryInformation as TrajectoryInformation
-from jaxplore.information.trajectory import path_headings as path_headings
-from jaxplore.maps.clearance import clearance_field as clearance_field
-from jaxplore.maps.field import ScalarField as ScalarField
-from jaxplore.maps.files.path_file import read_path as read_path
-from jaxplore.maps.generators.generated import generate_map as generate_map
-from jaxplore.maps.generators.office import office as office
-from jaxplore.maps.generators.office import start_pose as start_pose
-from jaxplore.maps.ground import Ground as Ground
-from jaxplore.maps.ground import GroundSample as GroundSample
-from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
-from jaxplore.maps.terrain import TerrainMap as TerrainMap
-from jaxplore.maps.terrain import TerrainSample as TerrainSample
-from jaxplore.maps.world import MovingObstacle as MovingObstacle
-from jaxplore.maps.world import Shapes as Shapes
-from jaxplore.maps.world import World as World
-from jaxplore.maps.world import three_zones as three_zones
-from jaxplore.parameters import find_parameter as find_parameter
-from jaxplore.parameters import get_parameters as get_parameters
-from jaxplore.parameters import set_parameters as set_parameters
-from jaxplore.planning.portfolio.contextual import ROLES as ROLES
-from jaxplore.planning.portfolio.contextual import Contextual as Contextual
-from jaxplore.planning.portfolio.fusion import Candidates as Candidates
-from jaxplore.planning.portfolio.fusion import Fused as Fused
-from jaxplore.planning.portfolio.fusion import Fusion as Fusion
-from jaxplore.planning.portfolio.fusion import Situation as Situation
-from jaxplore.planning.portfolio.portfolio import Portfolio as Portfolio
-from jaxplore.planning.portfolio.portfolio import PortfolioState as PortfolioState
-from jaxplore.planning.portfolio.portfolio import diversity as diversity
-from jaxplore.planning.portfolio.safe_fusion import FUSIONS as FUSIONS
-from jaxplore.planning.portfolio.safe_fusion import SafeFusion as SafeFusion
-from jaxplore.planning.portfolio.safe_fusion import fusion_by_name as fusion_by_name
-from jaxplore.planning.portfolio.voting import Average as Average
-from jaxplore.planning.portfolio.voting import BestOnly as BestOnly
-from jaxplore.planning.portfolio.voting import Median as Median
-from jaxplore.planning.portfolio.voting import TrustWeighted as TrustWeighted
-from jaxplore.planning.portfolio.voting import WeightedVote as WeightedVote
-from jaxplore.planning.presets.explorer import explorer as explorer
-from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS as ROLE_WEIGHTS
-from jaxplore.planning.presets.ground_vehicle import Mission as Mission
-from jaxplore.planning.presets.ground_vehicle import ground_portfolio as ground_portfolio
-from jaxplore.planning.presets.path_following import PathFollowing as PathFollowing
-from jaxplore.planning.presets.path_following import augmented_mppi as augmented_mppi
-from jaxplore.planning.presets.path_following import avoidance_cost as avoidance_cost
-from jaxplore.planning.presets.path_following import mpcc as mpcc
-from jaxplore.planning.presets.quadrotor import FieldNumbers as FieldNumbers
-from jaxplore.planning.presets.quadrotor import Flight as Flight
-from jaxplore.planning.presets.quadrotor import goal_mppi as goal_mppi
-from jaxplore.planning.presets.quadrotor import informative_mppi as informative_mppi
-from jaxplore.planning.presets.quadrotor import random_walk as random_walk
-from jaxplore.planning.strategy.follower import Follower as Follower
-from jaxplore.planning.strategy.followers import (
-    DifferentialDriveFollower as DifferentialDriveFollower,
-)
-from jaxplore.planning.strategy.followers import UnicycleFollower as UnicycleFollower
-from jaxplore.planning.strategy.followers import follower_for as follower_for
-from jaxplore.planning.strategy.gradient_reference import GradientReference as GradientReference
-from jaxplore.planning.strategy.informative import InformativeMPPI as InformativeMPPI
-from jaxplore.planning.strategy.informative import ShortRangeField as ShortRangeField
-from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower as QuadrotorFollower
-from jaxplore.planning.strategy.random_walk import RandomWalk as RandomWalk
-from jaxplore.planning.strategy.references import ClimbingReference as ClimbingReference
-from jaxplore.planning.strategy.references import StrategicReference as StrategicReference
-from jaxplore.planning.strategy.target_explorer import TargetExplorer as TargetExplorer
-from jaxplore.planning.strategy.target_rules import DiscountedInformation as DiscountedInformation
-from jaxplore.planning.strategy.target_rules import DistanceAdvantage as DistanceAdvantage
-from jaxplore.planning.strategy.target_rules import GainPerCost as GainPerCost
-from jaxplore.planning.strategy.target_rules import NearestFrontier as NearestFrontier
-from jaxplore.planning.strategy.target_rules import NextBestView as NextBestView
-from jaxplore.planning.strategy.target_rules import RandomFrontier as RandomFrontier
-from jaxplore.planning.strategy.target_rules import TargetRule as TargetRule
-from jaxplore.planning.strategy.target_rules import Wander as Wander
-from jaxplore.planning.strategy.targets import RemainingInformation as RemainingInformation
-from jaxplore.planning.strategy.targets import TargetChoice as TargetChoice
-from jaxplore.planning.strategy.targets import TargetReference as TargetReference
-from jaxplore.planning.strategy.targets import Targets as Targets
-from jaxplore.planning.strategy.targets import TargetScores as TargetScores
-from jaxplore.planning.strategy.targets import TrajectoryChoice as TrajectoryChoice
-from jaxplore.report.exploration.metrics import ExplorationMetrics as ExplorationMetrics
-from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording
-from jaxplore.report.following.metrics import PathMetrics as PathMetrics
-from jaxplore.report.following.recording import PathRecording as PathRecording
-from jaxplore.report.metrics import Metrics as Metrics
-from jaxplore.report.recording import Recording as Recording
-from jaxplore.sensing.base import Scan as Scan
-from jaxplore.sensing.base import Sensor as Sensor
-from jaxplore.sensing.base import Sighting as Sighting
-from jaxplore.sensing.camera import Camera as Camera
-from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
-from jaxplore.sensing.lidar import Lidar as Lidar
-from jaxplore.simulation.environment.action_modes import ActionMode as ActionMode
-from jaxplore.simulation.environment.action_modes import ControlMode as ControlMode
-from jaxplore.simulation.environment.action_modes import WaypointMode as WaypointMode
-from jaxplore.simulation.environment.action_modes import waypoint_mppi as waypoint_mppi
-from jaxplore.simulation.environment.environment import Environment as Environment
-from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
-from jaxplore.simulation.environment.environment import Outcome as Outcome
-from jaxplore.simulation.experiment import Experiment as Experiment
-from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
-from jaxplore.simulation.exploration.moving_obstacles import (
-    MovingObstacleState as MovingObstacleState,
-)
-from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
-from jaxplore.simulation.faults import Faults as Faults
-from jaxplore.simulation.following.scenario import PathScenario as PathScenario
-from jaxplore.simulation.following.traffic import Traffic as Traffic
-from jaxplore.simulation.run import Run as Run
-from jaxplore.simulation.run import simulate as simulate
-from jaxplore.simulation.scenario import Scenario as Scenario
-from jaxplore.study.comparison.compare import compare as compare
-from jaxplore.study.comparison.comparison import Comparison as Comparison
+
+# Python reads the table, type checkers and editors read the imports: a test compares them.
+if TYPE_CHECKING:
+    from jaxplore import belief as belief
+    from jaxplore import compat as compat
+    from jaxplore import compilation_cache as compilation_cache
+    from jaxplore import control as control
+    from jaxplore import costs as costs
+    from jaxplore import dynamics as dynamics
+    from jaxplore import geometry as geometry
+    from jaxplore import information as information
+    from jaxplore import maps as maps
+    from jaxplore import parameters as parameters
+    from jaxplore import planning as planning
+    from jaxplore import report as report
+    from jaxplore import sensing as sensing
+    from jaxplore import simulation as simulation
+    from jaxplore import study as study
+    from jaxplore.belief import Perception as Perception
+    from jaxplore.compilation_cache import enable_compilation_cache as enable_compilation_cache
+    from jaxplore.control import MPPI as MPPI
+    from jaxplore.control import AugmentedProposal as AugmentedProposal
+    from jaxplore.control import BiasedProposal as BiasedProposal
+    from jaxplore.control import ColouredNoise as ColouredNoise
+    from jaxplore.control import ConditionalValueAtRisk as ConditionalValueAtRisk
+    from jaxplore.control import Elite as Elite
+    from jaxplore.control import FeedbackMPPI as FeedbackMPPI
+    from jaxplore.control import GaussianProposal as GaussianProposal
+    from jaxplore.control import HaltonNoise as HaltonNoise
+    from jaxplore.control import InjectedProposal as InjectedProposal
+    from jaxplore.control import Knots as Knots
+    from jaxplore.control import RBFKernel as RBFKernel
+    from jaxplore.control import Smooth as Smooth
+    from jaxplore.control import Softmax as Softmax
+    from jaxplore.control import StateNoise as StateNoise
+    from jaxplore.costs import ComfortCost as ComfortCost
+    from jaxplore.costs import ContouringCost as ContouringCost
+    from jaxplore.costs import ControlCost as ControlCost
+    from jaxplore.costs import ControlRateCost as ControlRateCost
+    from jaxplore.costs import Cost as Cost
+    from jaxplore.costs import DiscObstacleCost as DiscObstacleCost
+    from jaxplore.costs import GoalCost as GoalCost
+    from jaxplore.costs import GuidanceCost as GuidanceCost
+    from jaxplore.costs import InformationCost as InformationCost
+    from jaxplore.costs import LagCost as LagCost
+    from jaxplore.costs import MovingObstacleCost as MovingObstacleCost
+    from jaxplore.costs import ObstacleCost as ObstacleCost
+    from jaxplore.costs import StateCost as StateCost
+    from jaxplore.costs import WaypointCost as WaypointCost
+    from jaxplore.dynamics import RK4 as RK4
+    from jaxplore.dynamics import Ackermann as Ackermann
+    from jaxplore.dynamics import Augmented as Augmented
+    from jaxplore.dynamics import ContinuousDynamics as ContinuousDynamics
+    from jaxplore.dynamics import DifferentialDrive as DifferentialDrive
+    from jaxplore.dynamics import Dynamics as Dynamics
+    from jaxplore.dynamics import Euler as Euler
+    from jaxplore.dynamics import Integrator as Integrator
+    from jaxplore.dynamics import KinematicBicycle as KinematicBicycle
+    from jaxplore.dynamics import PathParameter as PathParameter
+    from jaxplore.dynamics import Pendulum as Pendulum
+    from jaxplore.dynamics import PointMass as PointMass
+    from jaxplore.dynamics import Quadrotor as Quadrotor
+    from jaxplore.dynamics import State as State
+    from jaxplore.dynamics import Unicycle as Unicycle
+    from jaxplore.geometry import Path as Path
+    from jaxplore.geometry import Rectangle as Rectangle
+    from jaxplore.geometry import path_through as path_through
+    from jaxplore.geometry import race_track as race_track
+    from jaxplore.geometry import sin_cos as sin_cos
+    from jaxplore.information import FieldSensor as FieldSensor
+    from jaxplore.information import PoseInformation as PoseInformation
+    from jaxplore.information import TrajectoryInformation as TrajectoryInformation
+    from jaxplore.maps import MovingObstacle as MovingObstacle
+    from jaxplore.maps import OccupancyGrid as OccupancyGrid
+    from jaxplore.maps import Shapes as Shapes
+    from jaxplore.maps import TerrainMap as TerrainMap
+    from jaxplore.maps import World as World
+    from jaxplore.maps import generate_map as generate_map
+    from jaxplore.maps import office as office
+    from jaxplore.maps import start_pose as start_pose
+    from jaxplore.maps import three_zones as three_zones
+    from jaxplore.parameters import find_parameter as find_parameter
+    from jaxplore.parameters import get_parameters as get_parameters
+    from jaxplore.parameters import set_parameters as set_parameters
+    from jaxplore.planning import FieldNumbers as FieldNumbers
+    from jaxplore.planning import Flight as Flight
+    from jaxplore.planning import Mission as Mission
+    from jaxplore.planning import Portfolio as Portfolio
+    from jaxplore.planning import augmented_mppi as augmented_mppi
+    from jaxplore.planning import explorer as explorer
+    from jaxplore.planning import ground_portfolio as ground_portfolio
+    from jaxplore.planning import informative_mppi as informative_mppi
+    from jaxplore.planning import mpcc as mpcc
+    from jaxplore.report import Metrics as Metrics
+    from jaxplore.report import Recording as Recording
+    from jaxplore.sensing import Camera as Camera
+    from jaxplore.sensing import InverseSensorModel as InverseSensorModel
+    from jaxplore.sensing import Lidar as Lidar
+    from jaxplore.sensing import Sensor as Sensor
+    from jaxplore.simulation import ExplorationScenario as ExplorationScenario
+    from jaxplore.simulation import Faults as Faults
+    from jaxplore.simulation import MovingObstacles as MovingObstacles
+    from jaxplore.simulation import PathScenario as PathScenario
+    from jaxplore.simulation import Run as Run
+    from jaxplore.simulation import Scenario as Scenario
+    from jaxplore.simulation import Traffic as Traffic
+    from jaxplore.simulation import simulate as simulate
+    from jaxplore.study import compare as compare
+
+_PACKAGES = {
+    "belief": ["Perception"],
+    "compat": [],
+    "compilation_cache": ["enable_compilation_cache"],
+    "control": [
+        "MPPI",
+        "AugmentedProposal",
+        "BiasedProposal",
+        "ColouredNoise",
+        "ConditionalValueAtRisk",
+        "Elite",
+        "FeedbackMPPI",
+        "GaussianProposal",
+        "HaltonNoise",
+        "InjectedProposal",
+        "Knots",
+        "RBFKernel",
+        "Smooth",
+        "Softmax",
+        "StateNoise",
+    ],
+    "costs": [
+        "ComfortCost",
+        "ContouringCost",
+        "ControlCost",
+        "ControlRateCost",
+        "Cost",
+        "DiscObstacleCost",
+        "GoalCost",
+        "GuidanceCost",
+        "InformationCost",
+        "LagCost",
+        "MovingObstacleCost",
+        "ObstacleCost",
+        "StateCost",
+        "WaypointCost",
+    ],
+    "dynamics": [
+        "RK4",
+        "Ackermann",
+        "Augmented",
+        "ContinuousDynamics",
+        "DifferentialDrive",
+        "Dynamics",
+        "Euler",
+        "Integrator",
+        "KinematicBicycle",
+        "PathParameter",
+        "Pendulum",
+        "PointMass",
+        "Quadrotor",
+        "State",
+        "Unicycle",
+    ],
+    "geometry": ["Path", "Rectangle", "path_through", "race_track", "sin_cos"],
+    "information": ["FieldSensor", "PoseInformation", "TrajectoryInformation"],
+    "maps": [
+        "MovingObstacle",
+        "OccupancyGrid",
+        "Shapes",
+        "TerrainMap",
+        "World",
+        "generate_map",
+        "office",
+        "start_pose",
+        "three_zones",
+    ],
+    "parameters": ["find_parameter", "get_parameters", "set_parameters"],
+    "planning": [
+        "FieldNumbers",
+        "Flight",
+        "Mission",
+        "Portfolio",
+        "augmented_mppi",
+        "explorer",
+        "ground_portfolio",
+        "informative_mppi",
+        "mpcc",
+    ],
+    "report": ["Metrics", "Recording"],
+    "sensing": ["Camera", "InverseSensorModel", "Lidar", "Sensor"],
+    "simulation": [
+        "ExplorationScenario",
+        "Faults",
+        "MovingObstacles",
+        "PathScenario",
+        "Run",
+        "Scenario",
+        "Traffic",
+        "simulate",
+    ],
+    "study": ["compare"],
+}
+"""The packages that are imported when they are used, and the names of each that are flat."""
+
+_PACKAGE_OF = {name: package for package, names in _PACKAGES.items() for name in names}
+
+__all__ = list(_PACKAGE_OF)
+
+
+def __getattr__(name: str) -> Any:
+    """Import a package, or the package of a flat name, when it is first used."""
+    if name in _PACKAGES:
+        return importlib.import_module(f"jaxplore.{name}")
+    if name in _PACKAGE_OF:
+        value = getattr(importlib.import_module(f"jaxplore.{_PACKAGE_OF[name]}"), name)
+        globals()[name] = value  # found at once from now on
+        return value
+    if name in RENAMED:
+        raise AttributeError(f"jaxplore.{name} is now jaxplore.{RENAMED[name]}")
+    raise AttributeError(f"module 'jaxplore' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """List what there is, imported or not."""
+    return sorted({*globals(), *_PACKAGES, *_PACKAGE_OF})

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from jaxplore import Obstacles, Outlines
+from jaxplore.belief import Obstacles
 from jaxplore.belief.obstacles import FAR
+from jaxplore.geometry import Outlines
 
 SQUARE = np.array([[1.0, 1.0], [2.0, 1.0], [2.0, 2.0], [1.0, 2.0]])
 SPEED = st.floats(-3, 3, width=32)

@@ -9,15 +9,15 @@ import pytest
 from jaxplore import (
     Camera,
     DifferentialDrive,
-    Ground,
     GuidanceCost,
-    IdlenessMap,
     InverseSensorModel,
     Lidar,
     OccupancyGrid,
     Perception,
     State,
 )
+from jaxplore.belief import IdlenessMap
+from jaxplore.maps import Ground
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import Obstacles
+from jaxplore.belief import Obstacles
 
 PLANE = hnp.arrays(np.float32, (3, 2), elements=st.floats(-5, 5, width=32))
 RADII = jnp.asarray([0.2, 0.3, 0.4])

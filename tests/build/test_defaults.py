@@ -100,12 +100,12 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
     else:
         robot = jx.Quadrotor()
     if architecture == "random-walk":
-        return jx.random_walk(robot, flight)
+        return jx.planning.random_walk(robot, flight)
     if architecture == "goal":
-        return jx.goal_mppi(robot, goal, flight)
+        return jx.planning.goal_mppi(robot, goal, flight)
     choice = None
     if architecture == "sequential":
-        zones = jx.Zones.from_rectangles(jx.three_zones().zones, scenario.world)
+        zones = jx.belief.Zones.from_rectangles(jx.three_zones().zones, scenario.world)
         lidar = jx.Lidar(24, 4.0, math.pi / 2.0)
         choice = zone_choice(zones, goal[:2], scenario.perception, lidar)
     return jx.informative_mppi(
@@ -158,12 +158,12 @@ RACE_CAR = jx.Ackermann(
     ("entries", "expected"),
     [
         ({}, {}),
-        ({"obstacles": {"number": 5}}, {"other": jx.avoidance_cost()}),
+        ({"obstacles": {"number": 5}}, {"other": jx.planning.avoidance_cost()}),
         (
             {"obstacles": {"discs": [[0.0, 0.0, 0.1]]}, "controller": {"risk_level": 0.9}},
             {
-                "other": jx.avoidance_cost(caution=0.0),
-                "disturbance": jx.UncertainObstacles(),
+                "other": jx.planning.avoidance_cost(caution=0.0),
+                "disturbance": jx.control.UncertainObstacles(),
                 "risk": jx.ConditionalValueAtRisk(0.9),
             },
         ),
@@ -238,20 +238,20 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
         *("robot", "path", "noise_std", "max_speed", "other", "corridor", "parameterisation"),
         *("disturbance", "risk"),
     },
-    jx.avoidance_cost: set(),
+    jx.planning.avoidance_cost: set(),
     jx.race_track: set(),
     jx.office: set(),
     jx.Lidar: set(),
     jx.Camera: set(),
-    jx.IdlenessMap: set(),
+    jx.belief.IdlenessMap: set(),
     jx.InverseSensorModel: {"is_decisive"},
-    jx.Ground: {"elevation", "resolution", "origin", "traversability"},
+    jx.maps.Ground: {"elevation", "resolution", "origin", "traversability"},
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
         *("ground", "watch", "is_goal_apart", "unknown_factor"),
     },
-    jx.Contextual: {"names", "goal"},
-    jx.WeightedVote: set(),
+    jx.planning.Contextual: {"names", "goal"},
+    jx.planning.WeightedVote: set(),
 }
 """Parameters that are no settings: parts, or what follows from other settings."""
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import CovarianceAdaptation
+from jaxplore.control import CovarianceAdaptation
 
 ROWS, SIZE, SAMPLES = 3, 2, 16
 

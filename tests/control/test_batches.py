@@ -16,7 +16,6 @@ import pytest
 from jaxplore import (
     MPPI,
     BiasedProposal,
-    CubicSpline,
     DifferentialDrive,
     FeedbackMPPI,
     GaussianProposal,
@@ -26,6 +25,7 @@ from jaxplore import (
     Smooth,
     Softmax,
 )
+from jaxplore.control import CubicSpline
 
 
 def make(temperature=0.3, std=0.5, goal=1.0, drag=0.1, reference=0.1, parameterisation=None):
@@ -134,8 +134,8 @@ cases = {
     "direct, large": ({"num_samples": 512}, mesh),
     "smooth, two axes": ({"parameterisation": jx.Smooth()}, grid),
     "knots, outcomes": (
-        {"parameterisation": jx.Knots(3, jx.CubicSpline()), "num_outcomes": 3,
-         "disturbance": jx.StateNoise([0.1] * 4), "risk": jx.WorstCase()},
+        {"parameterisation": jx.Knots(3, jx.control.CubicSpline()), "num_outcomes": 3,
+         "disturbance": jx.StateNoise([0.1] * 4), "risk": jx.control.WorstCase()},
         mesh,
     ),
 }
@@ -155,7 +155,7 @@ for name, (changes, devices) in cases.items():
 
         def run(mppi, key):
             state = mppi.init(jnp.full((4, 2), 0.2))
-            control, state, info, gains = jx.step_with_gains(mppi, state, start, key=key)
+            control, state, info, gains = jx.control.step_with_gains(mppi, state, start, key=key)
             return control, info.controls, info.costs, info.weights, gains
 
         results.append(eqx.filter_jit(run)(mppi, jax.random.key(0)))

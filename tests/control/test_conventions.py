@@ -14,22 +14,24 @@ from jaxplore import (
     BiasedProposal,
     ControlRateCost,
     Cost,
-    CovarianceAdaptation,
-    CubicSpline,
     Dynamics,
     GaussianProposal,
     GoalCost,
     InjectedProposal,
     Knots,
-    LinearInterpolation,
     PointMass,
-    QuadraticControlCost,
-    SavitzkyGolay,
     Smooth,
     Softmax,
     StateCost,
+)
+from jaxplore.control import (
+    CovarianceAdaptation,
+    CubicSpline,
+    LinearInterpolation,
+    SavitzkyGolay,
     ZeroOrderHold,
 )
+from jaxplore.costs import QuadraticControlCost
 
 DT = 0.1
 

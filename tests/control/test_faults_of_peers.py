@@ -9,22 +9,20 @@ import pytest
 from jaxplore import (
     MPPI,
     Cost,
-    CubicSpline,
-    Direct,
     GaussianProposal,
     GoalCost,
     HaltonNoise,
     InjectedProposal,
     Knots,
     PointMass,
-    QuadraticControlCost,
     Quadrotor,
     RBFKernel,
     Smooth,
     StateCost,
     StateNoise,
-    WorstCase,
 )
+from jaxplore.control import CubicSpline, Direct, WorstCase
+from jaxplore.costs import QuadraticControlCost
 
 MASS = PointMass(2)
 GOAL = GoalCost([1.0, 0.5])

@@ -8,28 +8,30 @@ import pytest
 
 from jaxplore import (
     MPPI,
-    AdaptiveSoftmax,
     Cost,
-    CubicSpline,
     DifferentialDrive,
     Elite,
-    Entropic,
     FeedbackMPPI,
     Knots,
-    ModelEnsemble,
     Pendulum,
     PointMass,
-    QuadraticControlCost,
     Quadrotor,
-    SavitzkyGolay,
     Smooth,
     Softmax,
     StateCost,
     StateNoise,
     Unicycle,
     WaypointCost,
+)
+from jaxplore.control import (
+    AdaptiveSoftmax,
+    CubicSpline,
+    Entropic,
+    ModelEnsemble,
+    SavitzkyGolay,
     step_with_gains,
 )
+from jaxplore.costs import QuadraticControlCost
 
 MASS = PointMass(2, max_acceleration=4.0)
 TO_POINT = StateCost(

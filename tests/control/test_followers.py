@@ -13,16 +13,16 @@ from jaxplore import (
     MPPI,
     BiasedProposal,
     DifferentialDrive,
-    Direct,
     GaussianProposal,
     Knots,
     PointMass,
     Quadrotor,
-    ReferenceCost,
     Smooth,
     Softmax,
     Unicycle,
 )
+from jaxplore.control import Direct
+from jaxplore.costs import ReferenceCost
 from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.followers import (
     DifferentialDriveFollower,

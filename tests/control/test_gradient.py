@@ -53,7 +53,7 @@ def in_double_precision(tree):
     )
 
 
-@pytest.mark.parametrize("parameterisation", [jx.Direct(), jx.Knots(3)])
+@pytest.mark.parametrize("parameterisation", [jx.control.Direct(), jx.Knots(3)])
 def test_it_is_that_of_finite_differences(parameterisation) -> None:
     controller = controller_with(parameterisation=parameterisation)
     with jax.enable_x64(True):

@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 import scipy.interpolate
 
-from jaxplore import (
+from jaxplore import Knots, RBFKernel
+from jaxplore.control import (
     ControlSpace,
     CubicSpline,
     Direct,
-    Knots,
     LinearInterpolation,
     MaternKernel,
-    RBFKernel,
     ZeroOrderHold,
 )
 

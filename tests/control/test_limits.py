@@ -8,23 +8,19 @@ import pytest
 
 from jaxplore import (
     MPPI,
-    AntitheticNoise,
     BiasedProposal,
     ColouredNoise,
-    CovarianceAdaptation,
-    CubicSpline,
-    Direct,
     GaussianProposal,
     InjectedProposal,
     Knots,
     PointMass,
-    QuadraticControlCost,
     RBFKernel,
     Smooth,
-    SobolNoise,
     Softmax,
     StateCost,
 )
+from jaxplore.control import AntitheticNoise, CovarianceAdaptation, CubicSpline, Direct, SobolNoise
+from jaxplore.costs import QuadraticControlCost
 
 HORIZON, DT, LAMBDA = 6, 0.2, 0.4
 STD = 0.8

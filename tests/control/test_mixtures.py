@@ -13,15 +13,12 @@ import scipy.stats
 from jaxplore import (
     BiasedProposal,
     ColouredNoise,
-    ControlSpace,
-    CovarianceAdaptation,
-    Direct,
     GaussianProposal,
     InjectedProposal,
     Knots,
-    SamplingContext,
     Smooth,
 )
+from jaxplore.control import ControlSpace, CovarianceAdaptation, Direct, SamplingContext
 
 HORIZON, SIZE, DT = 6, 2, 0.1
 STD = np.array([0.6, 1.3])

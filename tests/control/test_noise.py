@@ -8,7 +8,8 @@ import pytest
 import scipy.signal
 import scipy.stats
 
-from jaxplore import AntitheticNoise, ColouredNoise, LogNormalNoise, NoiseBank, WhiteNoise
+from jaxplore import ColouredNoise
+from jaxplore.control import AntitheticNoise, LogNormalNoise, NoiseBank, WhiteNoise
 from jaxplore.control.noise import LARGE
 
 ROWS, SIZE, SAMPLES = SHAPE = (4, 2, 4000)

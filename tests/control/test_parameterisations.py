@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import ControlSpace, Direct, Knots, Smooth, SmoothNominal
+from jaxplore import Knots, Smooth
+from jaxplore.control import ControlSpace, Direct, SmoothNominal
 
 HORIZON, SIZE, SAMPLES, DT = 6, 2, 12, 0.1
 LOW, HIGH, DEFAULT = np.array([-1.0, -0.5]), np.array([2.0, 0.7]), np.array([0.4, -0.2])

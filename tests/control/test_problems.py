@@ -10,30 +10,31 @@ import pytest
 from jaxplore import (
     MPPI,
     Ackermann,
-    AdaptiveSoftmax,
     ControlRateCost,
-    CovarianceAdaptation,
-    CubicSpline,
     DifferentialDrive,
-    Direct,
     Elite,
     GaussianProposal,
     KinematicBicycle,
     Knots,
-    LinearInterpolation,
     Pendulum,
     PointMass,
-    QuadraticControlCost,
     Quadrotor,
     RBFKernel,
-    ReferenceCost,
     Smooth,
     Softmax,
     StateCost,
     Unicycle,
     WaypointCost,
+)
+from jaxplore.control import (
+    AdaptiveSoftmax,
+    CovarianceAdaptation,
+    CubicSpline,
+    Direct,
+    LinearInterpolation,
     ZeroOrderHold,
 )
+from jaxplore.costs import QuadraticControlCost, ReferenceCost
 
 
 @pytest.fixture(autouse=True)

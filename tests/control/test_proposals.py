@@ -7,18 +7,14 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jaxplore import (
+from jaxplore import ColouredNoise, GaussianProposal, Knots, RBFKernel, Smooth
+from jaxplore.control import (
     AntitheticNoise,
-    ColouredNoise,
     ControlSpace,
     CovarianceAdaptation,
     Direct,
-    GaussianProposal,
-    Knots,
     NoiseBank,
-    RBFKernel,
     SamplingContext,
-    Smooth,
 )
 
 HORIZON, SIZE = 5, 2

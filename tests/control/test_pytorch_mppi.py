@@ -15,20 +15,16 @@ import pytest
 from jaxplore import (
     MPPI,
     ControlRateCost,
-    ControlSpace,
     Cost,
     DifferentialDrive,
-    Disturbance,
     GaussianProposal,
     InjectedProposal,
     Knots,
-    MeanVariance,
-    ModelEnsemble,
     RBFKernel,
-    SamplingContext,
     Smooth,
     Softmax,
 )
+from jaxplore.control import ControlSpace, Disturbance, MeanVariance, ModelEnsemble, SamplingContext
 
 with np.load(Path(__file__).parent / "peers" / "pytorch_mppi.npz", allow_pickle=False) as stored:
     RECORD = dict(stored)

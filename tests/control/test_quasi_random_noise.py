@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from jaxplore import AntitheticNoise, HaltonNoise, SobolNoise
-from jaxplore.control import quasi_random_noise
+from jaxplore import HaltonNoise
+from jaxplore.control import AntitheticNoise, SobolNoise, quasi_random_noise
 
 BITS = 24
 SOURCES = [

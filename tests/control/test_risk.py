@@ -17,26 +17,28 @@ import scipy.special
 from jaxplore import (
     MPPI,
     ConditionalValueAtRisk,
-    ControlNoise,
     Cost,
     Dynamics,
+    MovingObstacleCost,
+    PointMass,
+    State,
+    StateNoise,
+)
+from jaxplore.belief import Obstacles
+from jaxplore.belief.belief import Belief
+from jaxplore.control import (
+    ControlNoise,
     Entropic,
     MeanVariance,
     ModelEnsemble,
-    MovingObstacleCost,
-    Obstacles,
     Outcomes,
-    Outlines,
-    PointMass,
     Risk,
-    State,
-    StateNoise,
     UncertainObstacles,
     ValueAtRisk,
     WorstCase,
     rollout_costs,
 )
-from jaxplore.belief.belief import Belief
+from jaxplore.geometry import Outlines
 
 COUNTS = [1, 2, 7, 10]
 LEVELS = [Fraction(n, 20) for n in range(1, 20)] + [Fraction(1, 3), Fraction(6, 7)]

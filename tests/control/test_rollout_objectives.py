@@ -8,7 +8,6 @@ import pytest
 from jaxplore import (
     Ackermann,
     ControlCost,
-    ControlJerkCost,
     ControlRateCost,
     Cost,
     DifferentialDrive,
@@ -18,9 +17,9 @@ from jaxplore import (
     PointMass,
     Unicycle,
     WaypointCost,
-    rollout_costs,
-    rollout_objectives,
 )
+from jaxplore.control import rollout_costs, rollout_objectives
+from jaxplore.costs import ControlJerkCost
 
 HORIZON, DT = 8, jnp.asarray(0.1)
 OBJECTIVES = (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from jaxplore import SavitzkyGolay
+from jaxplore.control import SavitzkyGolay
 
 HORIZON, SIZE = 12, 2
 

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import AdaptiveSoftmax, Elite, Softmax
+from jaxplore import Elite, Softmax
+from jaxplore.control import AdaptiveSoftmax
 from jaxplore.control.weighting import effective_sample_size
 
 SAMPLES = 60

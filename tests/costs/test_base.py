@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import ControlCost, ControlRateCost, Cost, GoalCost, ObstacleCost, rollout
+from jaxplore import ControlCost, ControlRateCost, Cost, GoalCost, ObstacleCost
+from jaxplore.control import rollout
 
 
 class Terminal(Cost):

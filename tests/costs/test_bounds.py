@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import SpeedLimitCost, StateBoundsCost
+from jaxplore.costs import SpeedLimitCost, StateBoundsCost
 
 LOWER = {"x": -1.0, "v": 0.25, "z": -4.0}
 UPPER = {"x": 2.0, "yaw": 0.5, "z": -1.0}

@@ -10,16 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore import (
-    Ackermann,
-    CollisionCost,
-    DifferentialDrive,
-    MovingObstacleCost,
-    ObstacleCost,
-    Obstacles,
-    State,
-)
+from jaxplore import Ackermann, DifferentialDrive, MovingObstacleCost, ObstacleCost, State
+from jaxplore.belief import Obstacles
 from jaxplore.belief.belief import Belief
+from jaxplore.costs import CollisionCost
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.field import ScalarField
 

@@ -7,14 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import (
-    ControlCost,
-    ControlJerkCost,
-    ControlRateCost,
-    Cost,
-    QuadraticControlCost,
-    State,
-)
+from jaxplore import ControlCost, ControlRateCost, Cost, State
+from jaxplore.costs import ControlJerkCost, QuadraticControlCost
 
 HORIZON = 6
 SEQUENCES = hnp.arrays(

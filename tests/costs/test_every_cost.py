@@ -8,34 +8,36 @@ import pytest
 
 from jaxplore import (
     MPPI,
-    CollisionCost,
     ControlCost,
-    ControlJerkCost,
     ControlRateCost,
     Cost,
     DifferentialDrive,
     DiscObstacleCost,
     GoalCost,
-    Ground,
-    InformationField,
     MovingObstacleCost,
-    Obstacles,
     OccupancyGrid,
-    Outlines,
+    State,
+    StateCost,
+    WaypointCost,
+)
+from jaxplore.belief import Obstacles
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.costs import (
+    CollisionCost,
+    ControlJerkCost,
     PathCost,
     QuadraticControlCost,
     ReferenceCost,
     RegionCost,
-    State,
     StateBoundsCost,
-    StateCost,
     TerrainCost,
     ToGoalCost,
     TraversabilityCost,
-    WaypointCost,
 )
-from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField
+from jaxplore.geometry import Outlines
+from jaxplore.information import InformationField
+from jaxplore.maps import Ground
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 

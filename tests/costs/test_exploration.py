@@ -6,16 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import (
-    Cost,
-    GuidanceCost,
-    HomingCost,
-    InformationCost,
-    LocalInformationCost,
-    PotentialCost,
-    StrategyReferenceCost,
-)
+from jaxplore import Cost, GuidanceCost, InformationCost
 from jaxplore.belief.belief import StrategicBelief
+from jaxplore.costs import HomingCost, LocalInformationCost, PotentialCost, StrategyReferenceCost
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.frame import GridFrame
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import RegionCost, State, ToGoalCost
+from jaxplore import State
+from jaxplore.costs import RegionCost, ToGoalCost
 
 REACH = st.floats(-6, 6, width=32)
 ANGLE = st.floats(-7, 7, width=32)

@@ -11,17 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import (
-    Ackermann,
-    DifferentialDrive,
-    DiscObstacleCost,
-    MovingObstacleCost,
-    Obstacles,
-    Outlines,
-    State,
-    rollout_costs,
-)
+from jaxplore import Ackermann, DifferentialDrive, DiscObstacleCost, MovingObstacleCost, State
+from jaxplore.belief import Obstacles
 from jaxplore.belief.belief import Belief
+from jaxplore.control import rollout_costs
+from jaxplore.geometry import Outlines
 from jaxplore.geometry.footprint import Rectangle
 
 REACH = st.floats(-6, 6, width=32)

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import Ground, State, TerrainCost, TraversabilityCost
+from jaxplore import State
 from jaxplore.belief.belief import Belief
+from jaxplore.costs import TerrainCost, TraversabilityCost
+from jaxplore.maps import Ground
 
 SIZE = 12
 Y, X = np.mgrid[:SIZE, :SIZE] + 0.5  # cells of 1 m

@@ -8,15 +8,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from jaxplore import (
-    DifferentialDrive,
-    GoalCost,
-    PathCost,
-    ReferenceCost,
-    StateCost,
-    WaypointCost,
-    rollout_costs,
-)
+from jaxplore import DifferentialDrive, GoalCost, StateCost, WaypointCost
+from jaxplore.control import rollout_costs
+from jaxplore.costs import PathCost, ReferenceCost
 
 REACH = st.floats(-10, 10, width=32)
 ANGLE = st.floats(-7, 7, width=32)

@@ -11,7 +11,6 @@ from jaxplore import (
     Ackermann,
     ContinuousDynamics,
     DifferentialDrive,
-    Disc,
     Euler,
     KinematicBicycle,
     Pendulum,
@@ -20,6 +19,7 @@ from jaxplore import (
     State,
     Unicycle,
 )
+from jaxplore.geometry import Disc
 
 # Each with every numeric argument and another value for it.
 SPEEDS = {"max_speed": 1.1, "min_speed": -0.3}

@@ -9,7 +9,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import Outlines
+from jaxplore.geometry import Outlines
 from jaxplore.geometry.outlines import nearest
 
 POINT = st.tuples(st.floats(-6, 6, width=32), st.floats(-6, 6, width=32))

@@ -3,7 +3,8 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from jaxplore import EntropyFan, Lidar, OccupancyGrid, PoseInformation, TrajectoryInformation
+from jaxplore import Lidar, OccupancyGrid, PoseInformation, TrajectoryInformation
+from jaxplore.information import EntropyFan
 from jaxplore.information.batches import BATCH, over_poses
 
 GRID = OccupancyGrid(np.full((9, 9), 0.3), 0.1)

@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import InformationField, InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore.information import InformationField
 from jaxplore.information.beam_table import BeamTable
 from jaxplore.information.doubling import Doubling
 from jaxplore.information.field_sensor import FieldSensor

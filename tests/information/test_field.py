@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore import InformationField, InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore.information import InformationField
 from jaxplore.information.field_sensor import TILE, FieldSensor
 from jaxplore.information.noise import GaussianNoise, RangeNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation

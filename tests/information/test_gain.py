@@ -9,15 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import (
-    FieldSensor,
-    InverseSensorModel,
-    Lidar,
-    OccupancyGrid,
-    PoseInformation,
-    expected_gain,
-    update_gain,
-)
+from jaxplore import FieldSensor, InverseSensorModel, Lidar, OccupancyGrid, PoseInformation
+from jaxplore.information import expected_gain, update_gain
 from jaxplore.information.gain import IdealSensor, cell_gains
 from jaxplore.information.noise import GaussianNoise
 

@@ -11,7 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import IdlenessMap, InformationField, InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore.belief import IdlenessMap
+from jaxplore.information import InformationField
 from jaxplore.information.beam_table import BeamTable
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import IdealSensor

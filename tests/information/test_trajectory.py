@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from jaxplore import Lidar, OccupancyGrid, PoseInformation, TrajectoryInformation, path_headings
+from jaxplore import Lidar, OccupancyGrid, PoseInformation, TrajectoryInformation
+from jaxplore.information import path_headings
 
 METHODS = ("direct", "discount", "filtered", "temporal", "occlusion")
 SHAPE, RESOLUTION, LENGTH = (13, 16), 0.1, 7

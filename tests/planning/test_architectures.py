@@ -13,19 +13,19 @@ from scipy.ndimage import map_coordinates
 
 from jaxplore import (
     ExplorationScenario,
-    InformativeMPPI,
     InverseSensorModel,
     Lidar,
     Perception,
     Quadrotor,
     informative_mppi,
     three_zones,
-    unknown_fraction,
 )
+from jaxplore.belief import unknown_fraction
 from jaxplore.belief.belief import StrategicBelief
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
+from jaxplore.planning import InformativeMPPI
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, FieldNumbers, Flight
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import initial_loop_state, run_chunk

@@ -12,21 +12,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import (
+from jaxplore import Ackermann, DifferentialDrive, State
+from jaxplore.planning import (
     FUSIONS,
     ROLES,
-    Ackermann,
     Average,
     BestOnly,
     Candidates,
     Contextual,
-    DifferentialDrive,
     Fused,
     Fusion,
     Median,
     SafeFusion,
     Situation,
-    State,
     TrustWeighted,
     WeightedVote,
     fusion_by_name,

@@ -9,15 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from jaxplore import (
-    GradientReference,
-    Lidar,
-    LocalFieldSensor,
-    OccupancyGrid,
-    PoseInformation,
-    ScalarField,
-)
+from jaxplore import Lidar, OccupancyGrid, PoseInformation
+from jaxplore.information import LocalFieldSensor
+from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.planning import GradientReference
 
 SHAPE, RESOLUTION = (24, 30), 0.1  # 2.4 m x 3 m
 STRAIGHT = (0.0, 0.0, 0.0)

@@ -10,31 +10,26 @@ import numpy as np
 import pytest
 
 from jaxplore import (
-    Average,
-    Belief,
-    Candidates,
-    CollisionCost,
     ControlCost,
     DifferentialDrive,
     ExplorationScenario,
     GoalCost,
     Knots,
     Lidar,
-    Members,
     Mission,
     OccupancyGrid,
     Perception,
-    SafeFusion,
-    Situation,
     Smooth,
     State,
-    ToGoalCost,
     Unicycle,
     ground_portfolio,
-    rollout_objectives,
 )
+from jaxplore.belief import Belief
+from jaxplore.control import Members, rollout_objectives
+from jaxplore.costs import CollisionCost, ToGoalCost
 from jaxplore.costs.heading_for import RegionCost
 from jaxplore.maps.clearance import clearance_field
+from jaxplore.planning import Average, Candidates, SafeFusion, Situation
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fused
 from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives

@@ -23,30 +23,29 @@ from jaxplore import (
     DifferentialDrive,
     FieldSensor,
     GaussianProposal,
-    GradientReference,
-    InformativeMPPI,
     InverseSensorModel,
     Knots,
     Lidar,
-    LocalFieldSensor,
-    LocalInformationCost,
     OccupancyGrid,
     Perception,
     PoseInformation,
-    PotentialCost,
     Quadrotor,
-    QuadrotorFollower,
-    ShortRangeField,
     Smooth,
     Softmax,
     StateCost,
-    StrategyReferenceCost,
     Unicycle,
-    UniformNoise,
-    follower_for,
     three_zones,
 )
 from jaxplore.belief.belief import Belief
+from jaxplore.costs import LocalInformationCost, PotentialCost, StrategyReferenceCost
+from jaxplore.information import LocalFieldSensor, UniformNoise
+from jaxplore.planning import (
+    GradientReference,
+    InformativeMPPI,
+    QuadrotorFollower,
+    ShortRangeField,
+    follower_for,
+)
 from jaxplore.planning.strategy.references import ClimbingReference, StrategicReference
 
 HORIZON, NUM_SAMPLES, DT, PERIOD, EVERY = 8, 32, 0.05, 0.02, 5

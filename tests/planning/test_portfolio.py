@@ -21,14 +21,11 @@ from jaxplore import (
     GoalCost,
     Knots,
     Portfolio,
-    SafeFusion,
     Smooth,
-    WeightedVote,
-    diversity,
-    rollout,
-    rollout_objectives,
 )
+from jaxplore.control import rollout, rollout_objectives
 from jaxplore.costs.heading_for import RegionCost
+from jaxplore.planning import SafeFusion, WeightedVote, diversity
 from jaxplore.planning.portfolio.normalisation import FLOOR
 
 ROBOT, DT, HORIZON, SAMPLES = DifferentialDrive(max_speed=1.0), 0.1, 8, 32

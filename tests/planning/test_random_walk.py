@@ -12,33 +12,25 @@ import scipy.stats
 
 from jaxplore import (
     MPPI,
-    Belief,
-    ControlSpace,
-    CubicSpline,
     DifferentialDrive,
-    Direct,
     Dynamics,
     Euler,
     Flight,
     GoalCost,
-    GuidanceField,
-    InformationField,
     Knots,
-    LinearInterpolation,
     OccupancyGrid,
     PointMass,
-    QuadraticControlCost,
     Quadrotor,
-    RandomWalk,
-    ScalarField,
     Smooth,
-    SpeedLimitCost,
     State,
-    ZeroOrderHold,
-    goal_mppi,
-    random_walk,
 )
+from jaxplore.belief import Belief, GuidanceField
+from jaxplore.control import ControlSpace, CubicSpline, Direct, LinearInterpolation, ZeroOrderHold
 from jaxplore.control.parameterisations import Parameterisation
+from jaxplore.costs import QuadraticControlCost, SpeedLimitCost
+from jaxplore.information import InformationField
+from jaxplore.maps import ScalarField
+from jaxplore.planning import RandomWalk, goal_mppi, random_walk
 
 HORIZON, NUM_SAMPLES, DT, PERIOD, EVERY = 6, 32, 0.1, 0.05, 4
 TEMPERATURE, WEIGHT, DISTANCE = 0.7, 1.5, 2.5

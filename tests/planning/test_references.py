@@ -10,10 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from jaxplore import GradientReference, Lidar, OccupancyGrid, Perception, ScalarField
+from jaxplore import Lidar, OccupancyGrid, Perception
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
+from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.planning import GradientReference
 from jaxplore.planning.strategy.references import ClimbingReference, descend
 
 SIZE, RESOLUTION, STEPS = 40, 0.1, 30

@@ -14,19 +14,14 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from jaxplore import (
-    GradientReference,
-    Lidar,
-    OccupancyGrid,
-    Perception,
-    PoseInformation,
-    ScalarField,
-)
+from jaxplore import Lidar, OccupancyGrid, Perception, PoseInformation
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.zones import Zones
 from jaxplore.information.trajectory import METHODS, TrajectoryInformation
+from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.planning import GradientReference
 from jaxplore.planning.strategy.references import descend
 from jaxplore.planning.strategy.targets import (
     RemainingInformation,

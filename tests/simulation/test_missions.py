@@ -14,8 +14,6 @@ from jaxplore import (
     Ackermann,
     DifferentialDrive,
     ExplorationScenario,
-    Ground,
-    IdlenessMap,
     InverseSensorModel,
     Lidar,
     MovingObstacles,
@@ -23,9 +21,11 @@ from jaxplore import (
     Perception,
     TerrainMap,
 )
+from jaxplore.belief import IdlenessMap
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.geometry.footprint import Rectangle
+from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.simulation.loop import (
     LoopState,

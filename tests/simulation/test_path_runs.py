@@ -10,7 +10,7 @@ import jaxplore as jx
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 
-RING = jx.clothoid_path(
+RING = jx.geometry.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
 )
 CAR = jx.Ackermann(
@@ -131,7 +131,7 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
 
 def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
     """By central differences; the prediction of a ring is exact for as long as one likes."""
-    bar = jx.Outlines.polygons([[[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]])
+    bar = jx.geometry.Outlines.polygons([[[-0.3, -0.1], [0.3, -0.1], [0.3, 0.1], [-0.3, 0.1]]])
     traffic = jx.Traffic(RING, [2.0], [0.4], [1.2], bar)
     at = eqx.filter_jit(lambda time: traffic.at(time))
     now, h = at(jnp.asarray(1.5)), 0.05
@@ -145,7 +145,7 @@ def test_traffic_moves_as_its_velocities_and_turn_rates_say() -> None:
 
 
 def test_what_the_robot_knows_of_obstacles() -> None:
-    wall = jx.Outlines.polygons([[[5, 5], [6, 5], [6, 6]]])
+    wall = jx.geometry.Outlines.polygons([[[5, 5], [6, 5], [6, 6]]])
     given = {"traffic": TRAFFIC, "standing": wall, "growth": 0.3, "tracking_noise": (0.0, 0.0)}
     turning = jx.PathScenario(PASSING.model, RING, **given)
     straight = jx.PathScenario(PASSING.model, RING, prediction="constant-velocity", **given)
@@ -166,9 +166,9 @@ def test_what_the_robot_knows_of_obstacles() -> None:
 
 
 def test_an_open_path_ends_where_it_ends_and_standing_obstacles_are_passed() -> None:
-    line = jx.line_path([0, 0], [6, 0], half_widths=[1.0, 1.0])
+    line = jx.geometry.line_path([0, 0], [6, 0], half_widths=[1.0, 1.0])
     following = mpcc(line, other=AROUND)
-    post = jx.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
+    post = jx.geometry.Outlines.polygons([[[2.8, -0.2], [3.2, -0.2], [3.2, 0.1], [2.8, 0.1]]])
     scenario = jx.PathScenario(following.model, line, standing=post, finish=0.3)
     run = jx.simulate(
         following.controller, scenario, 1000, key=jax.random.key(2), num_trajectories=0
@@ -199,7 +199,7 @@ def test_a_controller_that_diverges_stands_and_says_so() -> None:
     ("given", "named"),
     [
         ({"laps": 0}, "laps"),
-        ({"path": jx.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
+        ({"path": jx.geometry.line_path([0, 0], [5, 0]), "laps": 2}, "laps is 2 of an open path"),
         ({"robot": jx.Augmented(CAR, jx.Pendulum())}, "robot has the states x, y"),
         ({"start": [0.0, 1.0]}, "start"),
         ({"control_rate": 0.0}, "control_rate"),
@@ -222,7 +222,7 @@ def test_what_is_no_scenario_is_refused(given, named) -> None:
         (lambda: jx.Traffic(RING, [1.0], 0.0, 1.0, radii=-0.1), "radii"),
         (lambda: jx.Traffic(RING, [np.nan], 0.0, 1.0, radii=0.1), "phi"),
         (
-            lambda: jx.Traffic.random(jx.line_path([0, 0], [9, 0]), 2, seed=0),
+            lambda: jx.Traffic.random(jx.geometry.line_path([0, 0], [9, 0]), 2, seed=0),
             "path has inf m on either side",
         ),
         (lambda: jx.Traffic.random(RING, 2, seed=0, clear=50.0), "clear"),

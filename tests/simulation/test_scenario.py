@@ -13,7 +13,6 @@ from jaxplore import (
     DifferentialDrive,
     ExplorationScenario,
     Faults,
-    Ground,
     Lidar,
     MovingObstacles,
     OccupancyGrid,
@@ -23,6 +22,7 @@ from jaxplore import (
     generate_map,
     start_pose,
 )
+from jaxplore.maps import Ground
 from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 

@@ -16,7 +16,7 @@ STEPS, DT = 30, 0.1
 def controller() -> jx.MPPI:
     """A point mass that is to be at the origin: x' = v, v' = u, costs x^2 + 0.1 u^2."""
     robot = jx.PointMass(2, max_acceleration=4.0)
-    cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.QuadraticControlCost([1.0, 1.0])
+    cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.costs.QuadraticControlCost([1.0, 1.0])
     return jx.MPPI(
         robot, cost, horizon=10, num_samples=256, temperature=1.0, noise_std=[1.0, 1.0], dt=DT
     )

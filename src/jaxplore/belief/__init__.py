@@ -1,1 +1,12 @@
 """The robot's belief: its map, the fields derived from it, and the obstacles that it tracks."""
+
+from jaxplore.belief.belief import Belief as Belief
+from jaxplore.belief.belief import StrategicBelief as StrategicBelief
+from jaxplore.belief.guidance import GuidanceField as GuidanceField
+from jaxplore.belief.idleness import IdlenessMap as IdlenessMap
+from jaxplore.belief.obstacles import Obstacles as Obstacles
+from jaxplore.belief.perception import Perception as Perception
+from jaxplore.belief.zones import Zones as Zones
+from jaxplore.belief.zones import entropy_proxy as entropy_proxy
+from jaxplore.belief.zones import unknown_fraction as unknown_fraction
+from jaxplore.belief.zones import visible as visible

@@ -7,7 +7,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.interpolate
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
@@ -205,6 +204,8 @@ def _one_hot(index: Array, size: int, times: Times) -> Weights:
 @functools.lru_cache(maxsize=32)
 def _second_derivatives(num_knots: int, width: float) -> np.ndarray:
     """Return the second derivatives (P, P) at the knots of the P natural cardinal splines."""
+    import scipy.interpolate  # slow to import, and few need it
+
     if num_knots < 3:
         return np.zeros((num_knots, num_knots))
     knots = width * np.arange(num_knots)

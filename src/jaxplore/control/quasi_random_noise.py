@@ -5,7 +5,6 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.stats
 from jaxtyping import Array, Float
 
 from jaxplore._types import Key
@@ -48,6 +47,8 @@ class SobolNoise(Noise):
 
     def check(self, shape: Shape) -> None:
         """Raise a `ValueError` for more dimensions than SciPy has direction numbers."""
+        import scipy.stats  # slow to import, and few need it
+
         _check_dimensions(shape, scipy.stats.qmc.Sobol.MAXDIM)
 
 
@@ -96,6 +97,8 @@ def _sobol_directions(dimensions: int, digits: int) -> np.ndarray:
     Point i of the sequence is the XOR of the directions of the bits set in i's Gray code. So point
     2^d and point 2^d - 1 differ by direction d alone, from which it is read.
     """
+    import scipy.stats  # slow to import, and few need it
+
     found = []
     for digit in range(digits):
         sequence = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
@@ -109,6 +112,8 @@ def _sobol_directions(dimensions: int, digits: int) -> np.ndarray:
 @functools.lru_cache(maxsize=8)
 def _halton_points(dimensions: int, samples: int) -> np.ndarray:
     """Return the first points of the sequence (dimensions, samples) as uint32 of BITS bits."""
+    import scipy.stats  # slow to import, and few need it
+
     sequence = scipy.stats.qmc.Halton(dimensions, scramble=True, rng=np.random.default_rng(0))
     return np.ascontiguousarray(_whole(sequence.random(samples)).T)
 

@@ -3,7 +3,6 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-import scipy.signal
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
@@ -59,6 +58,8 @@ class SavitzkyGolay(eqx.Module):
             past: applied controls (H, nu), oldest first.
             planned: planned controls (T, nu).
         """
+        import scipy.signal  # slow to import, and few need it
+
         # The filter is linear: filter the identity at compile time, then multiply by the matrix.
         length = past.shape[0] + planned.shape[0]
         unit = scipy.signal.savgol_filter(np.eye(length), self.window, self.order, axis=0)

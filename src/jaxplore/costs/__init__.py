@@ -1,1 +1,36 @@
 """Costs: the terms that a controller minimises."""
+
+from jaxplore.costs import extract as extract
+from jaxplore.costs.base import Cost as Cost
+from jaxplore.costs.base import NamedCost as NamedCost
+from jaxplore.costs.bounds import SpeedLimitCost as SpeedLimitCost
+from jaxplore.costs.bounds import StateBoundsCost as StateBoundsCost
+from jaxplore.costs.collision import CollisionCost as CollisionCost
+from jaxplore.costs.comfort import ComfortCost as ComfortCost
+from jaxplore.costs.effort import ControlCost as ControlCost
+from jaxplore.costs.effort import ControlJerkCost as ControlJerkCost
+from jaxplore.costs.effort import ControlRateCost as ControlRateCost
+from jaxplore.costs.effort import QuadraticControlCost as QuadraticControlCost
+from jaxplore.costs.exploration import GuidanceCost as GuidanceCost
+from jaxplore.costs.exploration import HomingCost as HomingCost
+from jaxplore.costs.exploration import InformationCost as InformationCost
+from jaxplore.costs.exploration import LocalInformationCost as LocalInformationCost
+from jaxplore.costs.exploration import PotentialCost as PotentialCost
+from jaxplore.costs.exploration import StrategyReferenceCost as StrategyReferenceCost
+from jaxplore.costs.heading_for import RegionCost as RegionCost
+from jaxplore.costs.heading_for import ToGoalCost as ToGoalCost
+from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
+from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
+from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost
+from jaxplore.costs.path_following import ContouringCost as ContouringCost
+from jaxplore.costs.path_following import CorridorCost as CorridorCost
+from jaxplore.costs.path_following import LagCost as LagCost
+from jaxplore.costs.path_following import PathErrorCost as PathErrorCost
+from jaxplore.costs.path_following import ProgressCost as ProgressCost
+from jaxplore.costs.terrain import TerrainCost as TerrainCost
+from jaxplore.costs.terrain import TraversabilityCost as TraversabilityCost
+from jaxplore.costs.tracking import GoalCost as GoalCost
+from jaxplore.costs.tracking import PathCost as PathCost
+from jaxplore.costs.tracking import ReferenceCost as ReferenceCost
+from jaxplore.costs.tracking import StateCost as StateCost
+from jaxplore.costs.tracking import WaypointCost as WaypointCost

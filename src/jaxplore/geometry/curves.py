@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
-from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolator
 
 from jaxplore import _checks
 from jaxplore._types import Rows, Vector
@@ -246,6 +245,9 @@ def _spline(
     at: np.ndarray, knots: np.ndarray, method: str, boundary: str, is_closed: bool
 ) -> tuple[Function, Function, Function]:
     """Return a spline (N,) -> (N, 2) through the knots, and its first two derivatives."""
+    # Slow to import, and few need it.
+    from scipy.interpolate import Akima1DInterpolator, CubicSpline, PchipInterpolator
+
     if method == "cubic":
         kind: Any = "periodic" if is_closed else boundary
         spline: Any = CubicSpline(at, knots, bc_type=kind)

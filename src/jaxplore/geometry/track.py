@@ -1,7 +1,6 @@
 """Generate random closed race tracks."""
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from jaxplore import _checks
 from jaxplore.geometry.curves import path_through
@@ -77,6 +76,8 @@ def _is_apart(ring: np.ndarray, gap: float, total: float) -> bool:
 
     Points nearer than a half circle of the gap's diameter along the track count as neighbours.
     """
+    from scipy.spatial import KDTree  # slow to import, and few need it
+
     along = np.arange(len(ring)) * (total / len(ring))
     near = KDTree(ring).query_pairs(1.1 * gap, output_type="ndarray")
     way = np.abs(along[near[:, 0]] - along[near[:, 1]])

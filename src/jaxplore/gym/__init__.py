@@ -5,6 +5,6 @@
 Importing jaxplore itself registers nothing.
 """
 
-from jaxplore.gym.registration import register_environment
+from jaxplore.gym.registration import register_environment as register_environment
 
 register_environment()

@@ -67,8 +67,8 @@ def rectangle_mask(
     """Return the cells whose centre is in a rectangle, `[x_min, x_max) x [y_min, y_max)`.
 
     Rectangles are aligned with the axes of the world. Two that share an edge share no cell, as in
-    `jaxplore.Zones.from_rectangles`. A solid side shorter than a cell is lengthened to one cell
-    about the same middle, with both ends included, so that a thin wall has no gaps. On a grid
+    `jaxplore.belief.Zones.from_rectangles`. A solid side shorter than a cell is lengthened to one
+    cell about the same middle, with both ends included, so that a thin wall has no gaps. On a grid
     without yaw this adds no cell where a centre is inside already.
 
     Args:

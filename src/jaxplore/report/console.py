@@ -3,9 +3,6 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
-
 
 @contextmanager
 def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
@@ -15,6 +12,10 @@ def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str]
         label: name of what is done.
         enabled: without it the function shows nothing.
     """
+    # Slow to import, and few need it.
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, SpinnerColumn, TextColumn
+
     if not enabled:
         yield lambda share, text: None
         return

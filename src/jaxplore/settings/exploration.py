@@ -72,7 +72,7 @@ BASELINES = (
     "discounted-information",
     "distance-advantage",
 )
-"""Explorers that go from target to target by a rule: see `jaxplore.TargetRule`."""
+"""Explorers that go from target to target by a rule: see `jaxplore.planning.TargetRule`."""
 GROUND = ("explorer", "portfolio", *BASELINES)
 """Architectures of ground vehicles; the others are a quadrotor's unless another robot is named."""
 
@@ -155,14 +155,14 @@ class CameraSettings(Section):
 
 
 class WatchSettings(Section):
-    """The idleness map, for search and patrol: see `jaxplore.IdlenessMap`."""
+    """The idleness map, for search and patrol: see `jaxplore.belief.IdlenessMap`."""
 
     memory: Positive | None = setting(IdlenessMap, "memory")
     weight: NonNegative = setting(IdlenessMap, "weight")
 
 
 class TerrainSettings(Section):
-    """The ground: see `jaxplore.Ground`.
+    """The ground: see `jaxplore.maps.Ground`.
 
     Args:
         height_map: grey image of the size of the ROS map's; level ground when absent.

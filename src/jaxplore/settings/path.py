@@ -68,7 +68,7 @@ class PathRobotSettings(RobotSettings):
 
 class PathObstacleSettings(Section):
     """Obstacles on the path, what the robot knows of them, and how it keeps clear: see
-    `jaxplore.Traffic`, `jaxplore.PathScenario` and `jaxplore.avoidance_cost`.
+    `jaxplore.Traffic`, `jaxplore.PathScenario` and `jaxplore.planning.avoidance_cost`.
 
     Args:
         number: of discs that move along the path.
@@ -121,7 +121,7 @@ class PathSettings(RunSettings):
     """A run along a path; what is not given has its default.
 
     Args:
-        path: a file, see `jaxplore.read_path`, or `track`.
+        path: a file, see `jaxplore.maps.read_path`, or `track`.
         half_width: room on either side of a path that says nothing about it [m].
         time_limit: simulated time [s].
         track: the generated track, for the path `track`.

@@ -1,1 +1,21 @@
 """The closed loop."""
+
+from jaxplore.simulation.environment.action_modes import ActionMode as ActionMode
+from jaxplore.simulation.environment.action_modes import ControlMode as ControlMode
+from jaxplore.simulation.environment.action_modes import WaypointMode as WaypointMode
+from jaxplore.simulation.environment.action_modes import waypoint_mppi as waypoint_mppi
+from jaxplore.simulation.environment.environment import Environment as Environment
+from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
+from jaxplore.simulation.environment.environment import Outcome as Outcome
+from jaxplore.simulation.experiment import Experiment as Experiment
+from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
+from jaxplore.simulation.exploration.moving_obstacles import (
+    MovingObstacleState as MovingObstacleState,
+)
+from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
+from jaxplore.simulation.faults import Faults as Faults
+from jaxplore.simulation.following.scenario import PathScenario as PathScenario
+from jaxplore.simulation.following.traffic import Traffic as Traffic
+from jaxplore.simulation.run import Run as Run
+from jaxplore.simulation.run import simulate as simulate
+from jaxplore.simulation.scenario import Scenario as Scenario

@@ -4,13 +4,15 @@ import struct
 import warnings
 import zlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageFile
 
 from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
+
+if TYPE_CHECKING:
+    from PIL import ImageFile
 
 PIXEL_LIMIT = 64_000_000
 """Largest image that is read or written [pixels]."""
@@ -53,6 +55,8 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
+    from PIL import Image  # slow to import, and few need it
+
     where, accepted = f"image {printable_path(path)}", "a PGM, PNG or BMP image"
     too_large = f"{where} is too large; accepted: at most {PIXEL_LIMIT} pixels"
     # Pillow warns of large images, which are refused here anyway, and of oddities that it handles.
@@ -76,7 +80,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
     raise ValueError(f"{where} has pixels of type {image.mode}; accepted: {accepted}")
 
 
-def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
+def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
     maxval = _portable_maxval(image)
     clear = image.info.get("transparency")
     # Pillow cannot convert 16-bit images without losing bits: read them as they are.
@@ -105,7 +109,7 @@ def _levels(image: ImageFile.ImageFile, alpha_is_shade: bool) -> Greys:
     return Greys(level, full, alpha == 255)
 
 
-def _portable_maxval(image: ImageFile.ImageFile) -> int | None:
+def _portable_maxval(image: "ImageFile.ImageFile") -> int | None:
     """Return the maxval of a portable map, which Pillow stretches to 8 or 16 bits, or None."""
     args = image.tile[0].args if image.tile else None
     if image.format == "PPM" and isinstance(args, tuple) and isinstance(args[1], int):

@@ -4,16 +4,18 @@ import io
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
-from PIL import Image
 
 from jaxplore import _checks
 from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
 from jaxplore.maps.files.untrusted import printable_path, read_yaml, replace_files, short_repr
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 MODES = ("trinary", "scale", "raw")
 """Conversions from grey to probability; see `read_map`."""
@@ -212,7 +214,9 @@ def _probability(shade: NDArray[np.float64], settings: _Settings) -> NDArray[np.
     return np.where(occ > high, 1.0, np.where(occ < low, 0.0, between))
 
 
-def _grey_image(values: NDArray[np.floating], mode: str) -> Image.Image:
+def _grey_image(values: NDArray[np.floating], mode: str) -> "Image.Image":
+    from PIL import Image  # slow to import, and few need it
+
     if mode == "trinary":
         grey = np.where(values > 0.65, 0, np.where(values < 0.25, 254, 205))
         return Image.fromarray(grey.astype(np.uint8))

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
-from PIL import UnidentifiedImageError
 
 YAML_LIMIT = 100_000
 """Largest YAML file that is read [bytes]."""
@@ -117,6 +116,8 @@ def printable_path(path: Path) -> str:
 
 def error_reason(error: BaseException) -> str:
     """Return the reason of an error in one short line, for messages."""
+    from PIL import UnidentifiedImageError  # slow to import, and few need it
+
     if isinstance(error, UnidentifiedImageError):  # its text is only the repr of the open file
         return "it is none of these"
     text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from jaxplore.maps.generators._clutter import Mask, between, wall_cells, widest_part
 
@@ -16,6 +15,8 @@ _STEPS = 8
 
 def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:
     """Carve a cave where smooth noise exceeds a level, with passages as wide as the robot needs."""
+    from scipy import ndimage  # slow to import, and few need it
+
     rise = _noise(rng, occupied.shape, between(1.3, 0.7, difficulty), resolution)
     wall = wall_cells(resolution)
     inner = np.pad(np.ones(np.subtract(occupied.shape, 2 * wall), bool), wall)
@@ -42,6 +43,8 @@ def _noise(
     rng: np.random.Generator, shape: tuple[int, ...], length: float, resolution: float
 ) -> NDArray[np.float64]:
     """Return smooth noise on the cells of a map: coarse with unit variance plus 0.3 of finer."""
+    from scipy import ndimage  # slow to import, and few need it
+
     lattice = [math.ceil(side * resolution / _LATTICE) for side in shape]
     noise = np.zeros(lattice)
     for scale, weight in ((length, 1.0), (0.35 * length, 0.3)):

@@ -5,7 +5,6 @@ from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from jaxplore.maps.generators.office import ROBOT_RADIUS
 
@@ -43,6 +42,8 @@ def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
 
     Every passage within them is at least as wide as the disc.
     """
+    from scipy import ndimage  # slow to import, and few need it
+
     reach = clearance_cells(radius, resolution)
     pieces, count = ndimage.label(ndimage.distance_transform_edt(np.pad(free, 1)) >= reach)
     if not count:
@@ -94,6 +95,8 @@ class Clutter:
     def __init__(
         self, occupied: Mask, passage: float, resolution: float, *, is_apart: bool
     ) -> None:
+        from scipy import ndimage  # slow to import, and few need it
+
         self.occupied = occupied
         # The robot moves from cell to cell along the line half-way between two obstacles. The cell
         # centres along it are at most half a diagonal off the line, which is added on both sides.
@@ -106,6 +109,8 @@ class Clutter:
 
     def put(self, piece: Mask, row: int, column: int) -> bool:
         """Place an obstacle with its first cell at a row and column; return whether it fits."""
+        from scipy import ndimage  # slow to import, and few need it
+
         height, width = piece.shape
         if not (0 <= row <= self.taken.shape[0] - height):
             return False

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy import ndimage
 
 from jaxplore import _checks
 from jaxplore.maps.generators._cave import cave
@@ -152,6 +151,8 @@ _DRAW: dict[str, Callable[[np.random.Generator, Mask, float, float], None]] = {
 
 def _fill_unreachable(occupied: Mask, resolution: float) -> None:
     """Fill the free space that the robot cannot reach from the largest connected part."""
+    from scipy import ndimage  # slow to import, and few need it
+
     # Filling changes the clearance of the cells around, so repeat until nothing is unreachable.
     while True:
         distance = ndimage.distance_transform_edt(~occupied)

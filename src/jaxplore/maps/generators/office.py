@@ -5,7 +5,6 @@ import operator
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from jaxplore import _checks
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -106,6 +105,8 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     Raises:
         ValueError: a grid without a cell of that clearance.
     """
+    from scipy import ndimage  # slow to import, and few need it
+
     free = np.asarray(grid.is_free)
     position = np.arange(1, free.shape[1] + 1)
     blocked_at = np.maximum.accumulate(np.where(free, 0, position), axis=1)
@@ -136,6 +137,8 @@ def _middle_longest(run: NDArray[np.int_]) -> tuple[int, int]:
     Args:
         run: length (H, W) of the run of free cells that ends at each cell.
     """
+    from scipy import ndimage  # slow to import, and few need it
+
     longest = run.max(axis=1)
     mask = longest == longest.max()
     # Aligned doorways make runs as long as the corridor, but in a narrow band of rows only.
@@ -282,6 +285,8 @@ def _disc(size: int) -> NDArray[np.bool_]:
 
 def _is_connected(occupied: NDArray[np.bool_], room: Box, wall: int, resolution: float) -> bool:
     """Return whether the cells in which the robot fits are connected in a room and its doorways."""
+    from scipy import ndimage  # slow to import, and few need it
+
     low, high, left, right = room
     margin = math.ceil(ROBOT_RADIUS / resolution) + 2
     rows = slice(max(0, low - wall - margin), high + wall + margin)

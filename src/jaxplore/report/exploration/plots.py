@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.ndimage
 
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import (
@@ -38,6 +37,8 @@ MAX_SEGMENTS = 2000
 def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space that reachable cells are
     part of, in metres from the window's corner along the grid's axes."""
+    import scipy.ndimage  # slow to import, and few need it
+
     labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
     seen = np.unique(labels[np.asarray(recording.reachable, bool)])
     inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)

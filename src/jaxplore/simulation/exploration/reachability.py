@@ -2,7 +2,6 @@
 
 import jax.numpy as jnp
 import numpy as np
-import scipy.ndimage
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
@@ -22,6 +21,8 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     Raises:
         ValueError: a start where the disc cannot stand.
     """
+    import scipy.ndimage  # slow to import, and few need it
+
     free = np.asarray(world.is_free)
     row, column = (int(index) for index in world.frame.to_cell(jnp.asarray(start[:2], jnp.float32)))
     where = f"start is ({start[0]:g}, {start[1]:g})"
@@ -66,6 +67,8 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
 
 
 def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:
+    import scipy.ndimage  # slow to import, and few need it
+
     padded = np.pad(free, 1)
     distance = np.asarray(scipy.ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
     return (distance - 0.5) * resolution
