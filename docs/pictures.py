@@ -13,7 +13,7 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Circle, Wedge
+from matplotlib.patches import Circle, FancyBboxPatch, Rectangle, Wedge
 
 import jaxplore as jx
 from jaxplore.information.trajectory import METHODS
@@ -46,6 +46,7 @@ def main() -> None:
             ("fusion_pillar", fusion_pillar),
             ("path_following", path_following),
             ("generated_maps", generated_maps),
+            ("architecture", architecture),
         ):
             figure = draw()
             path = IMAGES / f"{name}.png"
@@ -532,6 +533,84 @@ def path_following() -> Figure:
     print(
         f"contouring {mean[0]:.2f} mean, {most[1]:.2f} max; lag {mean[2]:.2f}, {most[3]:.2f}; "
         f"{np.median([row[4] for row in results]):.1f} s; {int(np.sum(results, axis=0)[5])} of 20"
+    )
+    return figure
+
+
+def architecture() -> Figure:
+    """The house: rooms as boxes, data flow as arrows, and where to add what."""
+    figure, axes = plt.subplots(figsize=(10.0, 5.9))
+    figure.subplots_adjust(0.01, 0.01, 0.99, 0.99)
+    axes.set(xlim=(0.0, 100.0), ylim=(0.0, 61.0))
+    axes.set_axis_off()
+    axes.add_patch(Rectangle((1.5, 14.0), 82.0, 35.0, facecolor="#f3f5f8", edgecolor="#c9ced6"))
+    axes.text(3.0, 46.3, "simulation: one closed loop for every task", color=GREY, fontsize=9.5)
+    rooms = {
+        "maps, geometry": (3.0, 52.0, 21.0, GREY, "true map, ROS files, paths", ""),
+        "settings, build": (32.0, 52.0, 20.0, GREY, "YAML to Experiment", ""),
+        "planning": (61.0, 52.0, 21.0, ORANGE, "presets, strategy, portfolio", "explorer"),
+        "information": (3.0, 36.0, 20.0, BLUE, "expected gain of a scan", ""),
+        "belief": (32.0, 36.0, 20.0, BLUE, "map, fields, obstacles", ""),
+        "control": (61.0, 36.0, 21.0, ORANGE, "sample, evaluate, update", "proposal"),
+        "sensing": (3.0, 20.5, 20.0, GREEN, "scans of the true map", "sensor"),
+        "costs": (32.0, 20.5, 20.0, ORANGE, "stage, terminal, sequence", "cost"),
+        "dynamics": (61.0, 20.5, 21.0, GREEN, "model of the robot", "model"),
+        "report": (87.0, 28.0, 12.0, VERMILION, "recording", ""),
+        "gym": (3.0, 2.0, 20.0, VERMILION, "environments", ""),
+        "study": (32.0, 2.0, 20.0, VERMILION, "compare, tune, workers", ""),
+        "cli": (61.0, 2.0, 21.0, VERMILION, "jaxplore run, compare, tune", ""),
+    }
+    for name, (x, y, width, colour, content, addition) in rooms.items():
+        axes.add_patch(
+            FancyBboxPatch(
+                (x, y),
+                width,
+                7.5,
+                "round,pad=0,rounding_size=1.2",
+                facecolor="white",
+                edgecolor=colour,
+                linewidth=1.6,
+            )
+        )
+        middle = x + 0.5 * width
+        axes.text(middle, y + 5.0, name, ha="center", va="center", color=INK, fontsize=10.5)
+        axes.text(middle, y + 2.1, content, ha="center", va="center", color=GREY, fontsize=7.6)
+        if addition:
+            note = f"+ your {addition}"
+            axes.text(x + width, y - 1.6, note, ha="right", va="center", color=BLUE, fontsize=7.6)
+    axes.text(82.3, 46.5, "+ your task", ha="right", va="center", color=BLUE, fontsize=7.6)
+    line = {"color": INK, "linewidth": 1.1}
+    flows = (
+        ((13.0, 28.3), (31.6, 37.0), "perceive"),
+        ((23.4, 39.7), (31.6, 39.7), ""),
+        ((52.4, 39.7), (60.6, 39.7), ""),
+        ((52.4, 26.5), (62.0, 35.6), ""),
+        ((42.0, 35.6), (42.0, 28.4), ""),
+        ((69.0, 35.6), (69.0, 28.4), "advance"),
+        ((69.0, 51.6), (69.0, 43.9), ""),
+        ((13.0, 16.6), (13.0, 20.1), ""),
+        ((83.8, 31.7), (86.7, 31.7), ""),
+        ((13.0, 51.6), (13.0, 49.3), ""),
+        ((42.0, 51.6), (42.0, 49.3), ""),
+        *(((x, 13.7), (x, 9.9), "") for x in (13.0, 42.0, 71.5)),
+    )
+    for start, end, label in flows:
+        arrow = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, **line}
+        axes.annotate("", end, start, arrowprops=arrow)
+        if label:
+            box = {"facecolor": "#f3f5f8", "edgecolor": "none", "pad": 1.2}
+            x, y = 0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1])
+            axes.text(x, y, label, ha="center", va="center", fontsize=8, color=INK, bbox=box)
+    axes.plot([69.0, 69.0, 13.0], [20.3, 16.6, 16.6], **line)
+    axes.text(
+        42.0,
+        16.6,
+        "state of the robot",
+        ha="center",
+        va="center",
+        fontsize=8,
+        color=INK,
+        bbox={"facecolor": "#f3f5f8", "edgecolor": "none", "pad": 1.2},
     )
     return figure
 

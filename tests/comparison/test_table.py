@@ -1,6 +1,6 @@
 from typing import Any
 
-from jaxplore.study.comparison.table import NEEDED, failures, map_tables
+from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
 
 
 def row(map_: str, explorer: str, seed: int, time: float | None, **more: Any) -> dict[str, Any]:
@@ -51,8 +51,8 @@ def test_there_is_no_ratio_to_what_never_got_there() -> None:
     assert hall.rows[1][2].startswith("11.0\n[10.5, 11.5]\nx 0.50 [0.00, ")
 
 
-def test_failures_are_counted() -> None:
-    assert failures(ROWS) == [
+def test_list_failures_are_counted() -> None:
+    assert list_failures(ROWS) == [
         "house, explorer: 2 runs failed: no room",
         "shed, explorer: 1 run failed: no image",
     ]
