@@ -45,13 +45,14 @@ class Obstacles(eqx.Module):
     Args:
         outlines: where they are now.
         velocities: (N, 2) of their centres [m/s]; 0 when absent.
-        turn_rates: (N,) or one number [rad/s], positive to the left.
+        turn_rates: (N,) or one number [rad/s], positive to the left; all move straight, and their
+            predictions take less time, when this and `turn_growth` are absent.
         centres: (N, 2) about which they turn [m]; the middles of their bounding boxes when absent.
         std: of their positions along either axis when they were measured, (N,) or one number [m];
             0, exact, when absent.
         covariance: (N, 2, 2), or (2, 2) for all [m^2]; instead of `std`.
         growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
-        turn_growth: standard deviation of the turn rate, (N,) or one number [rad/s].
+        turn_growth: standard deviation of the turn rate, (N,) or one number [rad/s]; 0 when absent.
         age: time since each was measured, (N,) or one number [s]; they are as of now when absent.
         is_known: (N,) false: never seen, or forgotten; all are known when absent.
         memory: time without a measurement after which `update` forgets an obstacle [s].
@@ -64,11 +65,11 @@ class Obstacles(eqx.Module):
 
     outlines: Outlines
     velocities: Float[Array, "N 2"]
-    turn_rates: Float[Array, " N"]
+    turn_rates: Float[Array, " N"] | None
     centres: Float[Array, "N 2"]
     covariance: Float[Array, "N 2 2"]
     growth: Float[Array, " N"]
-    turn_growth: Float[Array, " N"]
+    turn_growth: Float[Array, " N"] | None
     age: Float[Array, " N"] | None
     is_known: Bool[Array, " N"] | None
     memory: Scalar
@@ -77,13 +78,13 @@ class Obstacles(eqx.Module):
         self,
         outlines: Outlines,
         velocities: Rows | None = None,
-        turn_rates: Vector = 0.0,
+        turn_rates: Vector | None = None,
         *,
         centres: Rows | None = None,
         std: Vector | None = None,
         covariance: Rows | None = None,
         growth: Vector = 0.0,
-        turn_growth: Vector = 0.0,
+        turn_growth: Vector | None = None,
         age: Vector | None = None,
         is_known: ArrayLike | None = None,
         memory: ArrayLike = 3.0,
@@ -96,14 +97,18 @@ class Obstacles(eqx.Module):
             if velocities is None
             else array("velocities", velocities, (number, 2), **rows)
         )
-        self.turn_rates = one_each("turn_rates", turn_rates, number)
+        self.turn_rates = self.turn_growth = None
+        if turn_rates is not None or turn_growth is not None:
+            turn_rates = 0.0 if turn_rates is None else turn_rates
+            turn_growth = 0.0 if turn_growth is None else turn_growth
+            self.turn_rates = one_each("turn_rates", turn_rates, number)
+            self.turn_growth = one_each("turn_growth", turn_growth, number, at_least=0.0)
         self.centres = (
             outlines.centres if centres is None else array("centres", centres, (number, 2), **rows)
         )
         std = 0.0 if std is None and covariance is None else std
         self.covariance = covariances(std, covariance, number, may_be_zero=True)
         self.growth = one_each("growth", growth, number, at_least=0.0)
-        self.turn_growth = one_each("turn_growth", turn_growth, number, at_least=0.0)
         self.age = None if age is None else one_each("age", age, number, at_least=0.0)
         self.is_known = None if is_known is None else jnp.array(is_known, bool)
         if self.is_known is not None and self.is_known.shape != (number,):
@@ -137,10 +142,13 @@ class Obstacles(eqx.Module):
     def __add__(self, other: "Obstacles") -> "Obstacles":
         """Return the obstacles of both, which are forgotten as those of `self` are."""
         both = (self, other)
-        names = ("velocities", "turn_rates", "centres", "covariance", "growth", "turn_growth")
+        names = ("velocities", "centres", "covariance", "growth")
         merged: dict[str, Array] = {
             name: jnp.concatenate([getattr(each, name) for each in both]) for name in names
         }
+        if self.turn_rates is not None or other.turn_rates is not None:
+            turns = zip(self._turns, other._turns, strict=True)
+            merged["turn_rates"], merged["turn_growth"] = map(jnp.concatenate, turns)
         if self.is_known is not None or other.is_known is not None:
             merged["is_known"] = jnp.concatenate([each._known for each in both])
         if self.age is not None or other.age is not None:
@@ -174,13 +182,12 @@ class Obstacles(eqx.Module):
 
     def predicted_covariance(self, t: Scalar) -> Float[Array, "N 2 2"]:
         """Return the covariance of the centres `t` seconds from now (N, 2, 2) [m^2]."""
-        per_turn = self._slope_at(t)
         drift = (self.growth * self._time_at(t)) ** 2
-        covariance = (
-            self.covariance
-            + drift[:, None, None] * jnp.eye(2)
-            + (self.turn_growth**2)[:, None, None] * per_turn[:, :, None] * per_turn[:, None, :]
-        )
+        covariance = self.covariance + drift[:, None, None] * jnp.eye(2)
+        if self.turn_growth is not None:
+            per_turn = self._slope_at(t)
+            square = (self.turn_growth**2)[:, None, None]
+            covariance = covariance + square * per_turn[:, :, None] * per_turn[:, None, :]
         return self._if_known(covariance, 0.0)
 
     def deviation(self, t: Scalar) -> Float[Array, " N"]:
@@ -199,14 +206,14 @@ class Obstacles(eqx.Module):
         are forgotten when their age exceeds `memory`.
         """
         centres, age = self._centres_at(elapsed), self._age + elapsed
-        # Obstacles that move straight keep their velocity to the bit.
-        is_straight = (self.turn_rates == 0.0)[:, None]
-        turned = _turned(self.velocities, elapsed * self.turn_rates)
+        velocities = self.velocities
+        if self.turn_rates is not None:
+            velocities = _turned(velocities, elapsed * self.turn_rates)
         return dataclasses.replace(
             self,
             outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
             centres=centres,
-            velocities=jnp.where(is_straight, self.velocities, turned),
+            velocities=velocities,
             age=age,
             is_known=None if self.is_known is None else self.is_known & (age <= self.memory),
         )
@@ -255,19 +262,21 @@ class Obstacles(eqx.Module):
         first, second, third = jax.random.split(key, 3)
         shift = jax.random.normal(first, (number, 2))
         faster = self.growth[:, None] * jax.random.normal(second, (number, 2))
-        turn = self.turn_growth * jax.random.normal(third, (number,))
+        rates, turn_growth = self._turns
+        turn = turn_growth * jax.random.normal(third, (number,))
         off = jnp.einsum("nij,nj->ni", _root(self.covariance), shift)
         velocities = self.velocities
         if self.age is not None:
             # The errors of velocity and turn rate have lasted since the measurement.
             off = off + self.age[:, None] * faster
-            off = off + turn[:, None] * self._slope_at(jnp.zeros(()))
-            velocities = _turned(velocities, self.age * turn)
+            if self.turn_rates is not None:
+                off = off + turn[:, None] * self._slope_at(jnp.zeros(()))
+                velocities = _turned(velocities, self.age * turn)
         return dataclasses.replace(
             self,
             outlines=Outlines(self.outlines.corners + off[:, None], self.outlines.radii),
             velocities=velocities + faster,
-            turn_rates=self.turn_rates + turn,
+            turn_rates=rates + turn,
             centres=self.centres + off,
             covariance=jnp.zeros_like(self.covariance),
             growth=jnp.zeros(number),
@@ -283,6 +292,13 @@ class Obstacles(eqx.Module):
         return jnp.where(rows, values, otherwise)
 
     @property
+    def _turns(self) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+        """Turn rates and their standard deviations (N,) [rad/s]."""
+        if self.turn_rates is None or self.turn_growth is None:
+            return jnp.zeros_like(self.growth), jnp.zeros_like(self.growth)
+        return self.turn_rates, self.turn_growth
+
+    @property
     def _known(self) -> Bool[Array, " N"]:
         return jnp.ones_like(self.growth, bool) if self.is_known is None else self.is_known
 
@@ -296,6 +312,8 @@ class Obstacles(eqx.Module):
 
     def _centres_at(self, t: Scalar) -> Float[Array, "N 2"]:
         """Return the centres at a time, also of those that are not known (N, 2) [m]."""
+        if self.turn_rates is None:
+            return self.centres + t * self.velocities
         half = 0.5 * t * self.turn_rates
         chord = t * jnp.sinc(half / jnp.pi)
         return self.centres + chord[:, None] * _turned(self.velocities, half)
@@ -303,18 +321,21 @@ class Obstacles(eqx.Module):
     def _corners_at(self, t: Scalar, centres: Float[Array, "N 2"]) -> Float[Array, "N V 2"]:
         """Return the corners at a time (N, V, 2), turned and put around centres [m]."""
         corners = self.outlines.corners - self.centres[:, None]
-        turned = jax.vmap(_turned, in_axes=(1, None), out_axes=1)(corners, t * self.turn_rates)
-        return turned + centres[:, None]
+        if self.turn_rates is not None:
+            turn = jax.vmap(_turned, in_axes=(1, None), out_axes=1)
+            corners = turn(corners, t * self.turn_rates)
+        return corners + centres[:, None]
 
     def _slope_at(self, t: Scalar) -> Float[Array, "N 2"]:
         """Return d, the derivative of the centres at a time by the turn rates (N, 2) [m s]."""
         time = self._time_at(t)
-        half = 0.5 * time * self.turn_rates
+        rates, _ = self._turns
+        half = 0.5 * time * rates
         # The chord since the measurement is time sinc(half) long, and half a turn ahead of the
         # velocity that was measured, from which the velocity of now has turned on.
         stretch = 0.5 * time * time * _sinc_slope(half)
         swing = 0.5 * time * time * jnp.sinc(half / jnp.pi)
-        along = half if self.age is None else half - self.age * self.turn_rates
+        along = half if self.age is None else half - self.age * rates
         ahead, beside = (
             _turned(self.velocities, along),
             _turned(self.velocities, along + 0.5 * jnp.pi),
