@@ -199,7 +199,7 @@ def test_a_scenario_of_ones_own_is_taken() -> None:
         ({"action": "teleport"}, "action is 'teleport'; accepted: control, waypoint"),
         ({"time_limit": -1.0}, "time_limit is -1"),
         ({"map": "nowhere.yaml", "start": (0.0, 0.0, 0.0)}, "nowhere.yaml"),
-        ({"map": "zones", "num_floors": 2}, "num_floors is 2 of the map 'zones'"),
+        ({"map": "zones", "num_floors": 2}, "num_floors is 2; accepted: 1, or the map office"),
         ({"num_floors": 0}, "num_floors is 0"),
         ({"seed": 3}, "accepted: a seed of its reset"),
         ({"colour": "red"}, "colour"),
@@ -213,10 +213,10 @@ def test_a_scenario_of_ones_own_is_taken() -> None:
     ],
 )
 def test_bad_options_are_refused(options, message) -> None:
-    from jaxplore.gym.environment import ExplorationEnvironment
+    from jaxplore.gym.environment import ScenarioEnvironment
 
     with pytest.raises(ValueError, match=message):
-        ExplorationEnvironment(**options)
+        ScenarioEnvironment(**options)
 
 
 def test_bad_actions_and_a_step_before_the_first_reset_are_refused() -> None:
@@ -256,3 +256,34 @@ def test_importing_jaxplore_neither_imports_gymnasium_nor_registers_anything() -
         f"assert {ENVIRONMENT!r} in gymnasium.registry\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+
+
+def test_a_path_is_an_environment_like_any_other() -> None:
+    """Held controls give the states of the closed loop, and progress is what is earned."""
+    register_environment()
+    environment = gymnasium.make(
+        "jaxplore/PathFollowing-v0",
+        obstacles={"number": 2},
+        time_limit=2.0,
+        render_mode="rgb_array",
+        disable_env_checker=True,
+    )
+    observed, info = environment.reset(seed=3)
+    assert environment.observation_space.contains(observed)
+    assert observed["path"].shape == (12, 2)
+    assert observed["obstacles"].shape == (2, 5)
+    # Along a track of 1 m points, the first is about 1 m ahead.
+    np.testing.assert_allclose(np.linalg.norm(observed["path"][0]), 1.0, atol=0.1)
+    before, earned, ended = info["progress"], 0.0, False
+    action = np.zeros(environment.action_space.shape, np.float32)
+    action[0] = 1.0
+    while not ended:
+        observed, reward, terminated, truncated, info = environment.step(action)
+        earned, ended = earned + reward, terminated or truncated
+    assert truncated
+    assert info["time"] == pytest.approx(2.0)
+    contact = info["collision_steps"] * 0.02
+    assert earned == pytest.approx(info["progress"] - before - contact, abs=1e-3)
+    assert environment.render().ndim == 3
+    with pytest.raises(ValueError, match="action is 'waypoint'; accepted: control"):
+        gymnasium.make("jaxplore/PathFollowing-v0", action="waypoint")

@@ -5,9 +5,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxplore import _checks
-from jaxplore.build.tasks import build
+from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.defaults import default_of
-from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
+from jaxplore.settings.exploration import OFFICE, Settings
+from jaxplore.settings.path import PATH
+from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.environment.action_modes import (
     ActionMode,
     ControlMode,
@@ -50,8 +52,9 @@ def environment_of(
         collision_penalty: taken off the reward for contact [1/s].
         num_floors: generated offices, of which each episode draws one: those of the seeds from
             `office.seed` on.
-        settings: of a run, as in a settings file; the map is the office unless another is given.
-            `time_limit` ends an episode, `controller` is the MPPI of waypoints.
+        settings: settings of a run, as in a settings file. With a `path` the task is to follow it,
+            else to explore; the map is the office unless another is given. `time_limit` ends an
+            episode, `controller` is the MPPI of waypoints.
 
     Raises:
         ValueError: an action that there is not, settings that are not accepted,
@@ -69,12 +72,13 @@ def environment_of(
     mode: ActionMode
     if action == "control":
         mode = ControlMode(first.robot)
-    elif action == "waypoint":
+    elif action == "waypoint" and isinstance(given, Settings):
         numbers = given.controller.model_dump(exclude={"information_weight"})
         mode = WaypointMode(waypoint_mppi(first.robot, **numbers), reach)
         action_period = WAYPOINT_PERIOD if action_period is None else action_period
     else:
-        raise ValueError(f"action is {action!r}; accepted: control, waypoint")
+        accepted = "control, waypoint" if isinstance(given, Settings) else "control"
+        raise ValueError(f"action is {action!r}; accepted: {accepted}")
     return Environment(
         scenario,
         mode,
@@ -85,7 +89,7 @@ def environment_of(
     )
 
 
-def _checked(scenario: object, settings: dict[str, Any]) -> Settings:
+def _checked(scenario: object, settings: dict[str, Any]) -> RunSettings:
     """Return the settings, checked, over the defaults of an environment."""
     if "seed" in settings:
         raise ValueError(
@@ -99,21 +103,23 @@ def _checked(scenario: object, settings: dict[str, Any]) -> Settings:
                     f"setting {name} is given beside a scenario; accepted: "
                     + ", ".join(BESIDE_A_SCENARIO)
                 )
+    if PATH in settings:
+        return make_settings(settings)
     entries = {"map": OFFICE, "controller": {}, **settings}
     if isinstance(entries["map"], os.PathLike):
         entries["map"] = os.fspath(entries["map"])
     if isinstance(entries["controller"], Mapping):
         entries["controller"] = {**DRIVE, **entries["controller"]}
-    return make_exploration_settings(entries)
+    return make_settings(entries)
 
 
-def _scenarios(settings: Settings, num_floors: int) -> list[Scenario]:
+def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:
     """Return the scenarios of some settings, one for each floor."""
     number = _checks.positive_int("num_floors", num_floors)
-    if number > 1 and settings.map != OFFICE:
-        raise ValueError(
-            f"num_floors is {number} of the map {settings.map!r}; accepted: 1, or the map {OFFICE}"
-        )
+    if number == 1:
+        return [build(settings).scenario]
+    if not isinstance(settings, Settings) or settings.map != OFFICE:
+        raise ValueError(f"num_floors is {number}; accepted: 1, or the map {OFFICE}")
     floors = (
         settings.office.model_copy(update={"seed": settings.office.seed + k}) for k in range(number)
     )

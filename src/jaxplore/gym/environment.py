@@ -25,23 +25,24 @@ from jaxplore.gym.spaces import (
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
 
 
-class ExplorationEnvironment(gymnasium.Env[Observed, np.ndarray]):
-    """A robot that explores a map of which it knows nothing; `jaxplore/Exploration-v0`.
+class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
+    """A scenario as an environment: `jaxplore/Exploration-v0` and `jaxplore/PathFollowing-v0`.
 
     `reset(seed=s)` begins the run of `simulate` with the key `jax.random.key(s)`; without a seed
     one is drawn. `reset(options={"scenario": k})` picks one of several scenarios, else one is
-    drawn. The spaces, the reward and the end of an episode are those of `Environment`; truncated is
-    an episode whose time is up. `info` has, by name:
+    drawn. Spaces, reward and end of an episode are those of `Environment`; an episode whose time is
+    up is truncated. `info` has, by name:
 
     | name | is |
     | --- | --- |
-    | time | since the start [s] |
-    | coverage | share of the reachable cells known to be free |
-    | entropy | of the belief over the reachable cells [nat] |
+    | time | time since the start [s] |
+    | coverage | of exploration: share of the reachable cells known to be free |
+    | entropy | of exploration: of the belief over the reachable cells [nat] |
+    | progress | of path following: arc length passed [m] |
     | path_length | distance travelled [m] |
     | is_collision | whether the robot touched something during the action |
-    | collisions, collision_steps | contacts, and the control periods in contact, since the start |
-    | scenario | which of several |
+    | collisions, collision_steps | contacts, and control periods in contact, since the start |
+    | scenario | index of the scenario |
 
     Args:
         render_mode: "rgb_array" or None.

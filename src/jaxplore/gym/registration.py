@@ -1,23 +1,25 @@
 """Makes the environments known to Gymnasium; imports neither it nor them before."""
 
-ENVIRONMENT = "jaxplore/Exploration-v0"
-"""By this name Gymnasium makes the environment."""
+ENVIRONMENT, PATH_ENVIRONMENT = "jaxplore/Exploration-v0", "jaxplore/PathFollowing-v0"
+"""Names by which Gymnasium makes the environments."""
 
 
 def register_environment() -> None:
-    """Register `jaxplore/Exploration-v0` with Gymnasium, from then on for `gymnasium.make`.
+    """Register both environments with Gymnasium, for `gymnasium.make`.
 
-    Where nothing can be called before, `gymnasium.make("jaxplore.gym:jaxplore/Exploration-v0")`
-    does both. A second call changes nothing.
+    `gymnasium.make("jaxplore.gym:jaxplore/Exploration-v0")` registers and makes one in a single
+    call. A second call of this function changes nothing.
 
     Raises:
         ModuleNotFoundError: without Gymnasium, the extra `gym` of jaxplore.
     """
     import gymnasium
 
-    if ENVIRONMENT not in gymnasium.registry:
-        gymnasium.register(
-            ENVIRONMENT,
-            entry_point="jaxplore.gym.environment:ExplorationEnvironment",
-            vector_entry_point=("jaxplore.gym.vector_environment:ExplorationVectorEnvironment"),
-        )
+    for name, options in ((ENVIRONMENT, {}), (PATH_ENVIRONMENT, {"path": "track"})):
+        if name not in gymnasium.registry:
+            gymnasium.register(
+                name,
+                entry_point="jaxplore.gym.environment:ScenarioEnvironment",
+                vector_entry_point="jaxplore.gym.vector_environment:ScenarioVectorEnvironment",
+                kwargs=options,
+            )

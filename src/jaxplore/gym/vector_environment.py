@@ -33,10 +33,10 @@ from jaxplore.gym.spaces import (
 from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
 
 
-class ExplorationVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
+class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
     """N environments as one, whose step is one compiled call.
 
-    Each is an `ExplorationEnvironment`: with the same seeds and actions it is observed as in
+    Each is an `ScenarioEnvironment`: with the same seeds and actions it is observed as in
     Gymnasium's `SyncVectorEnv`. `reset(seed=s)` gives environment i the seed s + i; a list gives
     each its own. An environment whose episode has ended begins the next one at the next step,
     whose action it leaves out and whose reward is 0 (`AutoresetMode.NEXT_STEP`).
