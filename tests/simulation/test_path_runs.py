@@ -9,6 +9,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
+from jaxplore.simulation.scenario import Moment
 
 RING = jx.geometry.clothoid_path(
     [0, 0, 0], [(2 * np.pi * 3.0, 1 / 3.0, 1 / 3.0)], is_closed=True, half_widths=[0.8, 0.8]
@@ -232,3 +233,55 @@ def test_what_is_no_scenario_is_refused(given, named) -> None:
 def test_what_is_no_traffic_is_refused(make, named) -> None:
     with pytest.raises(ValueError, match=named):
         make()
+
+
+@pytest.mark.parametrize(
+    ("faults", "is_faulty_at"),
+    [
+        (jx.Faults(scan_dropout=(0.2, 0.6)), (10, 30)),
+        (jx.Faults(frozen_odometry=(0.2, 0.6)), (10, 30)),
+        (jx.Faults(lost_odometry=(0.2, 0.6)), (10, 30)),
+        (jx.Faults(control_delay=3), None),
+    ],
+)
+def test_faults_are_those_of_any_task(lap, faults, is_faulty_at) -> None:
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, faults=faults)
+    run = record_run(PASSING.controller, scenario, 60, key=jax.random.key(0), num_trajectories=0)
+    records, sound = run.records, lap[0].recording.records
+    assert np.isfinite(records.state).all()
+    assert run.metrics().fault_steps == (0 if is_faulty_at is None else 20)
+    if is_faulty_at is None:
+        # Three commands are under way before the first one takes effect.
+        np.testing.assert_array_equal(records.control[:3], np.zeros((3, 3)))
+        np.testing.assert_array_equal(records.control[3], sound.control[0])
+        return
+    begin, end = is_faulty_at
+    np.testing.assert_array_equal(np.flatnonzero(records.is_faulty), np.arange(begin, end))
+    # A fault changes nothing before it begins.
+    np.testing.assert_allclose(records.state[:begin], sound.state[:begin], atol=1e-4)
+    # No obstacle is near yet, so that a tracker without measurements makes no difference.
+    is_tracker = float(faults.scan_dropout[1]) > 0.0
+    assert np.array_equal(records.state[begin:], sound.state[begin:60]) == is_tracker
+
+
+def test_without_measurements_obstacles_are_predicted(lap) -> None:
+    """What the robot knows in a dropout is the last measurement, moved on along its velocity."""
+    faults = jx.Faults(scan_dropout=(0.1, 5.0))
+    scenario = jx.PathScenario(PASSING.model, RING, **SHARED, faults=faults)
+    state, _ = scenario.init(None)
+    beliefs = []
+    for step in range(15):
+        time = jnp.asarray(0.02 * step, jnp.float32)
+        blind = faults.is_blind(time)
+        moment = Moment(jnp.asarray(step), time, state.robot, blind, blind)
+        state, belief = scenario.perceive(state, moment, jax.random.key(step))
+        beliefs.append(belief.obstacles)
+    last, later = beliefs[4], beliefs[14]
+    expected = last.predicted_centres(jnp.asarray(0.2))
+    np.testing.assert_allclose(later.centres, expected, atol=1e-4)
+    # And it is less certain of them.
+    now = jnp.zeros(())
+    assert (later.deviation(now) > last.deviation(now)).all()
+    walls = jx.Faults(walls=np.ones((2, 2), bool))
+    with pytest.raises(ValueError, match="faults has walls beside a path"):
+        jx.PathScenario(PASSING.model, RING, faults=walls)

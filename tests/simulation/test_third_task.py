@@ -14,8 +14,7 @@ import pytest
 from PIL import Image, ImageDraw
 
 import jaxplore as jx
-from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
-from jaxplore.report.recording import Recording
+from jaxplore.report import Column, Curve, Metrics, Recording, sampled_series
 from jaxplore.simulation.batch import record_runs
 from jaxplore.simulation.environment.action_modes import ControlMode
 from jaxplore.simulation.environment.environment import Environment

@@ -1,5 +1,7 @@
-"""The closed loop."""
+"""Scenarios, the closed loop that runs them, and environments made of them."""
 
+from jaxplore.simulation.batch import record_runs as record_runs
+from jaxplore.simulation.chunks import ChunkedRun as ChunkedRun
 from jaxplore.simulation.environment.action_modes import ActionMode as ActionMode
 from jaxplore.simulation.environment.action_modes import ControlMode as ControlMode
 from jaxplore.simulation.environment.action_modes import WaypointMode as WaypointMode
@@ -18,4 +20,5 @@ from jaxplore.simulation.following.scenario import PathScenario as PathScenario
 from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run
 from jaxplore.simulation.run import simulate as simulate
+from jaxplore.simulation.scenario import Moment as Moment
 from jaxplore.simulation.scenario import Scenario as Scenario
