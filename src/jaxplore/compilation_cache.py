@@ -18,11 +18,11 @@ import stat
 import time
 import warnings
 import zlib
+from importlib.metadata import version
 from pathlib import Path
 from typing import Final
 
 import jax
-import jaxlib
 import platformdirs
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
@@ -81,7 +81,7 @@ def enable_compilation_cache(
         # XLA's own files would grow without bound.
         "jax_persistent_cache_enable_xla_caches": "none",
     }.items():
-        jax.config.update(name, value)
+        jax.config.update(name, value)  # type: ignore[no-untyped-call]
         os.environ[name.upper()] = str(value)
     # JAX looks at the folder's name once.
     reset_cache()
@@ -93,7 +93,7 @@ def _folder_name(processor: str, flags: str) -> str:
     """Return the folder's name: everything that a compiled program depends on but itself."""
     text = "\n".join((processor, *sorted(flags.split())))
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return f"{_PREFIX}{jax.__version__}-{jaxlib.__version__}-{digest}"
+    return f"{_PREFIX}{jax.__version__}-{version('jaxlib')}-{digest}"
 
 
 def _processor() -> str:

@@ -32,12 +32,14 @@ class RunSettings(Section):
 
     Args:
         start: pose (x, y, yaw) [m, m, rad]; some places have one of their own.
+        time_limit: simulated time after which the run ends [s].
         seed: of everything random in the run.
         parameters: numbers of the controller by path, in place of what the settings come to: see
             `jaxplore.get_parameters`. A list has a number for each element.
     """
 
     start: tuple[float, float, float] | None = None
+    time_limit: Positive
     seed: Seed = 0
     parameters: Parameters = Field(default_factory=dict)
 
