@@ -146,11 +146,11 @@ class BeamTable(eqx.Module):
         padding = [(low, high + more) for (low, high), more in zip(margin, fill, strict=True)]
 
         def split(channel: Array) -> Array:
+            # One transposition: a strided slice for each phase would be a kernel to compile each.
             padded = jnp.pad(channel, padding)
-            phases = [
-                padded[row::step, column::step] for row in range(step) for column in range(step)
-            ]
-            return jnp.stack(phases)
+            rows, columns = (size // step for size in padded.shape)
+            phases = padded.reshape(rows, step, columns, step).transpose(1, 3, 0, 2)
+            return phases.reshape(step * step, rows, columns)
 
         return CellMaps(tuple(split(channel) for channel in stacked))
 
