@@ -12,7 +12,7 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
-from jaxplore.build.exploration import comparable
+from jaxplore.build.exploration import compared_architectures
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 
@@ -98,7 +98,7 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
         (["run", "office", "--set", "robot.wings=2"], "unknown setting robot.wings; accepted here"),
         (
             ["run", "office", "--set", "wings=2"],
-            "unknown setting wings; accepted here: map, world, architecture",
+            "unknown setting wings; accepted here: start, time_limit, seed, parameters, map",
         ),
         (["run", "office", "--set", "robot"], "--set is 'robot'; accepted: NAME=VALUE"),
         (["run", "office", "--set", "seed=[1"], "accepted: a value in YAML"),
@@ -219,20 +219,22 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     asked: list[Asked] = []
 
     def compare(
-        experiments: dict[str, Any], seeds: range, *, progress: bool
-    ) -> jx.report.Comparison:
+        experiments: dict[str, Any], seeds: range, *, progress: bool, runner: Any
+    ) -> jx.study.Comparison:
         assert progress
         asked.append(Asked(dict(experiments), list(seeds)))
-        return jx.report.Comparison(dict.fromkeys(experiments, ()), {}, is_interrupted=True)
+        return jx.study.Comparison(dict.fromkeys(experiments, ()), {}, is_interrupted=True)
 
-    monkeypatch.setattr("jaxplore.cli.compare_runs", compare)
+    monkeypatch.setattr("jaxplore.cli._comparison.compare", compare)
     return asked
 
 
 @pytest.fixture
 def chosen(asked: list[Asked], monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     """The same with settings in place of controllers: nothing is built."""
-    monkeypatch.setattr("jaxplore.cli.build", lambda settings: (settings, None, 1, None))
+    monkeypatch.setattr(
+        "jaxplore.cli._comparison.build", lambda settings: (settings, None, 1, None)
+    )
     return asked
 
 
@@ -261,7 +263,7 @@ def test_a_map_says_what_can_be_compared_on_it(
     if entries is not None:
         Path("room.yaml").write_text(yaml.safe_dump(ROOM | entries))
         more = {"map": "room.yaml", **more}
-    assert list(comparable(make_settings({"architecture": "two-layer", **more}))) == expected
+    assert list(compared_architectures({"architecture": "two-layer", **more})) == expected
 
 
 def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(

@@ -212,7 +212,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
         after, records, done = run_chunk(controller, scenario, before, key, jnp.asarray(1), CHUNK)
         assert int(done) == 1
         scan_key, control_key = jax.random.split(jax.random.fold_in(key, step))
-        belief, state = before.belief, before.robot
+        belief, state = before.task.belief, before.task.robot
         pose = pose_of(state)
         if step % 2 == 0:
             seen = scan(LIDAR, world, pose, key=scan_key)
@@ -221,8 +221,8 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
             belief = update_fields(perception, belief, pose, 4.0 * period)
         if step % 4 == 0:
             strategy = strategy_by_parts(controller, belief, state)
-        same(after.belief.grid.probability, belief.grid.probability)
-        same(after.belief.guidance.values, belief.guidance.values)
+        same(after.task.belief.grid.probability, belief.grid.probability)
+        same(after.task.belief.guidance.values, belief.guidance.values)
         same(after.controller.plan.potential.values, strategy.potential.values)
         same(after.controller.plan.reference, strategy.reference)
         age = (step % 4) * PERIOD
@@ -233,10 +233,10 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
         same(records.control[0], control)
         same(records.effective_sample_size[0], info.effective_sample_size, rtol=1e-3)
         same(after.controller.mppi.nominal, memory.nominal)
-        same(after.robot, move(ROBOT, state, control, period))
+        same(after.task.robot, move(ROBOT, state, control, period))
         assert not records.is_collision[0]
         assert float(records.unknown[0]) == pytest.approx(float(unknown_fraction(belief.grid)))
-        robots.append(np.asarray(after.robot))
+        robots.append(np.asarray(after.task.robot))
     # It moved and saw something: a loop that stands still compares nothing.
     assert np.linalg.norm(robots[-1][:2] - robots[0][:2]) > 0.5
     assert float(unknown_fraction(belief.grid)) < 0.9 * float(unknown_fraction(scenario.prior))
@@ -295,7 +295,7 @@ def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     other = controller_of(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
     second, _, _ = run_chunk(other, scenario, start, key, one, CHUNK)
     assert run_chunk._cached._cache_size() == compiled
-    assert not np.array_equal(first.robot, second.robot)
+    assert not np.array_equal(first.task.robot, second.task.robot)
 
 
 def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:

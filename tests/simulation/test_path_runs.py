@@ -285,3 +285,26 @@ def test_without_measurements_obstacles_are_predicted(lap) -> None:
     walls = jx.Faults(walls=np.ones((2, 2), bool))
     with pytest.raises(ValueError, match="faults has walls beside a path"):
         jx.PathScenario(PASSING.model, RING, faults=walls)
+
+
+def test_an_agent_observes_the_path_ahead_in_the_frame_of_the_robot() -> None:
+    scenario = jx.PathScenario(ALONE.model, RING)
+    pose, time = np.array([0.0, -0.1, 0.2]), jnp.zeros(())
+    told = ALONE.model.at_pose(*pose.tolist())
+    state, _ = scenario.init(None)
+    off = jnp.array(False)
+    moment = Moment(jnp.zeros((), jnp.int32), time, told, off, off)
+    seen = eqx.filter_jit(scenario.observation)(state, moment, None, None)
+
+    # The ring is a circle around (0, 3), to the left of the start.
+    angles = np.arange(1.0, 13.0) / 3.0
+    points = 3.0 * np.stack([np.sin(angles), 1.0 - np.cos(angles)], axis=-1) - pose[:2]
+    sin, cos = np.sin(pose[2]), np.cos(pose[2])
+    ahead = np.stack([points @ [cos, sin], points @ [-sin, cos]], axis=-1)
+    np.testing.assert_allclose(seen["path"], ahead, atol=2e-3)
+    np.testing.assert_allclose(seen["errors"], [0.1, -0.2], atol=2e-3)
+    assert seen["obstacles"].shape == (0, 5)
+    bounds = scenario.observation_bounds(None)
+    assert {name: low.shape for name, (low, _) in bounds.items()} == {
+        name: value.shape for name, value in seen.items()
+    }

@@ -227,7 +227,7 @@ def test_a_change_has_the_interval_of_a_bootstrap() -> None:
     generator = np.random.default_rng(0)
     before = generator.normal(10.0, 1.0, 40)
     after = before - 2.0 + generator.normal(0.0, 0.5, 40)
-    found = change("x", before, after)
+    found = change("x", before.tolist(), after.tolist())
     difference = after - before
     # The normal approximation of the same.
     half = 1.96 * difference.std(ddof=1) / math.sqrt(40)
@@ -235,7 +235,7 @@ def test_a_change_has_the_interval_of_a_bootstrap() -> None:
     assert found.low == pytest.approx(difference.mean() - half, abs=0.15 * half)
     assert found.high == pytest.approx(difference.mean() + half, abs=0.15 * half)
     assert found.is_significant
-    assert not change("x", before, before[::-1]).is_significant
+    assert not change("x", before.tolist(), before[::-1].tolist()).is_significant
     single = change("x", [1.0], [3.0])
     assert (single.low, single.difference, single.high) == (2.0, 2.0, 2.0)
 

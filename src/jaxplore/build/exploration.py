@@ -14,7 +14,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
 from jaxplore.sensing.base import Sensor
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import Settings
+from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -78,12 +78,21 @@ def _perception(
     )
 
 
-def comparable(settings: Settings) -> tuple[str, ...]:
-    """Return the architectures for quadrotors that the map of some settings allows.
+def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
+    """Return the architectures to compare where nothing else is asked for.
+
+    A portfolio is compared with the explorer; else the architectures for quadrotors that the map
+    allows are compared with each other.
+
+    Args:
+        entries: names and values as in a settings file.
 
     Raises:
-        ValueError: a map that cannot be read.
+        ValueError: entries that are not accepted, a map that cannot be read.
     """
+    if make_exploration_settings(entries).architecture == "portfolio":
+        return ("explorer", "portfolio")
+    settings = make_exploration_settings({**entries, "architecture": "two-layer"})
     place = build_place(settings, settings.robot.radius)
     has_goal, has_zones = place.goal is not None, bool(place.zones)
     allowed = {

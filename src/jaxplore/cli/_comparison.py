@@ -8,16 +8,14 @@ from typing import Any
 
 import click
 
-from jaxplore.build.exploration import comparable
-from jaxplore.build.tasks import build, make_settings
+from jaxplore.build.tasks import build, make_settings, task_of
 from jaxplore.cli._options import entries_of, place_name
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison
 from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, make_exploration_settings, merged
-from jaxplore.settings.path import PATH
+from jaxplore.settings.exploration import GROUND, merged
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -128,9 +126,14 @@ def _in_one_place(
     animation: bool,
 ) -> None:
     entries = entries_of(options)
-    along_path = PATH in entries
     if not variants:
-        variants = {name: {"architecture": name} for name in _architectures(entries, along_path)}
+        variants = {
+            name: {"architecture": name} for name in task_of(entries).architectures(entries)
+        }
+    if not variants:
+        raise ValueError(
+            "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
+        )
     settings = {name: make_settings(merged(entries, own)) for name, own in variants.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
@@ -140,7 +143,8 @@ def _in_one_place(
     first = common.seed
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
     # Defaults depend on the architecture: those of the first one are kept.
-    kind = {} if along_path else {"architecture": getattr(common, "architecture", None)}
+    architecture = getattr(common, "architecture", None)
+    kind = {} if architecture is None else {"architecture": architecture}
     kept = make_settings({**entries, **kind}).model_dump(mode="json", exclude={"architecture"})
     own = {
         name: settings[name].model_dump(mode="json")
@@ -157,17 +161,6 @@ def _in_one_place(
             on_progress=lambda share: advance(share, ""),
         )
     show_comparison(result, folder)
-
-
-def _architectures(entries: dict[str, Any], along_path: bool) -> tuple[str, ...]:
-    """Return the architectures that are compared if nothing is said."""
-    if along_path:
-        raise ValueError(
-            "--vary is missing; accepted along a path: --vary NAME=A,B or --variants FILE,FILE"
-        )
-    if make_exploration_settings(entries).architecture == "portfolio":
-        return ("explorer", "portfolio")
-    return comparable(make_exploration_settings({**entries, "architecture": "two-layer"}))
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:

@@ -299,8 +299,9 @@ class PathScenario(Scenario):
         sin, cos = jnp.sin(heading), jnp.cos(heading)
         to_robot = jnp.stack([jnp.stack([cos, sin]), jnp.stack([-sin, cos])])
         near = self.path.nearest(position, near=state.progress)
-        points = jax.vmap(self.path.at)(near + AHEAD * jnp.arange(1.0, NUM_AHEAD + 1.0))
-        ahead = (points.position - position) @ to_robot.T
+        distances = near + AHEAD * jnp.arange(1.0, NUM_AHEAD + 1.0)
+        points = jax.vmap(lambda phi: self.path.at(phi).position)(distances)
+        ahead = (points - position) @ to_robot.T
         here = self.path.at(near)
         turn = here.heading - heading
         errors = jnp.stack(
