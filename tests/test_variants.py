@@ -69,7 +69,7 @@ def test_two_path_planners_compare(
 
 def test_along_a_path_something_must_vary(fails, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert "--vary is missing; accepted along a path" in fails(*COMMAND)
+    assert "--vary is missing; accepted here: --vary NAME=A,B" in fails(*COMMAND)
     assert "unknown setting architecture" in fails(*COMMAND, "--architectures", "explorer")
 
 
