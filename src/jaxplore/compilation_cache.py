@@ -48,7 +48,7 @@ def enable_compilation_cache(
     Args:
         path: folder, made when absent. None: the folder for cached files that the operating system
             gives the user, such as `~/.cache/jaxplore`.
-        max_size: of all entries [bytes]. When there are more, those that were used longest ago are
+        max_size: size of all entries [bytes]. Beyond it, the least recently used entries are
             removed, now and at each further call.
 
     Returns:

@@ -36,17 +36,17 @@ class Belief(eqx.Module):
         clearance: distance to the nearest cell not known to be free [m].
         information: expected information of a scan at any pose [nat].
         guidance: cost to go to the remaining information [m], and the way there.
-        dwell: (rows, columns) of the guidance's nodes: time recently spent near each [s].
+        dwell: (rows, columns) time recently spent near each node of the guidance field [s].
         is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
             there.
         patience: time near a place after which its pull has faded to 1/e [s].
-        pose: where the robot was when its fields were made (x, y, yaw) [m, m, rad].
-        ground: what it drives on, known beforehand; level and passable when absent.
+        pose: pose (x, y, yaw) of the robot at the last update of the fields [m, m, rad].
+        ground: terrain, known in advance; level and traversable when absent.
         to_goal: cost to go to the goal [m], through whatever is not known to be blocked, and the
             way there; absent if nothing asks for it.
         obstacles: moving obstacles that the robot knows of; none when absent.
-        idleness: (H, W) time since each cell was seen [s], infinite if never; absent if nobody
-            keeps watch.
+        idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
+            an idleness map.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -80,11 +80,11 @@ class StrategicBelief(Belief):
     Args:
         potential: information of a scan around the robot by heading [nat], as it was when the
             strategic layer ran last.
-        best: its greatest value over headings [nat].
+        best: greatest value of `potential` over headings [nat].
         local: information of a short look by heading [nat], as of now.
-        reference: (T, 3) where to be, row i at `(i + 1) reference_period - reference_age` from now
-            [m].
-        reference_period: [s].
+        reference: (T, 3) reference positions; row i is due in `(i + 1) reference_period -
+            reference_age` [m].
+        reference_period: time between the rows of the reference [s].
         reference_age: time since the reference was made [s].
     """
 
@@ -114,7 +114,7 @@ def part(belief: Any, name: str) -> Any:
 
     Args:
         belief: a `Belief`, any object with such an attribute, or None.
-        name: of the part.
+        name: name of the part.
 
     Raises:
         MissingPartError: it is absent, or there is no belief.

@@ -43,18 +43,20 @@ class Obstacles(eqx.Module):
     All fields are array leaves: other obstacles of the same number do not recompile.
 
     Args:
-        outlines: where they are now.
-        velocities: (N, 2) of their centres [m/s]; 0 when absent.
-        turn_rates: (N,) or one number [rad/s], positive to the left; all move straight, and their
-            predictions take less time, when this and `turn_growth` are absent.
+        outlines: present outlines.
+        velocities: (N, 2) velocities of the centres [m/s]; 0 when absent.
+        turn_rates: (N,) turn rates, or one number [rad/s], positive to the left. When this and
+            `turn_growth` are absent, all move straight, which is faster to predict.
         centres: (N, 2) about which they turn [m]; the middles of their bounding boxes when absent.
-        std: of their positions along either axis when they were measured, (N,) or one number [m];
+        std: standard deviation of the measured positions along either axis, (N,) or one number [m];
             0, exact, when absent.
-        covariance: (N, 2, 2), or (2, 2) for all [m^2]; instead of `std`.
+        covariance: (N, 2, 2) covariances of the positions, or one (2, 2) for all [m^2]; instead of
+            `std`.
         growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
         turn_growth: standard deviation of the turn rate, (N,) or one number [rad/s]; 0 when absent.
         age: time since each was measured, (N,) or one number [s]; they are as of now when absent.
-        is_known: (N,) false: never seen, or forgotten; all are known when absent.
+        is_known: (N,) whether each obstacle is known: false if never seen, or forgotten; all are
+            known when absent.
         memory: time without a measurement after which `update` forgets an obstacle [s].
 
     Raises:
@@ -120,7 +122,7 @@ class Obstacles(eqx.Module):
         """Return the discs that a tracker starts with: none has been seen yet.
 
         Args:
-            radii: (N,) [m]; none of them is fine.
+            radii: (N,) radii [m]; N = 0 is accepted.
             growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
             memory: time without a measurement after which an obstacle is forgotten [s]. It may be
                 anywhere by then, and who keeps clear of all of that runs into walls.
@@ -233,8 +235,8 @@ class Obstacles(eqx.Module):
         finite is no measurement.
 
         Args:
-            measured_positions: (N, 2) of the centres [m].
-            measured_velocities: (N, 2) [m/s].
+            measured_positions: (N, 2) measured positions of the centres [m].
+            measured_velocities: (N, 2) measured velocities of the centres [m/s].
             is_seen: (N,) which of them are measured.
             position_std: standard deviation of a measured position along either axis [m].
             elapsed: time since the last update [s].

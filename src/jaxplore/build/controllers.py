@@ -37,10 +37,10 @@ def build_controller(
     """Return the controller of an architecture.
 
     Args:
-        settings: of the run.
-        robot: its model.
-        place: where it is.
-        perception: of the scenario.
+        settings: settings of the run.
+        robot: model of the robot.
+        place: world of the run.
+        perception: perception of the scenario.
 
     Raises:
         ValueError: an architecture that the place does not allow, a part that does not accept its

@@ -21,8 +21,8 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
     """Return the model of the robot.
 
     Args:
-        given: its settings.
-        integrator: of a car or a differential drive; the model's own when absent.
+        given: settings of the robot.
+        integrator: integrator of a car or a differential drive; the model's default when absent.
 
     Raises:
         ValueError: a car that is shorter than its wheelbase, and what the model refuses.

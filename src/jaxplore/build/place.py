@@ -18,12 +18,12 @@ class Place(NamedTuple):
     Args:
         world: the truth.
         start: pose (x, y, yaw) [m, m, rad].
-        prior: what is known beforehand; nothing when absent.
-        goal: (x, y) or (x, y, z) [m].
+        prior: map that is known in advance; nothing when absent.
+        goal: goal position (x, y) or (x, y, z) [m].
         zones: rectangles that are unknown beforehand [m].
-        ground: what is driven on; level when absent.
-        targets: (x, y) of what is to be seen [m].
-        movers: what moves.
+        ground: terrain; level when absent.
+        targets: positions (x, y) of the targets [m].
+        movers: moving obstacles.
     """
 
     world: OccupancyGrid
@@ -40,8 +40,9 @@ def build_place(settings: Settings, radius: float) -> Place:
     """Return the place of a run.
 
     Args:
-        settings: of the run.
-        radius: of the robot, for whom an open spot is named if the start is missing [m].
+        settings: settings of the run.
+        radius: radius of the robot [m]; if the start is missing, the error names a free position
+            for it.
 
     Raises:
         ValueError: a map, world or height map that cannot be read; a start that is missing.

@@ -45,7 +45,7 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
     Entries with a `path`, or with the map `path`, are a run along a path; all others explore.
 
     Args:
-        entries: names and values as in a settings file.
+        entries: names and values of settings, as in a settings file.
 
     Raises:
         ValueError: a path beside a map, an unknown name or a value that is not accepted; one line

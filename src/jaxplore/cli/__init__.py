@@ -160,7 +160,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line: what is wrong with the input is one line and exit code 2.
 
     Args:
-        arguments: in place of the process's own.
+        arguments: command-line arguments; those of the process when absent.
     """
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")

@@ -123,7 +123,7 @@ def scenarios_of(
     """Return the settings of each scenario by its name, and what they have in common.
 
     Args:
-        options: what `with_options` and `path_options` add.
+        options: options of `with_options` and `path_options`.
         also: further maps, paths or scenarios, or files of settings that differ from the first's.
 
     Raises:

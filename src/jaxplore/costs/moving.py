@@ -69,8 +69,8 @@ class MovingObstacleCost(Cost):
         nearness: weight of the Gaussian.
         clearance: distance from the robot's centre below which the ramp costs [m].
         collision: cost of each step that is 5 cm too close.
-        margin: kept beyond the robot's radius [m].
-        reaction_time: [s].
+        margin: distance kept beyond the robot's radius [m].
+        reaction_time: time that the robot takes to react [s].
         caution: standard deviations that are kept free.
         nearest_only: whether the ramp and the collision term count the nearest obstacle only;
             static.
@@ -141,9 +141,9 @@ class MovingObstacleCost(Cost):
         """Return the least d_n, the distance of the nearest obstacle from the robot's centres [m].
 
         Args:
-            state: of the robot at that time.
+            state: state of the robot at that time.
             t: time from now [s].
-            obstacles: as they are now.
+            obstacles: the obstacles at the present time.
         """
         things, points = self._expected(state, t, obstacles, True), _points(state)
         return least(lambda obstacle: _gap(obstacle, points), things)[0]
@@ -194,8 +194,8 @@ def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Flo
     """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e.
 
     Args:
-        covariance: (N, 2, 2) of the centres [m^2].
-        extent: (N,) both radii together [m].
+        covariance: (N, 2, 2) covariances of the centres [m^2].
+        extent: (N,) sums of the robot's and the obstacle's radius [m].
     """
     wider = jnp.maximum(extent, SMALLEST) ** 2
     a, b = covariance[:, 0, 0] + wider, covariance[:, 0, 1]

@@ -41,7 +41,7 @@ def environment_of(
     """Return an environment.
 
     Args:
-        scenario: where and how, or several of one size; from the settings when absent.
+        scenario: scenario, or several of one size; built from the settings when absent.
         action: "control", an action is a control of the robot; or "waypoint", a place (x, y) in its
             frame, to which MPPI drives it: see `WaypointMode`.
         action_period: time between actions [s]; rounded to control periods. When absent, a sensing

@@ -153,8 +153,8 @@ def picture(
 
     Args:
         environment: the environment.
-        state: its state.
-        trail: (2,) positions of the robot so far [m].
+        state: state of the environment.
+        trail: (2,) arrays, the positions of the robot so far [m].
     """
     scenario = environment.scenario(state.choice)
     return scenario.picture(state.perceived, state.moment, np.stack(trail))

@@ -76,9 +76,9 @@ def draw(
     """Return the key and the scenario of an episode.
 
     Args:
-        generator: draws what is not given.
-        environment: of the episode.
-        seed: of `jax.random.key`, so that the run is that of `simulate` with this key.
+        generator: random generator for a seed or scenario that is not given.
+        environment: environment of the episode.
+        seed: argument of `jax.random.key`; the run equals that of `simulate` with this key.
         choice: number of the scenario.
 
     Raises:

@@ -101,7 +101,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         """Begin an episode in each environment; return what is observed and the facts.
 
         Args:
-            seed: of the first environment, the others' follow; or one for each.
+            seed: seed of the first environment, from which the others count up; or one for each.
             options: "scenario" picks one of several for all of them; "reset_mask" (N,) says which
                 environments begin anew, all unless it is given.
 

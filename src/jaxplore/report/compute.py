@@ -38,11 +38,11 @@ class Compute:
 
     Args:
         step_ms_p50: median of the steps timed one at a time [ms].
-        step_ms_p99: their 99th percentile [ms].
+        step_ms_p99: 99th percentile of these steps [ms].
         loop_step_ms: mean per step of the uninterrupted loop [ms].
-        steps_per_second: of that loop.
+        steps_per_second: steps per second of that loop.
         real_time_factor: control period over the mean step; above 1 is faster than real time.
-        compile_seconds: of the loop [s].
+        compile_seconds: time to compile the loop [s].
     """
 
     step_ms_p50: float | None
@@ -67,7 +67,7 @@ def compute_cost(timing: Timing, period: float) -> Compute:
     """Return what the steps of a run cost.
 
     Args:
-        timing: of the run.
+        timing: wall-clock times of the run.
         period: control period [s].
     """
     measured = timing.loop_steps > 0 and timing.loop_seconds > 0.0

@@ -9,8 +9,8 @@ def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str]
     """Yield a function that shows the share that is done, and a text; as a bar on a terminal.
 
     Args:
-        label: name of what is done.
-        enabled: without it the function shows nothing.
+        label: name of the activity.
+        enabled: whether anything is shown.
     """
     # Slow to import, and few need it.
     from rich.console import Console

@@ -20,7 +20,7 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
     left, missing parents neither.
 
     Args:
-        path: of the run folder.
+        path: path of the run folder.
         overwrite: a former run at `path` is accepted.
 
     Raises:
@@ -47,7 +47,7 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
     as before. A former run is replaced once the new one is complete.
 
     Args:
-        path: of the run folder; missing parents are made.
+        path: path of the run folder; missing parents are made.
         overwrite: replace a former run.
 
     Raises:
@@ -173,8 +173,8 @@ def in_one_line(what: str, target: Path) -> Iterator[None]:
     """Turn what the operating system says about a place into one line.
 
     Args:
-        what: is to be written.
-        target: where.
+        what: name of the object to write, for the message.
+        target: path of the file.
 
     Raises:
         ValueError: an error of the operating system in the body.

@@ -20,8 +20,8 @@ class Column(NamedTuple):
     """A column of a comparison: one statistic over the runs of a variant.
 
     Args:
-        name: its key in `metrics.json`.
-        header: its heading, with the unit.
+        name: key of the statistic in `metrics.json`.
+        header: heading of the column, with the unit.
         value: computes the statistic from the metrics of the runs.
         text: formats it.
         applies: whether the statistic says anything; a column that applies to no variant is left
@@ -58,7 +58,7 @@ class Column(NamedTuple):
                 late, so that no variant gains by failing where it is slow.
             applies: see `Column`.
             number: reads the number from the metrics of a run.
-            separator: between the median and the quartiles.
+            separator: text between the median and the quartiles.
         """
         read = number or (lambda each: getattr(each, name))
 
@@ -111,8 +111,8 @@ class Curve(NamedTuple):
     """A quantity over time that a comparison plots.
 
     Args:
-        name: its key in `Metrics.series`.
-        label: of the axis, with the unit.
+        name: key of the curve in `Metrics.series`.
+        label: label of the axis, with the unit.
         scale: factor of what is shown.
         limit: upper end of the axis; by the data when absent.
     """
@@ -131,7 +131,7 @@ class Metrics(abc.ABC):
         duration: simulated time [s].
         num_steps: number of control periods.
         is_finished: whether the task was finished.
-        finished_at: when it was [s]; None if it was not.
+        finished_at: time at which the task was finished [s]; None if it was not.
         is_interrupted: whether the user stopped the run.
         compute: wall-clock cost.
         seed: seed of the run, if known.
@@ -201,7 +201,7 @@ def sampled_series(
     """Thin series (N + 1,) to one point per `CURVE_PERIOD`, the end included.
 
     Args:
-        series: by name.
+        series: series by name.
         period: control period [s].
     """
     steps = len(next(iter(series.values()))) - 1

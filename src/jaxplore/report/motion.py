@@ -13,9 +13,9 @@ def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> 
         (u_{t+1} - 2 u_t + u_{t-1}) / period^2, in halves of the range between their bounds
 
     Args:
-        controls: (N, nu).
-        half_range: (nu,).
-        period: between commands [s].
+        controls: (N, nu) commands.
+        half_range: (nu,) half the range between the bounds of each control.
+        period: time between commands [s].
     """
     commands = np.asarray(controls, np.float64)
     if len(commands) < 3:

@@ -68,7 +68,7 @@ class RunData:
         """Return the fields that all `Metrics` share.
 
         Args:
-            finished_at: when the task was finished [s]; None if it was not.
+            finished_at: time at which the task was finished [s]; None if it was not.
             seed: seed of the run.
         """
         return {
@@ -126,7 +126,8 @@ class Recording(RunData, abc.ABC):
 
         Args:
             path: file to write.
-            max_frames: most frames, evenly chosen, the first and the last one among them.
+            max_frames: greatest number of frames, evenly chosen, the first and the last one among
+                them.
             on_progress: called with the share that is done, from 0 to 1.
 
         Raises:

@@ -71,10 +71,11 @@ def paired_ratio(
     medians infinite, or the reference zero) counts at both ends.
 
     Args:
-        values: by seed; None for a run that never got there, infinitely late.
-        reference: the same, of what it is compared with.
-        resamples: their number.
-        seed: of the resamples; the same seed gives the same interval.
+        values: values by seed; None counts as infinite, such as the time of a run that was never
+            finished.
+        reference: values of the reference variant, likewise.
+        resamples: number of resamples.
+        seed: seed of the resamples; the same seed gives the same interval.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
     """
@@ -119,9 +120,9 @@ def paired_difference(
 
     Args:
         before: finite values, one for each run; at least one.
-        after: of the same runs.
-        resamples: their number.
-        seed: of the resamples; the same seed gives the same interval.
+        after: the values of the same runs after the change.
+        resamples: number of resamples.
+        seed: seed of the resamples; the same seed gives the same interval.
 
     Raises:
         ValueError: no values, or not as many in both.

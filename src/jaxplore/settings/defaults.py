@@ -38,7 +38,7 @@ def default_of(owner: Owner, name: str) -> Any:
 
     Args:
         owner: a function or a class.
-        name: of the parameter.
+        name: name of the parameter.
 
     Raises:
         ValueError: the owner has no such parameter, or it has no default.
@@ -117,8 +117,8 @@ def setting(
 
     Args:
         owner: the function or class that the setting goes to.
-        name: of its parameter.
-        convert: from the unit of the parameter to that of the setting.
+        name: name of the owner's parameter.
+        convert: conversion from the unit of the parameter to the unit of the setting.
         differs: key of `DIFFERENCES`, if the default is not the owner's.
 
     Raises:

@@ -103,9 +103,9 @@ class RobotSettings(Section):
     several models take one. The limit of a quadrotor's speed is a cost.
 
     Args:
-        model: of the robot.
-        length: of a car, which has no radius [m].
-        width: of a car [m].
+        model: name of the robot's model.
+        length: length of a car, which has no radius [m].
+        width: width of a car [m].
     """
 
     model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
@@ -223,8 +223,8 @@ class PortfolioSettings(Section):
 
     Args:
         members: names of members of the decomposition; all of them when absent.
-        weights: by member and objective, in place of `members`.
-        fusion: how plans become one.
+        weights: weights by member and objective, in place of `members`.
+        fusion: rule that fuses the members' plans.
         is_safe: whether the fusion is within a `SafeFusion`.
     """
 
@@ -317,20 +317,20 @@ class Settings(RunSettings):
             quadrotors informative MPPI, `two-layer`, `parallel` or `sequential`, which is two-layer
             from zone to zone of a world; or a baseline, `random-walk`, or `goal`, which only goes
             to the goal.
-        goal: (x, y) or (x, y, z) to be at in the end [m]; worlds may have one of their own.
+        goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.
-        robot: its model.
-        lidar: its lidar.
-        camera: leads if there is one; none when absent.
+        robot: model of the robot.
+        lidar: the lidar of the robot.
+        camera: the camera, which becomes the primary sensor; no camera when absent.
         watch: the idleness map, for search and patrol; none when absent.
         terrain: the ground.
-        sensor_model: what a measurement does to a cell.
+        sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
-        controller: for the architecture `explorer` and the explorers by a rule.
-        portfolio: for the architecture `portfolio`.
-        informative: for the architectures of quadrotors.
-        rates: how often things happen.
+        controller: MPPI of the architecture `explorer` and of the rule-based explorers.
+        portfolio: settings of the architecture `portfolio`.
+        informative: settings of the quadrotor architectures.
+        rates: rates of control, sensing and fields.
     """
 
     map: str

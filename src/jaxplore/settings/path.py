@@ -46,9 +46,9 @@ class PathRobotSettings(RobotSettings):
     """The robot, by default a race car of F1TENTH's size.
 
     Args:
-        model: of the robot; a `bicycle` has a radius and steers at once.
-        length: of a car [m].
-        width: of a car [m].
+        model: name of the robot's model; a `bicycle` has a radius and no steering dynamics.
+        length: length of a car [m].
+        width: width of a car [m].
     """
 
     model: PathRobot = "ackermann"  # type: ignore[assignment]
@@ -71,9 +71,9 @@ class PathObstacleSettings(Section):
     `jaxplore.Traffic`, `jaxplore.PathScenario` and `jaxplore.planning.avoidance_cost`.
 
     Args:
-        number: of discs that move along the path.
-        seed: of where they are; the run's when absent.
-        discs: (x, y, radius) of discs that stand [m].
+        number: number of discs that move along the path.
+        seed: seed of the obstacles' positions; the run's when absent.
+        discs: (x, y, radius) of static discs [m].
         polygons: lists of corners of polygons that stand [m].
     """
 
@@ -96,8 +96,8 @@ class ContouringSettings(Section):
     """Contouring control: see `jaxplore.mpcc`.
 
     Args:
-        risk_level: of the conditional value at risk, by which obstacles are weighed over
-            `num_outcomes` of where they may go; the mean, with `caution`, when absent.
+        risk_level: level of the conditional value at risk of the obstacle cost over `num_outcomes`
+            of where they may go; the mean, with `caution`, when absent.
     """
 
     horizon: Count = setting(mpcc, "horizon")
@@ -125,8 +125,8 @@ class PathSettings(RunSettings):
         half_width: room on either side of a path that says nothing about it [m].
         time_limit: simulated time [s].
         track: the generated track, for the path `track`.
-        robot: its model.
-        obstacles: what is in the way.
+        robot: model of the robot.
+        obstacles: obstacles on the path.
         controller: contouring control.
     """
 

@@ -33,7 +33,7 @@ class RunSettings(Section):
     Args:
         start: pose (x, y, yaw) [m, m, rad]; some places have one of their own.
         time_limit: simulated time after which the run ends [s].
-        seed: of everything random in the run.
+        seed: seed of all random numbers of the run.
         parameters: numbers of the controller by path, in place of what the settings come to: see
             `jaxplore.get_parameters`. A list has a number for each element.
     """

@@ -64,7 +64,7 @@ def record_runs(
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         keys: (B,) random keys, one for each run.
 
     Raises:
@@ -89,8 +89,8 @@ def record_experiments(
     See `record_runs`. What all runs share, maps and noise of the same key, is computed once.
 
     Args:
-        experiments: at least one; their own numbers of steps are ignored.
-        num_steps: most control periods.
+        experiments: at least one experiment; their own numbers of steps are ignored.
+        num_steps: greatest number of control periods.
         with_frames: whether to keep frames of the runs.
         differs: arrays to treat as different although they may be equal here, as returned by a
             former call: then the same compiled program serves.

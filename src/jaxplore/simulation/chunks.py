@@ -38,11 +38,11 @@ def loop[S, R](
     moment it is finished.
 
     Args:
-        step: from a state to the next one, and its record.
+        step: function from a state to the next state and the step's record.
         is_unfinished: whether a state is to be stepped on from.
-        state: to go on from.
+        state: state to continue from.
         blank: records to be filled, with a leading axis for at least as many steps.
-        num_steps: at most.
+        num_steps: greatest number of steps.
 
     Returns:
         The state, the records and how many of them are filled.
@@ -67,10 +67,10 @@ class ChunkedRun[S, R, F]:
 
     Args:
         state: the last one.
-        records: of all steps, in NumPy.
+        records: records of all steps, in NumPy.
         frames: snapshots, evenly spaced, the last one at its end.
         timing: wall-clock times.
-        num_steps: done.
+        num_steps: number of steps done.
         is_interrupted: Ctrl-C ended it.
     """
 
@@ -115,11 +115,11 @@ def run_in_chunks[S, R, F](
         run: runs up to so many steps from a state: the compiled loop.
         is_unfinished: whether a state is to be stepped on from.
         frame: makes a frame of a state after so many steps.
-        state: to begin with.
-        began: when preparations began, of `time.perf_counter`.
+        state: state to begin with.
+        began: `time.perf_counter()` at the beginning of the preparations [s].
         limit: steps at most.
         chunk: steps in a chunk.
-        on_chunk: told the state, the steps done and the seconds since the first.
+        on_chunk: called with the state, the steps done and the seconds since the first step.
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:

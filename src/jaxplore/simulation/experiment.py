@@ -13,7 +13,7 @@ class Experiment(NamedTuple):
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key.
     """
 

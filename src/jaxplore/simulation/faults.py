@@ -23,7 +23,7 @@ class Faults(eqx.Module):
         frozen_odometry: the controller is told the state at which the fault began.
         control_delay: control periods between a command and its effect, 0 for none; static.
         walls: (H, W) cells that become solid.
-        walls_from: when they do [s].
+        walls_from: time at which they do [s].
 
     Raises:
         ValueError: a time that is negative or not finite, an end before its beginning, a delay that
@@ -79,8 +79,8 @@ class Faults(eqx.Module):
         """Return the state (nx,) that the controller is told.
 
         Args:
-            state: of the robot.
-            last: what the controller was told before.
+            state: state of the robot.
+            last: the state that the controller observed before.
             time: since the start [s].
             period: since it was told that [s].
         """

@@ -23,7 +23,7 @@ class LoopState(NamedTuple):
         task: state of the task, see `Scenario`.
         controller: state of the controller.
         step: number of steps done.
-        observed: (nx,) state that the controller was told last.
+        observed: (nx,) state that the controller observed last.
         pending: (D, nu) commands that have not taken effect yet, oldest first.
     """
 
@@ -111,8 +111,8 @@ def control_step(
         controller: computes the control.
         scenario: the task.
         state: state of the loop, with the task's state as `perceive` returned it.
-        moment: as it was for `perceive`.
-        belief: what `perceive` returned.
+        moment: the moment that was passed to `perceive`.
+        belief: the belief that `perceive` returned.
         key: key of the whole run.
     """
     _, control_key = step_keys(key, state.step)
@@ -145,7 +145,7 @@ def run_chunk(
         scenario: the task.
         state: state to continue from.
         key: key of the whole run.
-        num_steps: at most `capacity`.
+        num_steps: greatest number of steps, at most `capacity`.
         capacity: length of the buffer of records; static.
 
     Returns:
@@ -167,7 +167,7 @@ def frame_arrays(
     """Return the arrays of a frame, see `Scenario.frame`.
 
     Args:
-        controller: whose plan is shown.
+        controller: controller whose plan is shown.
         scenario: the task.
         state: state of the loop.
         key: key of the whole run.

@@ -31,7 +31,7 @@ class RunProgress(NamedTuple):
         time: simulated time [s].
         time_limit: simulated time at which it ends [s].
         share: share of the task that is done, from 0 to 1.
-        text: what is done of the task, in words.
+        text: progress of the task in words.
         seconds: wall-clock time since the loop was compiled [s].
     """
 
@@ -106,7 +106,7 @@ def simulate(
     Args:
         controller: computes the controls; it is told the scenario's control period.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key; the same key gives the same run.
         progress: show how far the run is, its speed and the time left.
         num_trajectories: rollouts in each frame, for the animation; with 0 the frames show no plan,
@@ -153,7 +153,7 @@ def record_run(
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key; the same key gives the same run.
         on_progress: called after each chunk.
         num_trajectories: rollouts in each frame.

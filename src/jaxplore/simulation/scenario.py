@@ -30,7 +30,7 @@ class Moment(NamedTuple):
     Args:
         step: number of steps done before.
         time: time since the start [s].
-        observed: (nx,) state that the controller is told.
+        observed: (nx,) state that the controller observes.
         is_blind: whether no measurement arrives.
         is_faulty: whether measurements or odometry fail, by the scenario's faults.
     """
@@ -91,8 +91,8 @@ class Scenario(eqx.Module):
 
         Args:
             state: the task's state.
-            moment: when, and what the robot knows about itself.
-            key: of this step's measurements.
+            moment: time of the step, and the observed state.
+            key: random key of this step's measurements.
         """
 
     @abc.abstractmethod
@@ -104,8 +104,8 @@ class Scenario(eqx.Module):
         Args:
             state: the task's state, as `perceive` returned it.
             control: (nu,) control that takes effect.
-            moment: as for `perceive`.
-            info: what the controller reported.
+            moment: the moment that was passed to `perceive`.
+            info: diagnostics of the controller's step.
         """
 
     @abc.abstractmethod
@@ -119,7 +119,7 @@ class Scenario(eqx.Module):
         """Make the recording of a run.
 
         Args:
-            controller: that controlled it; None if nobody did.
+            controller: controller of the run; None if an agent chose the actions.
             before: the task's state before the first step.
             run: records, frames and times of the loop; `run.state.task` is the last state. Its
                 `common(period)` are the arguments that every recording takes.
@@ -132,9 +132,9 @@ class Scenario(eqx.Module):
 
         Args:
             state: the task's state before `perceive`.
-            moment: when.
+            moment: time of the frame, and the observed state.
             inspect: looks into the controller's step; None if no plan is to be shown.
-            key: of this step's measurements.
+            key: random key of this step's measurements.
         """
         return {}
 
@@ -189,8 +189,8 @@ class Scenario(eqx.Module):
 
         Args:
             state: the task's state, as `perceive` returned it.
-            moment: as for `perceive`.
-            belief: what `perceive` returned.
+            moment: the moment that was passed to `perceive`.
+            belief: the belief that `perceive` returned.
             view_cells: side of the square of a map around the robot to observe [cells]; all of the
                 map when absent.
         """
@@ -231,7 +231,7 @@ class Scenario(eqx.Module):
 
         Args:
             state: the task's state, as `perceive` returned it.
-            moment: as for `perceive`.
+            moment: the moment that was passed to `perceive`.
             trail: (N, 2) positions of the robot so far [m].
 
         Raises:

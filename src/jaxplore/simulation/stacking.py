@@ -22,8 +22,8 @@ class Stacked(eqx.Module):
 
     Args:
         arrays: leaves, with a leading axis where `differs`.
-        differs: which do; static.
-        rest: what is no array; static.
+        differs: whether each leaf differs; static.
+        rest: leaves that are not arrays; static.
     """
 
     arrays: tuple[Array, ...]
@@ -38,10 +38,10 @@ class Stacked(eqx.Module):
         """Return pytrees as one.
 
         Args:
-            trees: at least one.
+            trees: pytrees of one structure, at least one.
             differs: leaves to stack although they may be equal here, so that one compiled program
                 serves several calls.
-            name: name of the argument, for the error.
+            name: name of the argument, for the error message.
 
         Raises:
             ValueError: pytrees that differ in more than the values of their arrays.

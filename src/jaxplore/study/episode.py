@@ -16,7 +16,7 @@ class InputFile:
 
     Args:
         setting: "map" or "path".
-        path: of the file on the user's machine.
+        path: path of the file on the user's machine.
         content: hash of its content, with that of a map's image.
     """
 
@@ -40,9 +40,9 @@ class EpisodeTask(Task, abc.ABC):
     """Episodes of the same scenario that run together: one, or several side by side.
 
     Args:
-        name: of the task.
+        name: name of the task.
         variant: name of the variant: an architecture or any other settings.
-        scenario: name of where.
+        scenario: name of the scenario.
         file: map or path of the scenario; None if there is none.
         copy: path of the file on this machine, if it is a copy.
     """

@@ -59,8 +59,9 @@ class SideBySide:
         """Run experiments that differ in keys and in numbers only.
 
         Args:
-            kind: name of what they share, such as the scenario.
-            experiments: at least one and at most `size`.
+            kind: name of the group of experiments that share a compiled program, such as the
+                scenario.
+            experiments: from one to `size` experiments.
             time_limit: simulated at most [s].
             with_frames: whether to keep frames of the runs.
 

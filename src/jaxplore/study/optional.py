@@ -8,8 +8,8 @@ def import_optional(name: str, extra: str) -> Any:
     """Import an optional package or one of its modules.
 
     Args:
-        name: of the module.
-        extra: of jaxplore's optional dependencies that installs it.
+        name: name of the module.
+        extra: name of jaxplore's extra that installs it.
 
     Raises:
         ValueError: the package is not installed; says how to install it.

@@ -21,7 +21,7 @@ class Runner:
     Args:
         workers: 1 to run tasks in this process, one after the other; N for N processes, or N
             workers of a cluster; None for as many as there are processors.
-        address: of a Ray cluster to join: HOST:PORT of its head, or auto.
+        address: address of the Ray cluster to join: HOST:PORT of its head, or auto.
         on_ray: use Ray; without an address a local cluster is started.
 
     Raises:
@@ -47,8 +47,9 @@ class Runner:
         """Run tasks, and return when there is a result of each. An exception ends all workers.
 
         Args:
-            tasks: any number.
-            on_result: called in this process with each task and its result, as soon as it is there.
+            tasks: tasks to run, any number.
+            on_result: called in this process with each task and its result, as soon as it is
+                available.
 
         Raises:
             ValueError: the runner is closed; Ray is not installed; a cluster cannot be reached.

@@ -32,17 +32,18 @@ def explorer(
     Being 5 cm too close to an obstacle costs 100 per step.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; half the range between their bounds when absent.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
+            when absent.
         dt: model step [s].
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
-        obstacle_weight: of `ObstacleCost`.
-        information_weight: of `InformationCost`.
-        guidance_weight: of `GuidanceCost`.
-        control_weight: of `ControlCost`.
+        obstacle_weight: weight of `ObstacleCost`.
+        information_weight: weight of `InformationCost`.
+        guidance_weight: weight of `GuidanceCost`.
+        control_weight: weight of `ControlCost`.
 
     Raises:
         ValueError: a value that a part does not accept.

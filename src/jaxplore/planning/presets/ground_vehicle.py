@@ -87,7 +87,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     Without a goal, the exploiter uses what is known about where information remains.
 
     Args:
-        mission: what the vehicle is out for.
+        mission: task of the vehicle.
         clearance: distance kept from obstacles [m].
     """
     chosen: dict[str, Cost] = {
@@ -135,14 +135,15 @@ def ground_portfolio(
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model. `Euler()` is integrator enough for the steps of a plan: it is millimetres
-            off and saves a fifth of the time.
-        mission: what it is out for; exploring level ground among what stands still when absent.
-        members: some of the decomposition's by name, or weights of one's own by member and
+        robot: model of the robot. The integrator `Euler()` is accurate enough for planning: its
+            error is millimetres off and saves a fifth of the time.
+        mission: task of the vehicle; exploration of level ground without moving obstacles when
+            absent.
+        members: names of some members of the decomposition, or custom weights by member and
             objective; all of the decomposition when absent.
         decomposition: how members divide the work.
-        fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
-            by name has the mission's goal.
+        fusion: rule that fuses the members' plans, or its name; `SafeFusion()` when absent. A
+            `Contextual` given by name has the mission's goal.
         common: weights of the common objective; those of the exploiter when absent. Its cost to go,
             to the goal or to remaining information, includes what lies beyond the horizon, which
             the information along a plan does not. If no member has these objectives, the mean of
@@ -150,10 +151,11 @@ def ground_portfolio(
         effort: weight of "effort" in every member that does not give one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
-        temperature: of the softmax.
+        temperature: temperature of the softmax.
         noise_share: standard deviation of the controls, as a share of half their range.
         dt: model step [s].
-        parameterisation: of the controls, or its name: direct, smooth or knots, splines through 8.
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
         clearance: distance kept from obstacles [m].
         margin: room beyond the robot that is part of it [m].
 

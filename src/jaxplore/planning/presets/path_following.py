@@ -34,7 +34,7 @@ class PathFollowing(NamedTuple):
         controller: MPPI over the robot's controls and its progress along the path.
         model: the robot and its progress along the path.
         contouring: the contouring cost of the controller, which also measures recorded states.
-        lag: its lag cost, likewise.
+        lag: the lag cost of the controller, which also measures recorded states.
     """
 
     controller: MPPI
@@ -65,18 +65,19 @@ def augmented_mppi(
 
     Args:
         physical: the robot.
-        virtual: what is planned beside it.
-        cost: what to minimise, over states of `Augmented(physical, virtual)`.
-        physical_proposal: of the robot's controls.
-        virtual_proposal: of the virtual ones; its random stream is its own.
+        virtual: model of the virtual states, which are planned together with the robot's.
+        cost: cost of states of `Augmented(physical, virtual)`.
+        physical_proposal: proposal distribution of the robot's controls.
+        virtual_proposal: proposal distribution of the virtual controls, with its own random stream.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax [units of cost].
+        temperature: temperature of the softmax [units of cost].
         dt: model step [s].
-        parameterisation: of the controls; the controls themselves when absent.
-        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
-        num_outcomes: of each control sequence, if there is a disturbance.
-        risk: how the outcomes' costs become one; their mean when absent.
+        parameterisation: parameterisation of the controls; direct when absent.
+        disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
+            absent.
+        num_outcomes: sampled outcomes of each control sequence, if there is a disturbance.
+        risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
         ValueError: parts that do not fit, and what `MPPI` refuses.
@@ -108,9 +109,9 @@ def avoidance_cost(
         weight * MovingObstacleCost(clearance, collision=1, margin, caution) of the nearest obstacle
 
     Args:
-        weight: of a step that is 5 cm too close.
+        weight: cost of a step that is 5 cm too close.
         clearance: distance from the robot's centre below which it costs [m].
-        margin: kept beyond the robot's radius [m].
+        margin: distance kept beyond the robot's radius [m].
         caution: standard deviations of an obstacle's position that are kept free.
 
     Raises:
@@ -164,10 +165,10 @@ def mpcc(
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model.
-        path: to follow.
+        robot: model of the robot.
+        path: path to follow.
         noise_share: standard deviation of the robot's controls, as a share of half their range.
-        noise_std: (nu,) the same in units of the controls, instead of the share.
+        noise_std: (nu,) standard deviations in units of the controls, instead of `noise_share`.
         progress_noise: standard deviation of the progress [m/s].
         max_speed: bound of the progress along the path [m/s]; the robot's `max_speed` when absent.
         contouring_weight: w_c [1/m^2].
@@ -179,15 +180,16 @@ def mpcc(
         max_longitudinal: free acceleration along the heading [m/s^2].
         other: further costs, such as `avoidance_cost()`.
         corridor: whether to keep within the path's half widths; if it has them, when absent.
-        corridor_margin: kept from their edges [m].
+        corridor_margin: distance kept from the corridor's edges [m].
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax [units of cost].
+        temperature: temperature of the softmax [units of cost].
         dt: model step [s].
-        parameterisation: of the controls; splines through 5 knots when absent.
-        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
+        parameterisation: parameterisation of the controls; splines through 5 knots when absent.
+        disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
+            absent.
         num_outcomes: outcomes of each control sequence, if there is a disturbance.
-        risk: how the outcomes' costs become one; their mean when absent.
+        risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the

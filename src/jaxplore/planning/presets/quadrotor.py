@@ -66,22 +66,23 @@ class Flight(NamedTuple):
     Args:
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; when absent 5 % of the range of the first and 3 % of the
-            range of the others (2 N and 0.6 rad/s for the default quadrotor). With P `Knots`, each
-            of which lasts for T / P steps, `std sqrt(P / T)`, which spreads the sum of the controls
-            as much. With `Smooth`, whose rates add up from command to command,
-            `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; when absent 5 % of the range of the
+            first and 3 % of the range of the others (2 N and 0.6 rad/s for the default quadrotor).
+            With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`, which spreads
+            the sum of the controls as much. With `Smooth`, whose rates add up from command to
+            command, `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
         dt: model step [s].
-        control_period: between commands [s].
-        parameterisation: of the controls, or its name: direct, smooth or knots, splines through 8.
+        control_period: time between commands [s].
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
         altitude: z to keep, for robots that have one [m].
-        max_speed: that costs nothing [m/s].
-        clearance: kept from obstacles [m].
-        obstacle_weight: of `ObstacleCost`.
-        height_weight: of the squared error of z.
-        speed_weight: of `SpeedLimitCost`.
-        control_weight: of the squared controls, from those of a robot left alone.
+        max_speed: greatest speed without a cost [m/s].
+        clearance: distance kept from obstacles [m].
+        obstacle_weight: weight of `ObstacleCost`.
+        height_weight: weight of the squared error of z.
+        speed_weight: weight of `SpeedLimitCost`.
+        control_weight: weight of the squared difference of the controls from the default control.
     """
 
     horizon: int = 40
@@ -151,16 +152,16 @@ class FieldNumbers(NamedTuple):
     """Parameters of the information fields of informative MPPI.
 
     Args:
-        field_of_view: of both sensors [rad].
+        field_of_view: field of view of both sensors [rad].
         field_beams: beams of the far look that the field around the robot evaluates.
-        field_range: their reach [m].
+        field_range: range of these beams [m].
         field_noise: standard deviation of their range [m]; banded at 3 of them.
-        field_spacing: between nodes [m].
+        field_spacing: distance between nodes [m].
         field_extent: half the side of the field [m].
         field_headings: headings evaluated.
-        field_period: between strategies [s].
+        field_period: time between updates of the strategic layer [s].
         local_beams: beams of the short look (Uniform-FSMI).
-        local_range: their reach [m].
+        local_range: range of these beams [m].
         local_extent: half the side of the window in which they are known [m]: as far as a rollout
             gets. Beyond it they are worth nothing.
     """
@@ -234,29 +235,29 @@ def informative_mppi(
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         architecture: "two-layer" or "parallel".
         resolution: side of a map cell [m].
-        sensor_model: what a measurement does to the robot's map; `line_of_sight` when absent.
-        goal: (x, y) or (x, y, z) to go to in the end [m]; none when absent.
+        sensor_model: inverse sensor model; `line_of_sight` when absent.
+        goal: goal position (x, y) or (x, y, z) [m]; none when absent.
         flight: numbers of MPPI and of keeping safe.
         fields: numbers of the information fields.
         bias_fraction: share of the samples around the reference's controls.
         likelihood_ratio: whether these are weighed by their likelihood ratio. Without, the plan
             leans on the reference, as Biased-MPPI does.
-        reference: where the two-layer architecture sends the robot; when absent to the target of
+        reference: reference of the two-layer architecture; when absent it leads to the target of
             `target_choice`.
-        target_choice: which target the reference leads to, see `zone_choice`: the sequential
-            architecture. When absent the reference climbs the field.
-        reference_speed: along it [m/s].
-        reference_steps: of `flight.dt`.
+        target_choice: rule that chooses the target of the reference, see `zone_choice`: the
+            sequential architecture. When absent the reference climbs the field.
+        reference_speed: speed along the reference [m/s].
+        reference_steps: length of the reference in steps of `flight.dt`.
         by_heading: read the field at the robot's heading instead of its best one.
         goal_when_explored: whether the goal attracts only when nothing worthwhile is left to see.
-        reference_weight: of the squared distance from the reference [1/m^2].
-        local_weight: of the information of a short look [1/nat].
-        field_weight: of the information field [1/nat].
-        guidance_weight: of the guidance [1/m].
-        goal_weight: of the distance from the goal [1/m].
+        reference_weight: weight of the squared distance from the reference [1/m^2].
+        local_weight: weight of the information of a short-range scan [1/nat].
+        field_weight: weight of the information field [1/nat].
+        guidance_weight: weight of the guidance cost [1/m].
+        goal_weight: weight of the distance from the goal [1/m].
 
     Raises:
         ValueError: an unknown architecture, a value that a part does not accept.
@@ -317,15 +318,16 @@ def zone_choice(
     """Return what chooses the next zone for the sequential architecture.
 
     Args:
-        zones: to learn about.
-        goal: (x, y) to go to in the end [m].
-        perception: of the scenario, whose clearance the ways keep.
-        lidar: whose scans on the way count, by the methods other than "remaining".
+        zones: zones to explore.
+        goal: goal position (x, y) after the last zone [m].
+        perception: perception of the scenario, whose clearance the routes keep.
+        lidar: sensor whose scans along the route are predicted by the methods other than
+            "remaining".
         method: "remaining", by what remains of a zone, see `RemainingInformation`; or a method of
             `TrajectoryInformation`, by what the scans on the way there tell.
-        distance_weight: of the length of the way; the default of the method when absent.
-        depleted: what remains of a zone that is done with. It is more than what remains for ever,
-            such as the inside of walls, which no scan reaches.
+        distance_weight: weight of the length of the route; the default of the method when absent.
+        depleted: share of its information below which a zone counts as explored. It exceeds what
+            can never be seen, such as the inside of walls, which no scan reaches.
 
     Raises:
         ValueError: an unknown method, and what the parts refuse.
@@ -345,8 +347,8 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
     """Build MPPI that drives to a goal and ignores information, as a baseline.
 
     Args:
-        robot: its model.
-        goal: (x, y) or (x, y, z) [m].
+        robot: model of the robot.
+        goal: goal position (x, y) or (x, y, z) [m].
         flight: numbers of MPPI and of keeping safe.
     """
     flight = Flight() if flight is None else flight
@@ -358,7 +360,7 @@ def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
     """Build a random walk with the speed and the safety of an explorer, as a baseline.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         flight: numbers of MPPI and of keeping safe.
     """
     flight = Flight() if flight is None else flight

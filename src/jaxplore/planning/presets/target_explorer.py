@@ -25,10 +25,10 @@ def target_explorer(
     a look is what it says.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         rule: chooses the next target; or its name in `RULES`.
-        perception: of the scenario.
-        grid: any map of the scenario's cells.
+        perception: perception of the scenario.
+        grid: a map with the shape and resolution of the scenario's.
         every: commands between choices: 10 for commands at 50 Hz and fields at 5 Hz.
         driving: numbers of `explorer`, which drives. A robot that sees all around drives with an
             `information_weight` of 0: what is worth seeing is the rule's alone. One that does not

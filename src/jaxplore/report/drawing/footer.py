@@ -32,7 +32,7 @@ def draw_legend(image: Image.Image, entries: Sequence[tuple[str, Colour]]) -> in
     ends [pixels].
 
     Args:
-        image: of the whole frame.
+        image: picture of the whole frame.
         entries: nine at most.
     """
     # Two lines of three; more entries move together.
@@ -61,11 +61,11 @@ def draw_curve(
     """Draw a curve until now into the lower right corner.
 
     Args:
-        image: of the whole frame.
-        time: (N,) of the whole run [s].
-        shares: (N,) of the curve's height, 0 to 1.
+        image: picture of the whole frame.
+        time: (N,) times of the whole run [s].
+        shares: (N,) heights of the curve, from 0 to 1.
         step: index of now.
-        left: where the strip is free from [pixels].
+        left: column from which the strip is free [pixels].
         level: a share that a line marks.
     """
     width = min(CURVE, image.width - 12 - left)

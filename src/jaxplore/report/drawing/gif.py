@@ -22,8 +22,8 @@ def write_gif[F](
     """Write a picture of each frame; it plays for ever and rests on the last one.
 
     Args:
-        path: of the file.
-        frames: at least one.
+        path: path of the file.
+        frames: frames to draw, at least one.
         draw: a frame; every picture has the same size.
         colours: finds a palette from some of the pictures.
         on_progress: called with the share that is done, 0 to 1.
@@ -40,8 +40,8 @@ def save_gif(file: str | PathLike[str] | io.BytesIO, pictures: Sequence[Image.Im
     """Write pictures of one palette; it plays for ever and rests on the last one.
 
     Args:
-        file: its path, or what is written to.
-        pictures: at least one.
+        file: path of the file, or a binary stream.
+        pictures: pictures of one palette, at least one.
     """
     first, *others = pictures
     first.save(

@@ -20,17 +20,17 @@ PLAN, ROBOT = (214, 40, 85), (214, 40, 85)
 REFERENCE = (64, 145, 62)
 
 
-def fitted_palette(given: Sequence[Colour], looks: Sequence[Image.Image]) -> Image.Image:
+def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
     """Return so many given colours, and those that some frames need besides.
 
     Args:
-        given: that are kept as they are, opaque.
-        looks: some of the frames, all of one size.
+        given: opaque colours that are kept unchanged.
+        pictures: some of the frames, all of one size.
     """
-    width, height = looks[0].size
-    sheet = Image.new("RGB", (width, height * len(looks)))
-    for index, look in enumerate(looks):
-        sheet.paste(look, (0, index * height))
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (width, height * len(pictures)))
+    for index, picture in enumerate(pictures):
+        sheet.paste(picture, (0, index * height))
     # One entry stays free: it stands for "as before".
     found = sheet.quantize(NUM_COLOURS - 1 - len(given), dither=Image.Dither.NONE).getpalette()
     palette = Image.new("P", (1, 1))

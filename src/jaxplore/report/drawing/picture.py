@@ -27,9 +27,9 @@ def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.
     """Return the world points (..., 2) [m] of a robot's corners, given in its own frame.
 
     Args:
-        corners: (..., 2) [m].
-        position: (2,) of the robot [m].
-        heading: [rad].
+        corners: (..., 2) corners in the robot's frame [m].
+        position: (2,) position of the robot [m].
+        heading: heading of the robot [rad].
     """
     cos, sin = np.cos(heading), np.sin(heading)
     turn = np.array([[cos, sin], [-sin, cos]])

@@ -15,7 +15,7 @@ def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
     What is not finite counts as nothing; where all of a window is not, the mean is not a number.
 
     Args:
-        rows: (N, ...).
+        rows: (N, ...) values.
         width: whole number >= 1; an even one reaches one row further back.
     """
     values = np.asarray(rows, np.float64)

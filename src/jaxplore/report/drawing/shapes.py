@@ -36,11 +36,11 @@ def draw_line(
     """Draw a line through world points (N, 2) [m], less those that are not finite.
 
     Args:
-        surface: where they are.
-        draw: draws there.
-        points: (N, 2) [m].
-        colour: of the line.
-        thickness: [pixels that are shown].
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
+        points: (N, 2) world points [m].
+        colour: colour of the line.
+        thickness: width of the line [pixels of the final picture].
     """
     whole = points[np.isfinite(points).all(axis=-1)]
     if len(whole) > 1:
@@ -53,10 +53,10 @@ def draw_rollouts(
     """Draw rollouts, the heavy ones boldly and last.
 
     Args:
-        surface: where they are.
-        draw: draws there.
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
         samples: (S, T, 2) positions [m].
-        weights: (S,); one that is not a number is 0.
+        weights: (S,) weights; NaN counts as 0.
     """
     known = np.nan_to_num(weights)
     bold = STRONG_SHARE * known.max(initial=0.0)
@@ -79,12 +79,12 @@ def draw_body(
     One that is small in the picture is drawn larger, in its own shape.
 
     Args:
-        surface: where it is.
-        draw: draws there.
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
         footprint: (4, 2) corners of a rectangle in its own frame [m]; (0, 2) of a disc.
-        radius: of the disc [m].
-        position: (2,) [m].
-        heading: [rad]; without one that is finite it is a disc without an arrow.
+        radius: radius of the disc [m].
+        position: (2,) position of the robot [m].
+        heading: heading of the robot [rad]; if it is not finite, a disc without an arrow is drawn.
     """
     middle, edge = surface.pixels(position), round(1.2 * SUPERSAMPLING)
     reach = max(radius * surface.scale, LEAST_RADIUS) * SUPERSAMPLING

@@ -59,10 +59,10 @@ def write_animation(
     """Write a run as an animated GIF that plays in browsers and in a README.
 
     Args:
-        recording: of the run.
-        path: of the file.
-        max_frames: at most; evenly chosen, the first and the last one among them.
-        width: of the picture [pixels]; tall or small maps get less.
+        recording: recording of the run.
+        path: path of the file.
+        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
+        width: width of the picture [pixels]; less for tall or small maps.
         on_progress: called with the share that is done, 0 to 1.
 
     Raises:
@@ -86,9 +86,9 @@ def frame_image(
     """Return one look at a run, as it is drawn in the animation.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         frame: one of its frames.
-        width: of the picture [pixels]; tall or small maps get less.
+        width: width of the picture [pixels]; less for tall or small maps.
 
     Raises:
         ValueError: a width below 320 pixels.
@@ -184,15 +184,15 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
 
 
-def _shared_palette(recording: ExplorationData, looks: Sequence[Image.Image]) -> Image.Image:
+def _shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
     """Return the colours that all frames share.
 
     Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
     pure and as they fade into the ground; the rest is found from a few frames side by side.
 
     Args:
-        recording: of the run; what is not in it needs no colour.
-        looks: some of the frames, all of one size.
+        recording: recording of the run; elements that it does not have get no colour.
+        pictures: some of the frames, all of one size.
     """
     lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
@@ -204,4 +204,4 @@ def _shared_palette(recording: ExplorationData, looks: Sequence[Image.Image]) ->
         given.append(TARGET)
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
-    return fitted_palette(given, looks)
+    return fitted_palette(given, pictures)

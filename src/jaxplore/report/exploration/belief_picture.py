@@ -19,7 +19,7 @@ class Sheet:
 
     Args:
         origin: pose of the grid [m, m, rad].
-        height: of the grid [m].
+        height: height of the grid [m].
         scale: pixels that are shown per metre.
     """
 
@@ -49,15 +49,15 @@ def belief_picture(
     """Return a picture (rows, columns, 3) in 256 levels.
 
     Args:
-        probability: (H, W) of the belief.
+        probability: (H, W) occupancy probability of the belief.
         origin: pose of the grid [m, m, rad].
         resolution: side of a cell [m].
-        path: (N, 2) where the robot was, the last row where it is [m].
-        heading: of the robot [rad].
-        radius: of the robot [m].
+        path: (N, 2) past positions of the robot, the last row its present one [m].
+        heading: heading of the robot [rad].
+        radius: radius of the robot [m].
         footprint: (4, 2) corners of a rectangle in the robot's frame [m]; (0, 2) of a disc.
-        scan: (B, 2) where beams ended [m].
-        width: of the picture [pixels]; a multiple of a cell's is taken.
+        scan: (B, 2) end points of the beams [m].
+        width: width of the picture [pixels], rounded to a multiple of the width of a cell.
     """
     rows, columns = probability.shape
     side = max(1, round(width / columns))

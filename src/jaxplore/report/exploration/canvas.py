@@ -55,8 +55,8 @@ def make_canvas(recording: ExplorationData, width: int) -> Canvas:
     """Return what all frames of a recording share.
 
     Args:
-        recording: of the run.
-        width: of the picture [pixels]; tall or small maps get less.
+        recording: recording of the run.
+        width: width of the picture [pixels]; less for tall or small maps.
 
     Raises:
         ValueError: a width below 320 pixels.

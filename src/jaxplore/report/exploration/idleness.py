@@ -26,7 +26,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     A map that is turned is drawn along its own axes.
 
     Args:
-        recording: of a robot that keeps watch.
+        recording: recording of a robot with an idleness map.
 
     Raises:
         ValueError: a recording without idleness.

@@ -24,7 +24,7 @@ def members_figure(recording: ExplorationData) -> "Figure":
     was applied; the diversity is the mean distance between two members' controls.
 
     Args:
-        recording: of a controller with several members.
+        recording: recording of a controller with several members.
 
     Raises:
         ValueError: a recording of a controller without members.

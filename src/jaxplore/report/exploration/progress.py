@@ -35,8 +35,8 @@ def at_instants(values: ArrayLike, initial: float) -> np.ndarray:
     """Return (N + 1,) what was recorded of N steps, the last one kept to the end of the run.
 
     Args:
-        values: (N,) measured at the beginning of each step.
-        initial: of a run without a step.
+        values: (N,) values measured at the beginning of each step.
+        initial: value of a run without a step.
     """
     rows = np.asarray(values)
     return np.append(rows, rows[-1:] if len(rows) else [initial])
@@ -49,8 +49,8 @@ def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
     Four queues keep the window's extremes, so the whole pass is O(N).
 
     Args:
-        positions: (N + 1, 2) of the robot [m].
-        coverage: (N + 1,) at the same instants.
+        positions: (N + 1, 2) positions of the robot [m].
+        coverage: (N + 1,) coverage at the same instants.
     """
     best = np.maximum.accumulate(coverage).tolist()
     axes = [signed.tolist() for axis in positions.T for signed in (axis, -axis)]

@@ -17,7 +17,7 @@ class Window:
 
     Args:
         first: row and column of its first cell.
-        shape: its rows and columns.
+        shape: number of rows and columns.
         origin: pose of the grid [m, m, rad].
         resolution: side of a cell [m].
     """

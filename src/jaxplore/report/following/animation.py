@@ -44,7 +44,7 @@ class View:
     """What a frame shows of the ground.
 
     Args:
-        corner: (2,) lower left one [m].
+        corner: (2,) lower left corner [m].
         scale: pixels that are shown per metre.
         size: columns and rows that are shown.
     """
@@ -114,9 +114,9 @@ def write_path_animation(
     All of the course is in view; where the robot were too small then, the view follows it.
 
     Args:
-        recording: of the run.
-        path: of the file.
-        max_frames: at most; evenly chosen, the first and the last one among them.
+        recording: recording of the run.
+        path: path of the file.
+        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
         side: the longer one of the course [pixels].
         on_progress: called with the share that is done, 0 to 1.
 
@@ -139,7 +139,7 @@ def path_frame_image(recording: PathData, frame: PathFrame, *, side: int = 720) 
     """Return one look at a run along a path, as it is drawn in the animation.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         frame: one of its frames.
         side: the longer one of the course [pixels].
 
@@ -311,8 +311,8 @@ def _legend(canvas: PathCanvas) -> list[tuple[str, Colour]]:
     return entries
 
 
-def _palette(looks: Sequence[Image.Image]) -> Image.Image:
+def _palette(pictures: Sequence[Image.Image]) -> Image.Image:
     lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, INK, PALE, MISSED)
     given: list[Colour] = [PAPER, FREE, BEYOND, MOVER_EDGE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
-    return fitted_palette(given, looks)
+    return fitted_palette(given, pictures)

@@ -22,7 +22,7 @@ class PathMetrics(Metrics):
     Args:
         progress: arc length passed since the start, by the nearest point of the path [m].
         to_go: arc length from there to the end [m].
-        lap_times: of the laps that were completed [s]; empty of an open path.
+        lap_times: times of the completed laps [s]; empty for an open path.
         mean_contouring: distance across the path at phi, by the object that plans [m].
         max_contouring: the greatest [m].
         mean_lag: distance along the path at phi [m].
@@ -32,18 +32,19 @@ class PathMetrics(Metrics):
         corridor_violations: times that some of the robot left the corridor; successive steps are
             one.
         corridor_violation_steps: steps that ended so.
-        minimum_room: from the robot's edge to the corridor's [m], negative beyond; None without
-            one.
+        minimum_room: least distance from the robot's edge to the corridor's edge [m], negative
+            beyond it; None without one.
         collisions: contacts with obstacles; successive steps are one.
         collision_steps: steps that ended so.
-        minimum_gap: from the robot's edge to the nearest obstacle [m]; None without any.
-        mean_speed: of the robot, over the steps [m/s].
+        minimum_gap: least distance from the robot's edge to the nearest obstacle [m]; None without
+            any.
+        mean_speed: mean speed of the robot over the steps [m/s].
         max_speed: the greatest [m/s].
         rms_lateral_acceleration: root mean square [m/s^2]; None of a model that does not say.
         max_lateral_acceleration: the greatest [m/s^2].
-        rms_longitudinal_acceleration: [m/s^2].
-        rms_jerk: of the change of both accelerations from step to step, over the control period
-            [m/s^3].
+        rms_longitudinal_acceleration: root mean square [m/s^2].
+        rms_jerk: root mean square of the change of both accelerations from step to step, over the
+            control period [m/s^3].
         command_jerk: root mean square of the commands' second differences, in halves of the range
             between their bounds [1/s^2].
         mean_effective_sample_size: over the steps.
@@ -165,8 +166,8 @@ def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> Pat
     """Return the metrics of a run along a path.
 
     Args:
-        recording: of a run, finished or not; one without a step too.
-        seed: to note down.
+        recording: recording of a run, finished or not, also without a step.
+        seed: seed of the run, stored with the metrics.
     """
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, progress = recording.time, recording.progress

@@ -62,7 +62,7 @@ def worst_steps(margins: ArrayLike) -> np.ndarray:
     """Return the indices of the deepest steps, one of each row of successive steps below 0.
 
     Args:
-        margins: (N,) after each step [m].
+        margins: (N,) margin after each step [m].
     """
     values = np.asarray(margins, np.float64)
     below = np.concatenate([[False], values < 0.0, [False]]).astype(int)
@@ -201,8 +201,8 @@ def thick_outline(corners: np.ndarray, radius: float) -> "Path":
     and a disc around each of its corners.
 
     Args:
-        corners: (V, 2) in order, either way round [m]; one of them is a disc.
-        radius: [m].
+        corners: (V, 2) corners in order, in either direction [m]; a single corner gives a disc.
+        radius: radius of the discs [m].
     """
     from matplotlib.path import Path
 

@@ -56,10 +56,10 @@ class ActionMode(eqx.Module):
         """Return the controller that carries an action out.
 
         Args:
-            action: (A,), clipped to the bounds.
-            moment: when the action begins, and what the robot is told about itself.
-            belief: what the robot knows.
-            scenario: in which it acts.
+            action: (A,) action, clipped to its bounds.
+            moment: time at which the action begins, and the observed state.
+            belief: the robot's belief.
+            scenario: scenario in which the robot acts.
         """
 
     @abc.abstractmethod
@@ -71,7 +71,7 @@ class ControlMode(ActionMode):
     """An action is a control of the robot, held until the next action.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
     """
 
     robot: Dynamics
@@ -264,16 +264,17 @@ def waypoint_mppi(
     """Return MPPI that drives along `Belief.to_goal` and keeps clear of what is not known free.
 
     Args:
-        robot: its model, of a robot on the ground.
+        robot: model of the robot, a ground robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; half the range between their bounds when absent.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
+            when absent.
         dt: model step [s].
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
-        obstacle_weight: of `ObstacleCost`.
-        guidance_weight: of `ToGoalCost`.
-        control_weight: of `ControlCost`.
+        obstacle_weight: weight of `ObstacleCost`.
+        guidance_weight: weight of `ToGoalCost`.
+        control_weight: weight of `ControlCost`.
 
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.

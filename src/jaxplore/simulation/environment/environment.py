@@ -49,9 +49,9 @@ class EnvironmentState(NamedTuple):
     Args:
         loop: state of the closed loop, before the robot perceives what was observed.
         perceived: state of the task after it has perceived.
-        moment: when that was, and what the robot was told about itself.
-        belief: what the robot knows then.
-        tally: what has happened.
+        moment: time of that perception, and the state that was observed.
+        belief: the robot's belief at that time.
+        tally: statistics of the episode so far.
         key: key of the whole run.
         choice: number of the scenario.
     """
@@ -69,14 +69,14 @@ class Outcome(NamedTuple):
     """The outcome of an action.
 
     Args:
-        observation: what the agent observes, by name; see `Scenario.observation`.
+        observation: arrays that the agent observes, by name; see `Scenario.observation`.
         reward: reward for the action.
-        is_terminated: whether the scenario is finished: there is nothing left to do.
+        is_terminated: whether the scenario is finished.
         is_truncated: whether its time is up before.
         is_collision: whether the robot touched something meanwhile.
         facts: numbers about the task, by name; see `Scenario.facts`.
         num_steps: control periods since the start.
-        tally: what has happened since the start.
+        tally: statistics of the episode so far.
     """
 
     observation: dict[str, Array]
@@ -101,7 +101,7 @@ class Environment(eqx.Module):
     Args:
         scenarios: one, or several that differ in the values of their arrays only, such as floors
             of one size.
-        mode: what an action means.
+        mode: meaning of an action.
         action_period: time between actions [s], rounded to control periods; the scenario's sensing
             period when absent, or a control period if it has none.
         time_limit: simulated time after which an episode is truncated [s].
@@ -202,7 +202,7 @@ class Environment(eqx.Module):
 
         Args:
             state: state before.
-            action: (A,); values out of bounds are clipped.
+            action: (A,) action; values out of bounds are clipped.
             num_steps: control periods for which it is carried out, fewer where the episode ends;
                 with 0 the robot only perceives. The periods between actions when absent.
         """

@@ -18,10 +18,10 @@ def check_goal(
     """Refuse a goal that the robot cannot reach.
 
     Args:
-        goal: (x, y) [m].
+        goal: goal position (x, y) [m].
         world: true map.
         robot: the plant.
-        reachable: (H, W) cells to which its centre can get.
+        reachable: (H, W) cells that the robot's centre can reach.
         radius: distance at which the goal counts as reached [m].
 
     Raises:
@@ -82,9 +82,9 @@ def whole_steps(name: str, rate: float, control_rate: float) -> Array:
     """Return the control periods in a period of a slower rate.
 
     Args:
-        name: name of the slower rate, for the error.
+        name: name of the slower rate, for the error message.
         rate: slower rate [Hz].
-        control_rate: [Hz].
+        control_rate: rate of the controls [Hz].
 
     Raises:
         ValueError: a rate that is not a whole fraction of the control rate.

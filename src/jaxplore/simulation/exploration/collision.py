@@ -27,11 +27,11 @@ def footprint_clearance(
     `disc_clearance` and `rectangle_clearance`.
 
     Args:
-        solid: (H, W).
-        frame: where the cells are.
-        position: (x, y) of the robot in the world [m].
-        heading: in the world [rad].
-        footprint: of the robot.
+        solid: (H, W) solid cells.
+        frame: pose and resolution of the grid.
+        position: position (x, y) of the robot in the world [m].
+        heading: heading of the robot in the world [rad].
+        footprint: footprint of the robot.
         reach: cells looked at in each direction, see `clearance_reach`; static.
     """
     if isinstance(footprint, Rectangle):
@@ -53,9 +53,9 @@ def disc_clearance(
     everything is solid. Negative: they overlap.
 
     Args:
-        solid: (H, W).
-        grid: (row, column) of the centre [cells].
-        radius: of the disc [m].
+        solid: (H, W) solid cells.
+        grid: (row, column) coordinates of the disc's centre [cells].
+        radius: radius of the disc [m].
         resolution: side of a cell [m].
         reach: cells looked at in each direction; static.
     """
@@ -90,9 +90,10 @@ def rectangle_clearance(
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.2.1 (separating axes).
 
     Args:
-        solid: (H, W).
-        grid: (row, column) of the rectangle's origin [cells].
-        heading: of the rectangle in the grid's axes, from the columns' axis to the rows' [rad].
+        solid: (H, W) solid cells.
+        grid: (row, column) coordinates of the rectangle's origin [cells].
+        heading: heading of the rectangle in the grid's frame, from the column axis to the row axis
+            [rad].
         footprint: the rectangle.
         resolution: side of a cell [m].
         reach: cells looked at in each direction; static.
@@ -149,10 +150,10 @@ def discs_clearance(
 
     Args:
         centres: (M, 2) in the world [m].
-        radii: (M,) [m].
-        position: (x, y) of the robot in the world [m].
-        heading: in the world [rad].
-        footprint: of the robot.
+        radii: (M,) radii of the discs [m].
+        position: position (x, y) of the robot in the world [m].
+        heading: heading of the robot in the world [rad].
+        footprint: footprint of the robot.
     """
     if isinstance(footprint, Rectangle):
         x, y = centres[:, 0] - position[0], centres[:, 1] - position[1]
@@ -173,9 +174,9 @@ def clearance_reach(footprint: Footprint | float, resolution: float, margin: flo
     """Return the cells to look at for a clearance to be exact up to `margin` [m].
 
     Args:
-        footprint: of the robot; a number is the radius of a disc [m].
+        footprint: footprint of the robot; a number is the radius of a disc [m].
         resolution: side of a cell [m].
-        margin: [m].
+        margin: distance up to which the clearance is exact [m].
     """
     if isinstance(footprint, Rectangle):
         ends = max(float(footprint.front), float(footprint.rear))

@@ -38,7 +38,7 @@ class MovingObstacles(eqx.Module):
 
     Args:
         movers: the discs; none is fine.
-        phase: (M,) share of a round at time 0, in [0, 1); 0, the first corner, when absent.
+        phase: (M,) fraction of a lap at time 0, in [0, 1); 0, the first corner, when absent.
 
     Raises:
         ValueError: a phase that is not M numbers in [0, 1).

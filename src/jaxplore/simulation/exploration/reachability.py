@@ -15,8 +15,8 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
 
     Args:
         world: whatever it does not know to be free is solid, as is everything off the map.
-        start: (x, y, ...) [m].
-        radius: of the disc [m].
+        start: start position (x, y, ...) [m].
+        radius: radius of the disc [m].
 
     Raises:
         ValueError: a start where the disc cannot stand.

@@ -74,12 +74,12 @@ class ExplorationState(NamedTuple):
 
     Args:
         robot: (nx,) true state of the robot.
-        belief: what the robot knows.
-        progress: how much that is, as of the last map update.
+        belief: the robot's belief.
+        progress: statistics of the known map, as of the last map update.
         finished: number of steps since the task was finished, 0 before.
         is_seen: (M,) which targets have been seen.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
-        ranges: (B,) of the last scan, of one sensor after the other [m].
+        ranges: (B,) ranges of the last scan, sensor by sensor [m].
     """
 
     robot: StateVector
@@ -110,25 +110,26 @@ class ExplorationScenario(Scenario):
     Args:
         world: the true map, hidden from the robot; with the ground if it is a terrain map.
         robot: the plant.
-        sensors: what it carries, one or several; the first leads, see `Perception`.
+        sensors: one sensor or several; the first is the primary one, see `Perception`.
         start: pose (x, y, yaw) [m, m, rad]; the robot stands still there.
-        perception: how scans become a belief; made for the sensors and the world when absent.
-        control_rate: [Hz].
+        perception: update of the belief from scans; made for the sensors and the world when absent.
+        control_rate: rate of the controls [Hz].
         sensing_rate: scans and map updates [Hz]; a whole fraction of the control rate.
         field_rate: updates of the information and guidance fields [Hz]; likewise. The first is at
             the first step, the others at the end of each period.
         target_coverage: share of the reachable cells at which exploration is finished; None for
             never.
-        prior: what the robot knows beforehand, a map of the world's cells; nothing when absent.
-        goal: (x, y) to be at in the end [m]; none when absent.
+        prior: map that the robot knows in advance, with the cells of the world; nothing when
+            absent.
+        goal: goal position (x, y) [m]; none when absent.
         goal_radius: distance at which the goal is reached [m]; when absent 1.5, or 0.25 for a
             goal apart.
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
             absent 0.05, or for a goal apart 1: it is reached when the robot is there.
         altitude: z of the start, for robots that have one [m].
         hover_time: simulated after the end [s].
-        faults: what goes wrong on purpose.
-        targets: (M, 2) what is to be seen [m]; nothing when absent.
+        faults: injected faults; none when absent.
+        targets: (M, 2) positions of the targets to find [m]; none when absent.
         moving_obstacles: obstacles that move. The robot has a tracker for them, which measures
             those in sight of any of its sensors. The run's key draws where they begin.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].

@@ -63,20 +63,20 @@ class PathScenario(Scenario):
 
     Args:
         robot: model of the robot with its path parameter, as `mpcc` returns it; the plant.
-        path: to follow.
+        path: path to follow.
         start: pose (x, y, yaw) [m, m, rad]; standing at the start of the path, along it, when
             absent.
-        laps: of a closed path.
-        traffic: what else moves; nothing when absent.
-        standing: what stands in the way, known beforehand; nothing when absent.
-        control_rate: [Hz].
-        finish: how near to an open path's end is there [m].
+        laps: number of laps of a closed path.
+        traffic: moving obstacles; none when absent.
+        standing: static obstacles, known in advance; none when absent.
+        control_rate: rate of the controls [Hz].
+        finish: distance from the end of an open path at which the run is finished [m].
         tracking_noise: standard deviations of the obstacles' positions [m] and velocities [m/s] as
             the robot measures them.
         prediction: what the robot takes for known of how they go on: their turn rates too
             ("constant-turn"), or not ("constant-velocity"); static.
         growth: standard deviation of their velocity that it reckons with [m/s].
-        turn_growth: of their turn rate [rad/s].
+        turn_growth: standard deviation of their turn rate [rad/s].
         faults: faults of the run. A dropout of scans is one of the tracker: obstacles are predicted
             from their last measurement.
 

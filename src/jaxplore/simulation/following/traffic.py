@@ -22,12 +22,12 @@ class Traffic(eqx.Module):
     heading along the path. Of a rate of 0 it stands, of a negative one it comes towards the robot.
 
     Args:
-        path: along which they move.
-        phi: (N,) where they are at the start, by arc length [m].
-        offsets: (N,) to the left of the path [m].
-        rates: (N,) along the path [m/s].
-        outlines: of obstacles at (0, 0) that head along x; or give `radii`.
-        radii: (N,) or one number, of discs [m].
+        path: path along which the obstacles move.
+        phi: (N,) arc lengths of the obstacles at the start [m].
+        offsets: (N,) distances to the left of the path [m].
+        rates: (N,) speeds along the path [m/s].
+        outlines: outlines of the obstacles in their own frame, x ahead; or give `radii`.
+        radii: (N,) radii of discs, or one number [m].
 
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, negative radii, both or
@@ -79,11 +79,11 @@ class Traffic(eqx.Module):
         """Return discs spread over a path, at random offsets within its room, up to half of it.
 
         Args:
-            path: with half widths.
+            path: path with half widths.
             number: N.
-            seed: of where they are.
-            radius: [m].
-            rates: least and greatest [m/s].
+            seed: seed of the obstacles' positions.
+            radius: radius of the discs [m].
+            rates: least and greatest speed along the path [m/s].
             clear: length of the path from its start without any [m].
 
         Raises:

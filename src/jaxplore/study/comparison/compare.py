@@ -24,11 +24,11 @@ class RecordingTask(Task):
     """One run of a variant. Its result are the metrics and the recording.
 
     Args:
-        variant: its name.
-        seed: of the run.
+        variant: name of the variant.
+        seed: seed of the run.
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
     """
 
     variant: str
@@ -82,7 +82,7 @@ def compare(
     Args:
         experiments: controller, scenario and number of steps by the name of the variant; the
             arguments of `simulate`.
-        seeds: of the runs.
+        seeds: seeds of the runs.
         runner: runs them in other processes or on a cluster; this process when absent. It is closed
             at the end.
         progress: show a progress bar.

@@ -40,7 +40,7 @@ class EpisodeDone(NamedTuple):
     """An episode that has just been run.
 
     Args:
-        episode: which.
+        episode: the episode.
         error: why it failed; None if it did not.
         num_done: episodes that this call has run.
         num_left: episodes that were left before this call.
@@ -56,9 +56,9 @@ class RunCounts(NamedTuple):
     """Numbers of runs of a comparison.
 
     Args:
-        num_done: that were run now, the failed ones included.
-        num_failed: of these.
-        num_former: that had been run before.
+        num_done: number of runs of this call, failed ones included.
+        num_failed: number of failed runs of this call.
+        num_former: number of runs of former calls.
         is_interrupted: whether the user stopped it.
     """
 
@@ -110,7 +110,7 @@ def compare_maps(
 
     Args:
         plan: maps, variants, seeds and settings; see `maps_in` for the maps of a folder.
-        folder: for a file for each run, `results.parquet` and `results.html`.
+        folder: folder for one file per run, `results.parquet` and `results.html`.
         runner: runs them in other processes or on a cluster; this process when absent. It is closed
             at the end.
         overwrite: remove a former comparison in the folder first.
@@ -154,8 +154,8 @@ def run_episodes(
     because they share a compiled program. Ctrl-C keeps finished runs.
 
     Args:
-        episodes: to be run.
-        store: for the rows. Only this process writes there.
+        episodes: episodes to run.
+        store: store of the rows. Only this process writes there.
         runner: runs them; this process when absent. It is closed at the end.
         on_done: called in this process after each episode.
         make: runs a batch. Other processes import it by name.

@@ -32,7 +32,7 @@ class Comparison:
     Args:
         runs: metrics by variant, one for each seed; the same seeds for all, unless the comparison
             was interrupted.
-        recordings: of the first seed, by variant.
+        recordings: recordings of the first seed, by variant.
         is_interrupted: whether the user stopped it; finished runs are here.
     """
 

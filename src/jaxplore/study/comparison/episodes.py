@@ -31,7 +31,7 @@ class MapEpisode:
 
     Args:
         map: name of the map.
-        path: of its YAML file.
+        path: path of the map's YAML file.
         content: hash of the map.
         explorer: name of the variant: the setting `architecture`, unless `settings` have one.
         seed: the setting `seed`.
@@ -102,7 +102,7 @@ def make_episodes(
     """Return an episode for each map, variant and seed, in this order.
 
     Args:
-        maps: at least one.
+        maps: maps to compare on, at least one.
         variants: architectures; or entries of the settings that differ, by name. At least one.
         seeds: whole numbers >= 0, at least one.
         settings: entries that all of them share; see `common_settings`.

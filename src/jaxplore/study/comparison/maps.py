@@ -29,10 +29,10 @@ class MapFile:
     """A ROS map on the disk.
 
     Args:
-        name: of the map in the results.
-        path: of its YAML file; absolute.
+        name: name of the map in the results.
+        path: absolute path of the map's YAML file.
         content: hash of that file and of its image; a missing image counts as an empty one.
-        start: where the robot begins; the most open spot, heading along x, when absent.
+        start: start pose; the position with the greatest clearance, heading along x, when absent.
     """
 
     name: str
@@ -105,7 +105,7 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
     """Read a ROS map at the resolution of a run. A finer one is resampled, a coarser one is kept.
 
     Args:
-        path: of its YAML file.
+        path: path of the map's YAML file.
         resolution: side of a cell [m].
 
     Raises:

@@ -81,8 +81,8 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
 
     Args:
         results: rows with the columns `SHOWN`.
-        maps: by name, as the runs had them; one that is missing has no paths.
-        title: of the page.
+        maps: maps by name, as the runs used them; a missing one has no paths.
+        title: title of the page.
     """
     told = html.escape(title)
     parts = [
@@ -178,9 +178,9 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     A rotated map is drawn along its own axes.
 
     Args:
-        row: of the run.
+        row: row of the run.
         grid: the map.
-        part: what is drawn of it.
+        part: rows and columns of the map that are drawn.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

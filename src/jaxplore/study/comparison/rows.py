@@ -82,10 +82,10 @@ def make_row(
     """Make the row of a run.
 
     Args:
-        episode: that was run.
-        recording: of the run.
-        metrics: of the same run.
-        settings: of the run, its start included.
+        episode: the episode that was run.
+        recording: recording of the run.
+        metrics: metrics of the same run.
+        settings: settings of the run, its start included.
     """
     time, coverage, _, _ = progress(recording)
     stride = max(1, round(CURVE_PERIOD / recording.control_period))
@@ -126,7 +126,7 @@ def failed_row(episode: MapEpisode, error: str) -> Row:
     """Make the row of a run that failed.
 
     Args:
-        episode: that failed.
+        episode: the failed episode.
         error: why; made one line.
     """
     row: Row = dict.fromkeys(COLUMNS)
@@ -140,7 +140,7 @@ class StoredRow(NamedTuple):
     """A row as it is sent and stored.
 
     Args:
-        id: of its episode.
+        id: id of the episode.
         map: name of the map.
         error: why the run failed; None if it did not.
         data: the row as a Parquet file.

@@ -44,9 +44,9 @@ class Plan:
     """The runs of a comparison: each variant on each map with each seed.
 
     Args:
-        maps: where.
+        maps: maps to run on.
         variants: architectures; or entries of the settings that differ, by name.
-        seeds: of the runs of each.
+        seeds: seeds of the runs of each variant.
         settings: entries that all runs share.
         batch: runs computed side by side.
     """
@@ -115,7 +115,7 @@ class Store:
         """Return all rows, by map, variant and seed.
 
         Args:
-            columns: their names; all when absent.
+            columns: names of the columns; all when absent.
         """
         wanted = None if columns is None else list(dict.fromkeys([*KEYS, *columns]))
         return [row for _, row in sorted(_read(self._files(), wanted), key=_place)]
@@ -147,7 +147,7 @@ class Store:
         """Write the page of all results, whole or not at all, and return where it is.
 
         Args:
-            maps: by name; see `page`.
+            maps: maps by name; see `page`.
 
         Raises:
             ValueError: the folder cannot be written.
@@ -188,7 +188,7 @@ def open_store(
 
     Args:
         folder: missing parents are made.
-        plan: what is to be run; None to read what is there.
+        plan: runs to do; None to read former results.
         overwrite: remove a former comparison first.
 
     Raises:

@@ -28,10 +28,10 @@ def before_and_after(
     """Run a scenario with several candidates and one seed, and return a GIF of all runs.
 
     Args:
-        episodes: whose parameters the candidates are.
-        scenario: its name.
-        candidates: from left to right.
-        seed: of the runs.
+        episodes: episodes whose parameters are searched.
+        scenario: name of the scenario.
+        candidates: candidates to draw, from left to right.
+        seed: seed of the runs.
         on_progress: called with the share that is done, 0 to 1.
 
     Returns:
@@ -56,7 +56,7 @@ def side_by_side(
     A finished run stands still while the others go on.
 
     Args:
-        recordings: of the runs, from left to right.
+        recordings: recordings of the runs, from left to right.
         on_progress: called with the share that is done, 0 to 1.
     """
     instants = [[frame.time for frame in each.frames] for each in recordings]

@@ -28,8 +28,8 @@ class ControllerEpisodes(Episodes):
     """Episodes of one controller. Its numbers are searched by their path: see `get_parameters`.
 
     Args:
-        controller: with its current numbers.
-        scenarios: by name.
+        controller: controller with its current parameters.
+        scenarios: scenarios by name.
         time_limit: simulated at most [s].
         batch: candidates side by side, by `jax.vmap`; for accelerators, and small problems.
 

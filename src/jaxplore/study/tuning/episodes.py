@@ -17,10 +17,10 @@ class Episode(NamedTuple):
     """One run of a candidate in a scenario with a seed.
 
     Args:
-        number: of the candidate.
-        candidate: its values.
+        number: number of the candidate.
+        candidate: value of each parameter.
         scenario: name of the scenario.
-        seed: of everything random: the same for all candidates (common random numbers).
+        seed: seed of all random numbers, the same for all candidates (common random numbers).
         time_limit: simulated time after which it is stopped [s]; the scenario's own when absent.
     """
 
@@ -166,9 +166,9 @@ def make_tasks(
     """Return tasks for episodes, several in a task where they can run side by side.
 
     Args:
-        episodes: any number.
+        episodes: the episodes, any number.
         build: see `MetricsTask`.
-        batch: most episodes in a task.
+        batch: greatest number of episodes in a task.
         together: see `MetricsTask`.
     """
 

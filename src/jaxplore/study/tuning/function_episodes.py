@@ -44,9 +44,9 @@ class FunctionEpisodes(_Named):
     """Episodes that a function runs, one after the other. It may call any simulator.
 
     Args:
-        function: from a candidate and a seed to metrics, by name.
+        function: function from a candidate and a seed to metrics by name.
         start: current values by parameter.
-        name: of the scenario.
+        name: name of the scenario.
     """
 
     def __init__(
@@ -74,10 +74,10 @@ class VectorEpisodes(_Named):
     """Episodes that a JAX function runs, a batch of candidates in one `jax.vmap`.
 
     Args:
-        function: from numbers by name, each a scalar array, and a key to metrics, scalar arrays by
-            name. It is traced once.
+        function: function from scalar arrays by parameter name, and a key, to metrics: scalar
+            arrays by name. It is traced once.
         start: current numbers by parameter.
-        name: of the scenario.
+        name: name of the scenario.
         batch: candidates side by side. Smaller batches are filled up: nothing compiles again, and
             rounding does not depend on how many are left.
 

@@ -27,7 +27,7 @@ class Generations:
     Args:
         search: space, objectives and seeds.
         episodes: where candidates are evaluated.
-        study: of Optuna, which stores them.
+        study: study of Optuna, which stores the episodes.
         start: current values, the first candidate.
     """
 
@@ -49,7 +49,7 @@ class Generations:
         """Evaluate a generation, or the rest of it.
 
         Args:
-            numbers: of its candidates.
+            numbers: numbers of the generation's candidates.
             ask: returns the candidates of the generation; called if some are not stored yet.
             limits: time after which an episode is stopped.
             show: called with the number of finished candidates, after each episode and at the end.

@@ -161,7 +161,7 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
     starts with settings that never finish still knows in which direction it improves.
 
     Args:
-        metrics: of one episode.
+        metrics: metrics of one episode.
         limit: the scenario's time limit [s].
     """
     filled = dict(metrics)

@@ -33,10 +33,10 @@ class Evaluated(NamedTuple):
     """A candidate that was evaluated.
 
     Args:
-        candidate: its values.
+        candidate: value of each parameter.
         rank: 0 for the best of its generation; last are those given up early and those that failed.
         state: "done", "given up" or "failed".
-        values: of the objectives; empty if it failed.
+        values: values of the objectives; empty if it failed.
         num_episodes: number of its episodes.
         measures: over which quality diversity spreads candidates.
     """
@@ -73,10 +73,10 @@ class OptunaOptimizer(Optimizer):
 
     Args:
         name: see `OPTUNA`.
-        space: what is searched.
+        space: search space.
         population: candidates in a generation.
-        seed: the same gives the same candidates.
-        num_objectives: how many there are.
+        seed: seed; the same seed gives the same candidates.
+        num_objectives: number of objectives.
 
     Raises:
         ValueError: Optuna is not installed.
@@ -150,10 +150,10 @@ class EvosaxOptimizer(Optimizer):
 
     Args:
         name: see `EVOSAX`.
-        space: what is searched.
+        space: search space.
         start: first mean.
         population: candidates in a generation, an even number >= 4.
-        seed: the same gives the same candidates.
+        seed: seed; the same seed gives the same candidates.
 
     Raises:
         ValueError: evosax is not installed.
@@ -244,11 +244,11 @@ class RibsOptimizer(Optimizer):
     illumination of behavior space", GECCO 2020.
 
     Args:
-        space: what is searched.
+        space: search space.
         start: first mean.
         population: candidates in a generation.
-        seed: the same gives the same candidates.
-        ranges: least and greatest value of each measure that has a cell.
+        seed: seed; the same seed gives the same candidates.
+        ranges: lower and upper bound of the cells of each measure.
         cells: number of cells along each measure.
 
     Raises:

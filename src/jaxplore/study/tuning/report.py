@@ -53,7 +53,7 @@ def record(study: Study, found: TuningResult) -> dict[str, Any]:
 
     Args:
         study: the search.
-        found: its result.
+        found: result of the search.
     """
     trials = study.trials()
     states = ("done", "given up", "failed")
@@ -92,9 +92,9 @@ def write_results(
 
     Args:
         study: the search.
-        found: its result.
-        folder: of the study.
-        title: of the page.
+        found: result of the search.
+        folder: folder of the study.
+        title: title of the page.
         animation: GIF of a run before and after.
 
     Raises:

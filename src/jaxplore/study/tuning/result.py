@@ -24,10 +24,11 @@ class TuningResult:
         front: those that no other one beats in every objective.
         is_complete: whether everything was done; if not, Ctrl-C ended it.
         before: metrics of the current values on unseen seeds, by scenario and seed.
-        after: the same of the chosen candidate.
-        changes: of the objectives and the metrics between the two, with 95 % intervals.
+        after: metrics of the chosen candidate on the same unseen seeds.
+        changes: changes of the objectives and the metrics from `before` to `after`, with 95 %
+            intervals.
         verdict: whether the chosen candidate is better than the current values, in a sentence.
-        files: that were written.
+        files: files that were written.
     """
 
     chosen: Trial

@@ -24,10 +24,10 @@ class Measure:
     """A metric over which quality diversity spreads candidates, cut into cells.
 
     Args:
-        metric: its name.
+        metric: name of the metric.
         low: lower bound of the cells.
         high: upper bound.
-        cells: their number.
+        cells: number of cells.
 
     Raises:
         ValueError: bounds that are reversed, fewer than two cells.
@@ -52,14 +52,14 @@ class Search:
 
     Args:
         space: parameters that are varied.
-        objectives: to be minimized; several for a Pareto front.
-        seeds: of the episodes in each scenario, the same for all candidates.
+        objectives: objectives to minimize; several for a Pareto front.
+        seeds: seeds of the episodes in each scenario, the same for all candidates.
         optimizer: one of `jaxplore.study.tuning.optimizers.NAMES`.
         population: candidates in a generation. The next one is proposed after all of them, so the
             results do not depend on how many are evaluated at the same time.
-        seed: of the search.
+        seed: seed of the search.
         gives_up: whether candidates that look worse than most are given up early.
-        measures: of quality diversity.
+        measures: measures of quality diversity.
 
     Raises:
         ValueError: an unknown optimizer, or one that does not accept the objectives, measures
@@ -125,7 +125,7 @@ def make_optimizer(search: Search, start: Candidate) -> Optimizer:
     """Make the optimizer of a search.
 
     Args:
-        search: of which it proposes candidates.
+        search: search that the optimizer proposes candidates for.
         start: current values.
 
     Raises:

@@ -121,9 +121,9 @@ class SettingsEpisodes(Episodes):
         """Return the entries of a scenario's settings with a candidate's values.
 
         Args:
-            scenario: its name.
+            scenario: name of the scenario.
             candidate: the values; empty for the current settings.
-            seed: of the run; that of the settings when absent.
+            seed: seed of the run; that of the settings when absent.
         """
         inside = [name for name in candidate if name not in self._known]
         # Elements of an array that are not searched keep the values of this scenario's robot.
@@ -227,9 +227,9 @@ class SettingsEpisodes(Episodes):
         """Build the experiment of a scenario with a candidate's values.
 
         Args:
-            scenario: its name.
+            scenario: name of the scenario.
             candidate: the values; empty for the current settings.
-            seed: of the run; that of the settings when absent.
+            seed: seed of the run; that of the settings when absent.
 
         Raises:
             ValueError: values that are not accepted.
@@ -259,8 +259,8 @@ def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment
     """Build the experiment of an episode in a worker.
 
     Args:
-        entries: of its settings, with the candidate's values.
-        location: where the map or path is on this machine.
+        entries: settings entries with the candidate's values.
+        location: setting that locates the map or path on this machine.
     """
     return build(make_settings({**entries, **location}))
 

@@ -43,10 +43,10 @@ class Change:
     """One quantity before and after a search, over the same episodes.
 
     Args:
-        name: of the metric or the objective.
+        name: name of the metric or the objective.
         before: mean.
         after: mean.
-        difference: after less before, mean over the episodes.
+        difference: mean over the episodes of after minus before.
         low: lower end of its 95 % interval.
         high: upper end.
     """
@@ -68,9 +68,9 @@ def change(name: str, before: Sequence[float], after: Sequence[float]) -> Change
     """Compute the change of a quantity, episode by episode; see `paired_difference`.
 
     Args:
-        name: of the quantity.
+        name: name of the quantity.
         before: one value for each episode.
-        after: of the same episodes.
+        after: the values of the same episodes after the search.
     """
     difference = paired_difference(before, after)
     return Change(name, float(np.mean(before)), float(np.mean(after)), *difference)
@@ -86,9 +86,9 @@ def changes(
     An episode that failed with one of the settings is left out.
 
     Args:
-        objectives: that were minimized.
+        objectives: objectives that were minimized.
         before: metrics by scenario and seed.
-        after: of the same.
+        after: the metrics of the same episodes after the search.
     """
     where = [each for each in before if before[each] and after.get(each)]
     found = []
@@ -107,7 +107,7 @@ def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change
 
     Args:
         chosen: number of the candidate; 0 is the current settings.
-        objectives: that were minimized.
+        objectives: objectives that were minimized.
         found: changes on unseen seeds.
     """
     names = set(map(str, objectives))

@@ -137,7 +137,7 @@ class Space:
     """All parameters of a search, as a unit cube.
 
     Args:
-        parameters: at least one, of different names.
+        parameters: parameters with different names, at least one.
 
     Raises:
         ValueError: no parameters, or a name twice.

@@ -27,8 +27,8 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
     Args:
         search: space, objectives, seeds and optimizer.
         episodes: where candidates are evaluated.
-        folder: for `study.db`, which `optuna-dashboard` shows; missing parents are made. The study
-            is in memory only when absent.
+        folder: folder of `study.db`, which `optuna-dashboard` shows; missing parents are made. The
+            study is in memory only when absent.
 
     Raises:
         ValueError: Optuna is not installed; a folder that cannot be written, that another process

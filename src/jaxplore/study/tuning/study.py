@@ -177,8 +177,8 @@ class Study:
         Episodes are stored like those of the search. One that fails has no metrics.
 
         Args:
-            numbers: of the candidates, or `BEFORE`.
-            seeds: of the episodes in each scenario.
+            numbers: numbers of the candidates, or `BEFORE`.
+            seeds: seeds of the episodes in each scenario.
             on_progress: called with the number of finished episodes, and of all.
 
         Raises:
@@ -225,7 +225,7 @@ class Study:
         without further runs.
 
         Args:
-            finalists: most of them; never more than an eighth of the candidates.
+            finalists: greatest number of finalists; never more than an eighth of the candidates.
             seeds: new ones.
             on_progress: called with the number of finished episodes, and of all.
 

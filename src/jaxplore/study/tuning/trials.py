@@ -16,9 +16,9 @@ class Trial(NamedTuple):
     """A candidate and its results.
 
     Args:
-        number: from 0, the current settings.
-        candidate: its values.
-        values: of the objectives; empty if it failed.
+        number: number of the candidate; 0 is the current settings.
+        candidate: value of each parameter.
+        values: values of the objectives; empty if it failed.
         state: "done", "given up", "failed", or "running" if it was interrupted.
         episodes: metrics by scenario and seed.
         error: why it failed.

@@ -68,7 +68,7 @@ def tune(
     Args:
         episodes: where candidates are evaluated: `ControllerEpisodes`, `SettingsEpisodes`,
             `FunctionEpisodes`, `VectorEpisodes`.
-        parameters: to be varied: each a `Parameter`, or a text `NAME=LOW:HIGH`,
+        parameters: parameters to search: each a `Parameter`, or a text `NAME=LOW:HIGH`,
             `NAME=LOW:HIGH:log`, `NAME=A,B,C`, or `NAME` for a tenth to ten times its value.
         objective: a sum of metrics to be minimized, such as `time_to.90 + 100*collisions`; several
             for a Pareto front. `episodes.default_objective` when absent.
@@ -79,13 +79,13 @@ def tune(
         optimizer: of Optuna tpe, nsga-ii, qmc or random; of evosax cma-es, sep-cma-es, open-es,
             snes, cr-fm-nes or pgpe; of pyribs cma-me.
         population: candidates in a generation.
-        seed: of the search and of the first episode.
+        seed: seed of the search and of the first episode.
         gives_up: whether candidates that look worse than most are given up after their first
             episodes; where there is one objective and no cma-me, when absent.
         measures: metrics over which cma-me spreads candidates.
-        folder: for the study, tables, pictures, a page, and with `SettingsEpisodes` the chosen
-            settings and an animation. Nothing is written when absent.
-        title: of the page; the names of the scenarios when absent.
+        folder: folder for the study, tables, pictures, a page, and with `SettingsEpisodes` the
+            chosen settings and an animation. Nothing is written when absent.
+        title: title of the page; the names of the scenarios when absent.
         animation: whether to draw a run before and a run after the search.
         progress: show progress bars.
 
@@ -167,7 +167,7 @@ def compare_on_unseen(
     Args:
         study: the search.
         chosen: the candidate.
-        seeds: of the episodes in each scenario.
+        seeds: seeds of the episodes in each scenario.
         on_progress: called with the number of finished episodes, and of all.
 
     Raises:

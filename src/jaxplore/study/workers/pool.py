@@ -12,7 +12,7 @@ class Event(NamedTuple):
 
     Args:
         worker: number of the worker.
-        result: of its task; None from a worker without a task that is ready.
+        result: result of the worker's task; None from a worker that is ready without a task.
         death: why the worker died, in a few words; None while it lives.
     """
 

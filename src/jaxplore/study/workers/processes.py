@@ -22,7 +22,7 @@ class ProcessPool(WorkerPool):
     """Processes on this machine, spawned: a fork would share JAX's threads and locks.
 
     Args:
-        number: of processes.
+        number: number of processes.
     """
 
     def __init__(self, number: int) -> None:

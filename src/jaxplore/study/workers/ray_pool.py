@@ -21,8 +21,9 @@ class RayPool(WorkerPool):
     """Ray actors with one processor each. Files travel to them with the tasks, results back.
 
     Args:
-        number: of workers; None for as many as the cluster has processors.
-        address: of a cluster to join; a local one is started when absent, unless Ray is in use.
+        number: number of workers; None for as many as the cluster has processors.
+        address: address of the cluster to join; a local one is started when absent, unless Ray is
+            in use.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -144,9 +145,9 @@ class _Worker:
         """Return the result of a task.
 
         Args:
-            task: to be run.
-            keys: of its files.
-            files: their content, for each key.
+            task: task to run.
+            keys: keys of the task's files.
+            files: content of the files, for each key.
         """
         for key, each in zip(keys, files, strict=True):
             if key not in self._folders:

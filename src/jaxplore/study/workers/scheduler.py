@@ -17,7 +17,7 @@ class Scheduler:
     """Distributes tasks over a pool of workers. Workers stay for the next round.
 
     Args:
-        pool: without any started worker.
+        pool: worker pool without started workers.
     """
 
     def __init__(self, pool: WorkerPool) -> None:
@@ -32,7 +32,7 @@ class Scheduler:
         """Run tasks, and return when there is a result of each.
 
         Args:
-            tasks: any number.
+            tasks: tasks to run, any number.
             on_result: called with each task and its result, in the order in which they come.
 
         Raises:

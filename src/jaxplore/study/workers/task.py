@@ -51,7 +51,7 @@ class Task(abc.ABC):
         """Return the same task with its files in other folders.
 
         Args:
-            folders: by the keys of `files`.
+            folders: folders by the keys of `files`.
         """
         return self
 
