@@ -1,4 +1,4 @@
-"""Compute rollouts with all states and costs, for inspection."""
+"""Rollouts with all states and costs, for inspection."""
 
 from typing import Any, NamedTuple
 

@@ -1,4 +1,4 @@
-"""Plan with MPPI as a pure function of the state, the nominal sequence and the temperature."""
+"""MPPI as a pure function of the state, the nominal sequence and the temperature."""
 
 import dataclasses
 import functools

@@ -1,7 +1,8 @@
-"""Defaults of settings: read from the callable whose parameter the setting is, its owner.
+"""Defaults and descriptions of settings, read from their owners.
 
-A number stands in the owner's signature and nowhere else. `DIFFERENCES` lists the settings whose
-default is another one, with the reason.
+The owner of a setting is the function or class that has it as a parameter. The default stands in
+the owner's signature and nowhere else. `DIFFERENCES` lists the settings with another default, and
+the reason.
 """
 
 import inspect
@@ -22,11 +23,11 @@ _UNIT = re.compile(r"\[([^\]]+)\]")
 
 
 class Difference(NamedTuple):
-    """A default that is not the owner's.
+    """A default of a setting that differs from its owner's.
 
     Args:
         value: the default of the setting.
-        reason: why it differs.
+        reason: reason for the difference.
     """
 
     value: Any
@@ -34,7 +35,7 @@ class Difference(NamedTuple):
 
 
 def default_of(owner: Owner, name: str) -> Any:
-    """Return the default of a parameter.
+    """Return the default of an owner's parameter.
 
     Args:
         owner: a function or a class.
@@ -53,7 +54,7 @@ def default_of(owner: Owner, name: str) -> Any:
 
 
 def in_degrees(angle: float) -> float:
-    """Return an angle in degrees, without the last digits of pi."""
+    """Convert an angle to degrees, rounded so that the digits of pi do not show."""
     return round(math.degrees(angle), 9)
 
 
@@ -81,12 +82,13 @@ DIFFERENCES: dict[str, Difference] = {
     "quadrotor.fields.occupancy_prior": Difference(0.5, "the design notes have no other prior"),
     "quadrotor.rates.sensing": Difference(50.0, "a scan at every command, as in the design notes"),
 }
-"""Settings whose default is not their owner's, by the kind of run and their name. Those of a
-`quadrotor` hold for architectures that are not a ground vehicle's."""
+"""Settings whose default is not their owner's, by kind of run and name.
+
+Those of `quadrotor` hold for the quadrotor architectures."""
 
 
 def descriptions(owner: Owner) -> dict[str, str]:
-    """Return what the "Args:" of a docstring say of each parameter, by name."""
+    """Return the descriptions of an owner's parameters from its docstring, by name."""
     found: dict[str, str] = {}
     _, _, arguments = (inspect.getdoc(owner) or "").partition("\nArgs:\n")
     for line in arguments.splitlines():
@@ -101,7 +103,7 @@ def descriptions(owner: Owner) -> dict[str, str]:
 
 
 def unit(description: str) -> str | None:
-    """Return the unit in a description, what it has in square brackets; None without one."""
+    """Return the unit in a description, its text in square brackets; None without one."""
     found = _UNIT.search(description)
     return None if found is None else found[1]
 
@@ -113,10 +115,10 @@ def setting(
     *,
     differs: str | None = None,
 ) -> Any:
-    """Return a field of a section: default and description of an owner's parameter.
+    """Make a field of a section with the default and the description of an owner's parameter.
 
     Args:
-        owner: the function or class that the setting goes to.
+        owner: function or class that has the setting as a parameter.
         name: name of the owner's parameter.
         convert: conversion from the unit of the parameter to the unit of the setting.
         differs: key of `DIFFERENCES`, if the default is not the owner's.
@@ -135,7 +137,7 @@ def setting(
 
 
 def differences_of(kind: str) -> dict[str, Any]:
-    """Return the `DIFFERENCES` of a kind of run as entries of settings."""
+    """Return the `DIFFERENCES` of a kind of run as settings entries."""
     entries: dict[str, Any] = {}
     for name, difference in DIFFERENCES.items():
         first, *sections, last = name.split(".")
@@ -148,13 +150,13 @@ def differences_of(kind: str) -> dict[str, Any]:
 
 
 def arguments(section: BaseModel, owner: Owner) -> dict[str, Any]:
-    """Return the settings of a section that an owner takes, by the names of its parameters.
+    """Return the settings of a section as keyword arguments of an owner.
 
-    They are in the units of the settings: angles in degrees.
+    The values keep the units of the settings: angles are in degrees.
 
     Args:
         section: checked settings.
-        owner: a function or a class that some of them were declared with, see `setting`.
+        owner: function or class with which some of the settings were declared, see `setting`.
     """
     taken = {}
     for name, field in type(section).model_fields.items():

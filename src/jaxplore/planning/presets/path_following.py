@@ -1,4 +1,4 @@
-"""Path following in one call: contouring control with MPPI."""
+"""Model predictive contouring control with MPPI in one call."""
 
 from typing import NamedTuple
 
@@ -24,16 +24,16 @@ from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
 KNOTS = 5
-"""Knots of the control splines: smooth noise turns a car, white noise shakes it."""
+"""Number of knots of the control splines. Smooth noise turns a car; white noise averages out."""
 
 
 class PathFollowing(NamedTuple):
-    """A controller that follows a path, with its model and its measures.
+    """A path-following controller with its model and the cost terms that measure its errors.
 
     Args:
         controller: MPPI over the robot's controls and its progress along the path.
-        model: the robot and its progress along the path.
-        contouring: the contouring cost of the controller, which also measures recorded states.
+        model: model of the robot and its progress along the path.
+        contouring: contouring cost of the controller, which also measures recorded states.
         lag: the lag cost of the controller, which also measures recorded states.
     """
 
@@ -59,12 +59,12 @@ def augmented_mppi(
     num_outcomes: int = 1,
     risk: Risk | None = None,
 ) -> MPPI:
-    """Return MPPI for a robot with virtual states beside its own.
+    """Build MPPI for a robot whose state is augmented by virtual states.
 
     Its `dynamics` are `Augmented(physical, virtual)`.
 
     Args:
-        physical: the robot.
+        physical: model of the robot.
         virtual: model of the virtual states, which are planned together with the robot's.
         cost: cost of states of `Augmented(physical, virtual)`.
         physical_proposal: proposal distribution of the robot's controls.
@@ -80,7 +80,7 @@ def augmented_mppi(
         risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
-        ValueError: parts that do not fit, and what `MPPI` refuses.
+        ValueError: parts that do not fit together, or a value that `MPPI` rejects.
     """
     model = Augmented(physical, virtual)
     return MPPI(
@@ -104,15 +104,16 @@ def avoidance_cost(
     margin: ArrayLike = 0.05,
     caution: ArrayLike = 1.0,
 ) -> Cost:
-    """Return the cost of obstacles along a path, for `mpcc(..., other=avoidance_cost())`.
+    """Build the obstacle cost along a path, for `mpcc(..., other=avoidance_cost())`.
 
         weight * MovingObstacleCost(clearance, collision=1, margin, caution) of the nearest obstacle
 
     Args:
         weight: cost of a step that is 5 cm too close.
-        clearance: distance from the robot's centre below which it costs [m].
+        clearance: distance of the robot's centre from an obstacle below which the cost is positive
+            [m].
         margin: distance kept beyond the robot's radius [m].
-        caution: standard deviations of an obstacle's position that are kept free.
+        caution: number of standard deviations of an obstacle's position to keep clear of.
 
     Raises:
         ValueError: a clearance that is not positive, another value that is negative.
@@ -153,7 +154,7 @@ def mpcc(
     num_outcomes: int = 16,
     risk: Risk | None = None,
 ) -> PathFollowing:
-    """Return model predictive contouring control of a robot along a path.
+    """Build model predictive contouring control (MPCC) of a robot along a path.
 
         J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate
                           + w_a [(|a_lat| - max_lateral)_+^2 + (|a_lon| - max_longitudinal)_+^2]
@@ -171,15 +172,15 @@ def mpcc(
         noise_std: (nu,) standard deviations in units of the controls, instead of `noise_share`.
         progress_noise: standard deviation of the progress [m/s].
         max_speed: bound of the progress along the path [m/s]; the robot's `max_speed` when absent.
-        contouring_weight: w_c [1/m^2].
-        lag_weight: w_l [1/m^2].
-        progress_weight: w_p, gained by each metre of the path [1/m].
-        comfort_weight: w_a, of accelerations beyond those that are free, see `ComfortCost`
-            [s^4/m^2]; None for no such cost, also for a model without a time derivative.
+        contouring_weight: weight of the contouring error, w_c [1/m^2].
+        lag_weight: weight of the lag error, w_l [1/m^2].
+        progress_weight: reward of each metre along the path, w_p [1/m].
+        comfort_weight: weight of accelerations beyond the free ones, w_a, see `ComfortCost`
+            [s^4/m^2]; None for no such cost, which a model without a time derivative requires.
         max_lateral: free acceleration across the heading, such as what the tyres hold [m/s^2].
         max_longitudinal: free acceleration along the heading [m/s^2].
         other: further costs, such as `avoidance_cost()`.
-        corridor: whether to keep within the path's half widths; if it has them, when absent.
+        corridor: whether to keep within the path's half widths; when absent, if the path has them.
         corridor_margin: distance kept from the corridor's edges [m].
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
@@ -193,8 +194,8 @@ def mpcc(
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
-            robot, negative weights, a robot without a `max_speed` if none is given, one without a
-            time derivative beside a `comfort_weight`, and what the parts refuse.
+                robot, negative weights, a robot without a `max_speed` if none is given, a robot without
+                a time derivative with a `comfort_weight`, or a value that a part rejects.
     """
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
@@ -241,7 +242,7 @@ def mpcc(
 def _comfort(
     robot: Dynamics, weight: ArrayLike, max_lateral: ArrayLike, max_longitudinal: ArrayLike
 ) -> Cost:
-    """Return the cost of accelerations beyond those that are free."""
+    """Build the cost of accelerations beyond the free ones."""
     if not isinstance(robot, ContinuousDynamics):
         raise ValueError(
             f"comfort_weight is {weight!r} for {type(robot).__name__}, which has no time "

@@ -1,4 +1,4 @@
-"""Informative MPPI for a quadrotor in both architectures, with the numbers of the design notes."""
+"""Informative MPPI for a quadrotor in both architectures, and baselines."""
 
 import math
 from typing import Any, NamedTuple
@@ -54,11 +54,11 @@ from jaxplore.sensing.lidar import Lidar
 
 ARCHITECTURES = ("two-layer", "parallel")
 BASELINE_WEIGHT = 10.0
-"""Of the distance from the target, where nothing else attracts [1/m]: as of guidance."""
+"""Weight of the distance from the target where nothing else attracts [1/m]; that of guidance."""
 
 
 class Flight(NamedTuple):
-    """Parameters that all controllers of a comparison share: sampling and safety.
+    """Sampling and safety parameters that all controllers of a comparison share.
 
     The cost of a rollout is the mean over its steps, so the temperature is in units of the cost of
     one step, for any horizon.
@@ -153,17 +153,17 @@ class FieldNumbers(NamedTuple):
 
     Args:
         field_of_view: field of view of both sensors [rad].
-        field_beams: beams of the far look that the field around the robot evaluates.
+        field_beams: beams of the long-range scan that the field around the robot evaluates.
         field_range: range of these beams [m].
-        field_noise: standard deviation of their range [m]; banded at 3 of them.
+        field_noise: standard deviation of their range [m]; the noise is cut off at 3 of them.
         field_spacing: distance between nodes [m].
         field_extent: half the side of the field [m].
-        field_headings: headings evaluated.
+        field_headings: number of headings that are evaluated.
         field_period: time between updates of the strategic layer [s].
-        local_beams: beams of the short look (Uniform-FSMI).
+        local_beams: beams of the short-range scan (Uniform-FSMI).
         local_range: range of these beams [m].
-        local_extent: half the side of the window in which they are known [m]: as far as a rollout
-            gets. Beyond it they are worth nothing.
+        local_extent: half the side of the window in which short-range scans are evaluated [m]: the
+            reach of a rollout. Beyond it their information is 0.
     """
 
     field_of_view: float = math.pi / 2.0
@@ -193,7 +193,8 @@ class FieldNumbers(NamedTuple):
     def short_range_field(self, resolution: float) -> ShortRangeField:
         """Build the field of short-range scans."""
         near = Lidar(self.local_beams, self.local_range, self.field_of_view)
-        # The directions have the spacing of the beams, so that each scan is a sum of directions.
+        # The directions have the spacing of the beams, so that the information of each scan is a
+        # plain sum over directions, without interpolation.
         turn = max(1, round(2.0 * math.pi / near.beam_spacing))
         stride = max(1, round(0.2 / resolution))
         nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
@@ -224,13 +225,13 @@ def informative_mppi(
     guidance_weight: ArrayLike = 10.0,
     goal_weight: ArrayLike = 0.2,
 ) -> InformativeMPPI:
-    """Build informative MPPI with the costs and numbers of the quadrotor design notes.
+    """Build informative MPPI with the costs and defaults for a quadrotor.
 
     Two-layer: MPPI tracks a reference that ascends the information field, with half of its samples
     around the controls that follow it. Parallel: MPPI reads the field, without reference and bias.
     Both also have a guidance cost, the cost to go through the whole map to the remaining
-    information, which is an addition to the notes. With a `target_choice`, two-layer goes from zone
-    to zone: the sequential architecture.
+    information. With a `target_choice`, two-layer goes from zone to zone: the sequential
+    architecture.
 
     The function has more than 60 lines because it is the one place of these numbers.
 
@@ -240,19 +241,19 @@ def informative_mppi(
         resolution: side of a map cell [m].
         sensor_model: inverse sensor model; `line_of_sight` when absent.
         goal: goal position (x, y) or (x, y, z) [m]; none when absent.
-        flight: numbers of MPPI and of keeping safe.
-        fields: numbers of the information fields.
+        flight: parameters of MPPI and of safety.
+        fields: parameters of the information fields.
         bias_fraction: share of the samples around the reference's controls.
-        likelihood_ratio: whether these are weighed by their likelihood ratio. Without, the plan
-            leans on the reference, as Biased-MPPI does.
+        likelihood_ratio: whether these are weighted by their likelihood ratio. Without it, the plan
+            is biased towards the reference, as in Biased-MPPI.
         reference: reference of the two-layer architecture; when absent it leads to the target of
             `target_choice`.
         target_choice: rule that chooses the target of the reference, see `zone_choice`: the
             sequential architecture. When absent the reference climbs the field.
         reference_speed: speed along the reference [m/s].
         reference_steps: length of the reference in steps of `flight.dt`.
-        by_heading: read the field at the robot's heading instead of its best one.
-        goal_when_explored: whether the goal attracts only when nothing worthwhile is left to see.
+        by_heading: whether to read the field at the robot's heading instead of the best heading.
+        goal_when_explored: whether the goal attracts only once the map is explored.
         reference_weight: weight of the squared distance from the reference [1/m^2].
         local_weight: weight of the information of a short-range scan [1/nat].
         field_weight: weight of the information field [1/nat].
@@ -315,7 +316,7 @@ def zone_choice(
     distance_weight: ArrayLike | None = None,
     depleted: ArrayLike = 0.35,
 ) -> TargetChoice:
-    """Return what chooses the next zone for the sequential architecture.
+    """Build the rule that chooses the next zone for the sequential architecture.
 
     Args:
         zones: zones to explore.
@@ -323,19 +324,19 @@ def zone_choice(
         perception: perception of the scenario, whose clearance the routes keep.
         lidar: sensor whose scans along the route are predicted by the methods other than
             "remaining".
-        method: "remaining", by what remains of a zone, see `RemainingInformation`; or a method of
-            `TrajectoryInformation`, by what the scans on the way there tell.
+        method: "remaining", the information that remains in a zone, see `RemainingInformation`; or
+            a method of `TrajectoryInformation`, the information of the scans along the route.
         distance_weight: weight of the length of the route; the default of the method when absent.
         depleted: share of its information below which a zone counts as explored. It exceeds what
             can never be seen, such as the inside of walls, which no scan reaches.
 
     Raises:
-        ValueError: an unknown method, and what the parts refuse.
+        ValueError: an unknown method, or a value that a part rejects.
     """
     targets = Targets(
         zones, goal, depleted=depleted, required_clearance=perception.required_clearance
     )
-    # Each method has a unit, and so a default, of its own.
+    # The methods differ in unit, so each has its own default weight.
     weight: dict[str, Any] = {} if distance_weight is None else {"weight": distance_weight}
     if method == "remaining":
         return RemainingInformation(targets, **weight)
@@ -349,7 +350,7 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
     Args:
         robot: model of the robot.
         goal: goal position (x, y) or (x, y, z) [m].
-        flight: numbers of MPPI and of keeping safe.
+        flight: parameters of MPPI and of safety.
     """
     flight = Flight() if flight is None else flight
     cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
@@ -357,13 +358,13 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
 
 
 def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
-    """Build a random walk with the speed and the safety of an explorer, as a baseline.
+    """Build a random walk with the speed and the safety costs of an explorer, as a baseline.
 
     Args:
         robot: model of the robot.
-        flight: numbers of MPPI and of keeping safe.
+        flight: parameters of MPPI and of safety.
     """
     flight = Flight() if flight is None else flight
     mppi = flight.mppi(robot, flight.cost(robot), flight.noise(robot))
-    # Of the mean over steps, like all other terms.
+    # Scaled to the mean over the steps, like all other terms.
     return RandomWalk(mppi, BASELINE_WEIGHT / flight.horizon)

@@ -1,4 +1,4 @@
-"""An animated GIF of a run: the map grows, the robot looks ahead and drives."""
+"""Animation of an exploration run: the belief, the robot and its rollouts."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -83,7 +83,7 @@ def write_animation(
 def frame_image(
     recording: ExplorationData, frame: ExplorationFrame, *, width: int = 720
 ) -> Image.Image:
-    """Return one look at a run, as it is drawn in the animation.
+    """Draw one frame of a run, as in the animation.
 
     Args:
         recording: recording of the run.
@@ -110,8 +110,10 @@ def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
 
 
 def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
-    """Return the belief, the true walls yet to be seen, the information and ground that may not be
-    entered, a pixel per cell."""
+    """Draw the belief, unseen true walls, the information and untraversable ground.
+
+    One pixel per cell.
+    """
     drawn = np.ix_(*canvas.sample)
     level = canvas.window.crop(frame.probability, 128.0)[drawn]
     colours = belief_colours()[level // 16 * 16 + (level >= 240) * 15].astype(np.float32)
@@ -125,12 +127,12 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     colours += alpha * (np.asarray(HEAT, np.float32) - colours)
     closed = canvas.closed & (level < 192)
     colours[closed] += CLOSED_SHARE * (np.asarray(CLOSED, np.float32) - colours[closed])
-    # Row 0 is at the bottom.
+    # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
     return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
 
 
 def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
-    """Draw, from the ground up, what it sees, where it was, what it weighs up, and itself."""
+    """Draw the scan, the trail, the rollouts, the plan and the robot, in this order."""
     recording = canvas.recording
     names = recording.state_names
     here = frame.state[[names.index("x"), names.index("y")]]
@@ -178,17 +180,17 @@ def _draw_movers(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageD
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Return means over three by three nodes: the field's finest grain is noise to the eye."""
+    """Average over three by three nodes: finer detail of the field looks like noise."""
     padded = np.pad(values, 1, mode="edge")
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
 
 
 def _shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
-    """Return the colours that all frames share.
+    """Compute the palette that all frames share.
 
-    Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
-    pure and as they fade into the ground; the rest is found from a few frames side by side.
+    Thin lines have few pixels, and a palette by frequency would lose their colours. These are
+    fixed, pure and blended with the background; the rest is computed from a few frames.
 
     Args:
         recording: recording of the run; elements that it does not have get no colour.

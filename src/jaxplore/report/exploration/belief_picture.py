@@ -1,4 +1,4 @@
-"""A picture of what a robot knows, and of the robot in it."""
+"""A picture of the belief with the robot in it."""
 
 import dataclasses
 
@@ -15,7 +15,7 @@ MOST_RAYS = 45
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """Where world points are in a supersampled picture of a whole grid.
+    """The transformation from world points to a supersampled picture of a whole grid.
 
     Args:
         origin: pose of the grid [m, m, rad].
@@ -46,7 +46,7 @@ def belief_picture(
     scan: np.ndarray,
     width: int = 640,
 ) -> np.ndarray:
-    """Return a picture (rows, columns, 3) in 256 levels.
+    """Draw the belief, the trail, the last scan and the robot (rows, columns, 3) in 256 levels.
 
     Args:
         probability: (H, W) occupancy probability of the belief.
@@ -62,7 +62,7 @@ def belief_picture(
     rows, columns = probability.shape
     side = max(1, round(width / columns))
     level = np.round(255.0 * probability).astype(np.uint8)
-    # Row 0 is at the bottom.
+    # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
     image = Image.fromarray(belief_colours()[level[::-1]])
     size = (columns * side * SUPERSAMPLING, rows * side * SUPERSAMPLING)
     image = image.resize(size, Image.Resampling.NEAREST)

@@ -1,4 +1,4 @@
-"""The data of an exploration run: the record of each step, the snapshots, the world."""
+"""Data of an exploration run: the record of each step, the frames, the world."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from jaxplore.report.recording import Frame, RunData
 
 
 class MapProgress(NamedTuple):
-    """How much of the map is known, and how long ago it was seen: see `ExplorationRecord`."""
+    """Statistics of the known map and of its idleness: see `ExplorationRecord`."""
 
     coverage: Scalar
     entropy: Scalar
@@ -21,7 +21,7 @@ class MapProgress(NamedTuple):
 
 
 class ExplorationRecord(NamedTuple):
-    """What is kept of each step; in a run every field has a leading axis of steps.
+    """The record of a step; in a recording every field has a leading axis of steps.
 
     Args:
         state: (nx,) state after the step.
@@ -30,15 +30,15 @@ class ExplorationRecord(NamedTuple):
         entropy: entropy of the belief over the reachable cells [nat].
         unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
         clearance: distance from the robot's edge to the nearest solid cell [m], up to half a metre.
-        is_collision: the step would have led into something; the robot stopped instead.
+        is_collision: whether the step would have led to a collision; the robot stopped instead.
         is_untraversable: whether part of the robot is on untraversable ground.
         effective_sample_size: effective sample size of the controller's rollouts.
-        is_finite: whether any of them was finite.
-        is_faulty: whether scans or odometry failed, by the scenario's faults.
+        is_finite: whether any rollout had a finite cost.
+        is_faulty: whether a fault of scans or odometry was active.
         targets_seen: number of targets seen so far.
-        mean_idleness: of the reachable cells, the time since each was seen, or since the start [s];
-            0 if nobody keeps watch.
-        worst_idleness: the longest of them [s].
+        mean_idleness: mean over the reachable cells of the time since each was last seen, or since
+            the start [s]; 0 without an idleness map.
+        worst_idleness: the greatest of these times [s].
         members: diagnostics of the members of a controller that holds several.
     """
 
@@ -92,7 +92,7 @@ class ExplorationFrame(Frame):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExplorationData(RunData):
-    """An exploration run: every step, snapshots, and the world in which it took place.
+    """Data of an exploration run: every step, frames, and the true world.
 
     Args:
         world: (H, W) probability of the true map.
@@ -107,8 +107,8 @@ class ExplorationData(RunData):
         initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
         initial_unknown: share of unknown cells before the first step.
         goal: (2,) goal position [m]; None if there is no goal.
-        finished_step: steps done when the scenario was finished; None if it was not, or before the
-            first step.
+        finished_step: number of steps until the scenario was finished; None if it was not, or was
+            finished before the first step.
         control_half_range: (nu,) half the range between the bounds of each control.
         state_names: names of the components of the robot's state.
         robot_radius: radius of the robot [m].
@@ -153,6 +153,6 @@ class ExplorationData(RunData):
 
     @property
     def positions(self) -> np.ndarray:
-        """(N + 1, 2) positions of the robot, the start included [m]."""
+        """Positions (N + 1, 2) of the robot, the start included [m]."""
         states = np.concatenate([self.start[None], self.records.state])
         return states[:, [self.state_names.index("x"), self.state_names.index("y")]]

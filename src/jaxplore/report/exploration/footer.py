@@ -1,4 +1,4 @@
-"""The strip below an animated map: numbers, the legend and the coverage curve."""
+"""The footer of an exploration animation: numbers, the legend and the coverage curve."""
 
 from PIL import Image, ImageDraw
 

@@ -1,4 +1,4 @@
-"""The data of a path-following run: the record of each step, the snapshots, the course."""
+"""Data of a path-following run: the record of each step, the frames, the course."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,24 +11,24 @@ from jaxplore.report.recording import Frame, RunData
 
 
 class PathRecord(NamedTuple):
-    """What is kept of each step; in a run every field has a leading axis of steps.
+    """The record of a step; in a recording every field has a leading axis of steps.
 
     Args:
         state: (nx,) state after the step, with its path parameter phi.
         control: (nu,) control that took effect during the step.
-        contouring: error at phi, by the object that plans [m].
-        lag: error at phi [m].
-        progress: arc length of the point of the path that is nearest to the robot [m]; on laps it
-            goes on growing.
-        deviation: distance across the path there, positive to its right [m].
+        contouring: contouring error at phi, computed by the controller's own cost [m].
+        lag: lag error at phi, computed likewise [m].
+        progress: arc length of the point of the path nearest to the robot [m]; it keeps growing
+            from lap to lap.
+        deviation: distance from that point across the path, positive to its right [m].
         room: distance from the robot's edge to the edge of the corridor there [m], negative beyond
             it; infinite without one.
         gap: distance from the robot's edge to the nearest obstacle [m]; infinite without any.
-        acceleration: (2,) along the heading and to the left [m/s^2]; not a number of a model that
-            does not say.
+        acceleration: (2,) acceleration along the heading and to the left [m/s^2]; NaN for a model
+            without a time derivative.
         effective_sample_size: effective sample size of the controller's rollouts.
-        is_finite: whether any of them was finite.
-        is_faulty: whether tracking or odometry failed, by the scenario's faults.
+        is_finite: whether any rollout had a finite cost.
+        is_faulty: whether a fault of tracking or odometry was active.
     """
 
     state: StateVector
@@ -68,7 +68,7 @@ class PathFrame(Frame):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PathData(RunData):
-    """A path-following run: every step, snapshots, and the course that was driven.
+    """Data of a path-following run: every step, frames, and the course.
 
     Args:
         start: (nx,) state at the start.
@@ -102,11 +102,11 @@ class PathData(RunData):
 
     @property
     def progress(self) -> np.ndarray:
-        """(N + 1,) arc length at the start and after each step [m]."""
+        """Arc length (N + 1,) at the start and after each step [m]."""
         return np.concatenate([[self.start_progress], self.records.progress])
 
     @property
     def positions(self) -> np.ndarray:
-        """(N + 1, 2) positions of the robot, the start included [m]."""
+        """Positions (N + 1, 2) of the robot, the start included [m]."""
         states = np.concatenate([self.start[None], self.records.state])
         return states[:, [self.state_names.index("x"), self.state_names.index("y")]]
