@@ -1,4 +1,4 @@
-"""Runs side by side in one compiled loop: with other keys, other numbers, or both."""
+"""Batches of runs in one compiled loop, with different keys, parameters, or both."""
 
 import functools
 import time
@@ -29,16 +29,16 @@ from jaxplore.simulation.scenario import Scenario
 from jaxplore.simulation.stacking import Places, Stacked
 
 Keys = KeyArray[Array, "..."]
-"""(B,) random keys of the runs, or one key for all."""
+"""Random keys (B,) of the runs, or one key for all."""
 
 
 class Batch(NamedTuple):
-    """Runs side by side.
+    """Loop states of a batch of runs.
 
     Args:
         states: states of the loops, with a leading axis of runs; each counts its own steps.
-        clock: number of steps of the unfinished runs. It is one number for all, so that the batch
-            senses and derives fields no more often than one run does.
+        clock: number of steps of the unfinished runs. It is one number for all runs, so that a
+            batch senses and derives fields only as often as a single run.
     """
 
     states: LoopState
@@ -52,14 +52,14 @@ def record_runs(
     *,
     keys: Keys,
 ) -> tuple[Recording, ...]:
-    """Simulate several runs by `jax.vmap`, each until it is finished or the steps are done.
+    """Simulate a batch of runs by `jax.vmap`, each until it is finished or the steps are done.
 
-    Made for accelerators. A processor is busy with one run: there a batch takes longer than its
-    runs one after the other. Each run is that of `record_run` with the same key but for rounding,
-    which in time makes it another one; the same keys give the same runs. The frames show no plans,
-    and the times are those of the steps of all runs together.
+    Batches are for accelerators. One run keeps a CPU busy: there a batch takes longer than its runs
+    one after the other. Each run equals that of `record_run` with the same key up to rounding, whose
+    effect grows with time; the same keys give the same runs. The frames show no plans, and the times
+    are those of the steps of all runs together.
 
-    Ctrl-C ends all runs after the current chunk; what was done is returned.
+    Ctrl-C ends all runs after the current chunk and returns them.
 
     Args:
         controller: computes the controls.
@@ -84,16 +84,16 @@ def record_experiments(
     with_frames: bool = True,
     differs: Places | None = None,
 ) -> tuple[tuple[Recording, ...], Places]:
-    """Simulate runs that differ in keys and in numbers of their controllers and scenarios.
+    """Simulate a batch of runs that differ in keys and in parameters of controllers and scenarios.
 
-    See `record_runs`. What all runs share, maps and noise of the same key, is computed once.
+    See `record_runs`. Values that all runs share, maps and noise of the same key, are computed once.
 
     Args:
         experiments: at least one experiment; their own numbers of steps are ignored.
         num_steps: greatest number of control periods.
         with_frames: whether to keep frames of the runs.
-        differs: arrays to treat as different although they may be equal here, as returned by a
-            former call: then the same compiled program serves.
+        differs: arrays to treat as different even if they are equal here, as returned by a former
+            call, so that both calls share a compiled program.
 
     Returns:
         The recordings, and which arrays differed.
@@ -113,7 +113,7 @@ def record_experiments(
     keys = jnp.stack([one.key for one in experiments])
     data = jax.random.key_data(keys)
     if len(experiments) > 1 and bool(jnp.all(data == data[:1])):
-        # One key for all: what is drawn from it is drawn once.
+        # With a single key for all runs, vmap draws the random numbers once.
         keys = keys[0]
     scenario = experiments[0].scenario
     chunk = max(1, round(CHUNK_SECONDS / scenario.period))
@@ -147,7 +147,7 @@ def record_experiments(
 
 
 def _run_at[T](together: T, i: int) -> T:
-    """Return one run's part of arrays with a leading axis of runs."""
+    """Return one run's entry of arrays with a leading axis of runs."""
     alone: T = jax.tree.map(lambda leaf: leaf[i], together)
     return alone
 
@@ -155,10 +155,10 @@ def _run_at[T](together: T, i: int) -> T:
 def _alone(
     together: ChunkedRun[Batch, Any, tuple[Frame, ...]], i: int
 ) -> ChunkedRun[LoopState, Any, Frame]:
-    """Return one of the runs as if it had been alone."""
+    """Extract one of the runs, as if it had been simulated alone."""
     state = _run_at(together.state.states, i)
     num_steps = int(state.step)
-    # The frames after its end are all the same.
+    # The frames after its end are all equal.
     frames = {frames[i].step: frames[i] for frames in together.frames if frames}
     return ChunkedRun(
         state,

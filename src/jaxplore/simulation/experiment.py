@@ -1,4 +1,4 @@
-"""A run that is ready to start, of any kind."""
+"""Experiments: all that a run of any task needs."""
 
 from typing import NamedTuple
 
