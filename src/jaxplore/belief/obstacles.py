@@ -124,7 +124,8 @@ class Obstacles(eqx.Module):
         Args:
             radii: (N,) radii [m]; N = 0 is accepted.
             growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
-            memory: time without a measurement after which an obstacle is forgotten [s]. Its possible
+            memory: time without a measurement after which an obstacle is forgotten [s]. Its
+                possible
                     positions are so many by then that a robot avoiding all of them would hit walls.
 
         Raises:

@@ -58,7 +58,8 @@ def _following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> Pa
         avoidance = arguments(settings.obstacles, avoidance_cost)
         if given.risk_level is not None:
             disturbance, risk = UncertainObstacles(), ConditionalValueAtRisk(given.risk_level)
-            # With outcomes, the sampled motions represent the uncertainty: no caution on top of them.
+            # With outcomes, the sampled motions represent the uncertainty: no caution on top of
+            # them.
             avoidance["caution"] = 0.0
         other = avoidance_cost(**avoidance)
     return mpcc(

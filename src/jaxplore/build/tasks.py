@@ -71,7 +71,7 @@ def task_of(entries: dict[str, Any]) -> Task:
 
 def _with_path(entries: dict[str, Any]) -> dict[str, Any]:
     """Return entries whose map `path` has become the path `track`."""
-    # With a world of its own, `map` is a name that users choose.
+    # Beside a `world`, `map` is a free name and selects nothing.
     if entries.get("map") != PATH or entries.get("world") is not None:
         return entries
     rest = {name: value for name, value in entries.items() if name != "map"}
@@ -82,8 +82,8 @@ def build(settings: RunSettings) -> Experiment:
     """Build the experiment that settings describe.
 
     Raises:
-        ValueError: a file that cannot be read, a start that is not possible, or settings that a part
-            rejects.
+        ValueError: a file that cannot be read, a start that is not possible, or settings that a
+            part rejects.
     """
     tasks = {task.settings: task for task in TASKS.values()}
     return tasks[type(settings)].build(settings)

@@ -28,7 +28,15 @@ from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="jaxplore")
 def cli() -> None:
-    """Informative exploration with sampling-based control, on JAX."""
+    """Simulate robots that explore unknown maps or follow paths.
+
+    The robots are controlled by model predictive path integral control (MPPI) on JAX. An exploring
+    robot drives to where its sensors gain the most information. A path-following robot maximises
+    its progress and avoids obstacles.
+
+    `run` simulates one run, `compare` compares controllers or settings, `tune` searches for better
+    settings.
+    """
 
 
 @cli.command()
@@ -45,13 +53,12 @@ def run(
     animation: bool,
     **options: Any,
 ) -> None:
-    """Let a robot explore a ROS map, a world or scenario file, or one that has a name, or let it
-    follow a path.
+    """Simulate a robot that explores a map or follows a path.
 
-    Names: office (generated), zones (a quadrotor's), the ground vehicles' scenarios warehouse,
-    search-rescue and perimeter, and path.
+    The argument is a ROS map, a world or scenario file, or a name: office (a generated map), zones
+    (for a quadrotor), warehouse, search-rescue or perimeter (for ground vehicles), or path.
 
-    Writes a run folder with metrics, arrays, pictures, an animation and the settings used:
+    Writes a run folder with metrics, arrays, figures, an animation and the settings:
 
     \b
       jaxplore run office
@@ -62,7 +69,7 @@ def run(
       jaxplore run path --laps 3 --obstacles 5
       jaxplore run path --path centerline.csv --max-speed 8
 
-    Ctrl-C ends the run and keeps what was done.
+    Ctrl-C ends the run and saves it up to then.
     """
     entries = entries_of(options)
     settings = make_settings(entries)
@@ -93,7 +100,7 @@ def run(
 )
 @click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
 def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **options: Any) -> None:
-    """Compare architectures or other settings in one place or on many maps.
+    """Compare controllers or other settings in one scenario or on many maps.
 
     All variants run with the same seeds. Writes a folder with a table, curves, all metrics, and an
     animation of the first run of each variant:
@@ -106,10 +113,11 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
       jaxplore compare path --vary cost.progress.weight=100,1000 --seeds 5
       jaxplore compare path --variants mild.yaml,fast.yaml
 
-    Ctrl-C ends the comparison and keeps the finished runs.
+    Ctrl-C ends the comparison and keeps finished runs.
 
-    With --maps it compares on all ROS maps of a folder. The folder of results has a file for each
-    run, results.parquet, the table of all, and results.html; the same command continues:
+    With --maps it compares on all ROS maps of a folder. The folder of results has one file per run,
+    a table of all runs, results.parquet, and a page, results.html. The same command continues an
+    interrupted comparison:
 
     \b
       jaxplore compare --maps maps --architectures explorer,portfolio --workers 4
@@ -131,10 +139,10 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
 )
 @click.option("--animation/--no-animation", default=True, help="Draw a run before and after.")
 def tune(out: Path | None, animation: bool, **options: Any) -> None:
-    """Search better settings for a scenario, and compare them with the current ones.
+    """Search for better settings of a scenario, and compare them with the current ones.
 
-    Every candidate runs the same episodes. The best ones run further ones. The chosen candidate and
-    the current settings are then compared on unseen seeds:
+    Every candidate is evaluated on the same seeds, and the best ones on further seeds. The chosen
+    candidate and the current settings are then compared on unseen seeds:
 
     \b
       jaxplore tune office --tune controller.temperature --budget 100
@@ -142,8 +150,8 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
       jaxplore tune warehouse --tune portfolio.temperature --budget 30min --workers 2
       jaxplore tune path --tune cost.progress.weight --tune cost.comfort.weight --optimizer cma-es
 
-    Writes settings.yaml for jaxplore run --settings, a report with pictures, tables, and study.db,
-    which optuna-dashboard shows. Ctrl-C keeps all finished episodes; the same command continues.
+    Writes settings.yaml for jaxplore run --settings, a report with figures, tables, and study.db
+    for optuna-dashboard. Ctrl-C keeps finished episodes; the same command continues.
     """
     run_tune(options, out, animation=animation)
 
@@ -157,7 +165,7 @@ def show_settings() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line: what is wrong with the input is one line and exit code 2.
+    """Run the command line. Bad input gives one line on stderr and exit code 2.
 
     Args:
         arguments: command-line arguments; those of the process when absent.

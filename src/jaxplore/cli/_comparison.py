@@ -32,26 +32,26 @@ _OF_ONE_PLACE = {
     "start": "--start",
     "goal": "--goal",
 }
-"""Options for one place only."""
+"""Options for a single scenario only."""
 
 _FAILED, _INTERRUPTED = 1, 130
 
 
 def comparison_options(command: Any) -> Any:
-    """Add the options that say what is compared, and where."""
+    """Add the options for the variants and the maps of a comparison."""
     folder = click.Path(path_type=Path)
     for option in (
         click.option(
             "--batch",
             type=int,
-            help="With --maps: runs side by side in one program, for accelerators.  [default: 1]",
+            help="With --maps: runs in one program (vmap), for accelerators.  [default: 1]",
         ),
         click.option(
             "--starts",
             type=folder,
             metavar="FILE",
-            help="With --maps: where to start, NAME: [x, y, yaw] in YAML.  [default: starts.yaml "
-            "of the folder, else the most open spot]",
+            help="With --maps: YAML file of start poses, NAME: [x, y, yaw].  [default: starts.yaml "
+            "of the folder, else the position with the greatest clearance]",
         ),
         click.option(
             "--maps",
@@ -64,12 +64,12 @@ def comparison_options(command: Any) -> Any:
             "varied",
             multiple=True,
             metavar="NAME=A,B,C",
-            help="Compare values of a setting, or of a number of the controller by its path.",
+            help="Compare values of a setting, or of a controller parameter by its path.",
         ),
         click.option(
             "--variants",
             metavar="FILE,FILE",
-            help="Compare files of settings, each over the common settings.",
+            help="Compare settings files, each merged over the common settings.",
         ),
         click.option(
             "--architectures",
@@ -87,8 +87,7 @@ def run_comparison(
 ) -> None:
     """Compare variants, write the folder of the comparison and print its tables.
 
-    With several maps it ends the process with 1 if runs failed, and with 130 if the user stopped
-    it.
+    With --maps the exit code is 1 if runs failed, and 130 if the user stopped it.
 
     Raises:
         ValueError: options that are not accepted.
@@ -142,7 +141,7 @@ def _in_one_place(
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     first = common.seed
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
-    # Defaults depend on the architecture: those of the first one are kept.
+    # Defaults depend on the architecture; settings.yaml stores those of the first one.
     architecture = getattr(common, "architecture", None)
     kind = {} if architecture is None else {"architecture": architecture}
     kept = make_settings({**entries, **kind}).model_dump(mode="json", exclude={"architecture"})
@@ -164,7 +163,7 @@ def _in_one_place(
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
-    """Refuse architectures that drive another robot than the others."""
+    """Check that all architectures drive the same robot."""
     names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
     ground = [name for name, architecture in names.items() if architecture in GROUND]
     if ground and len(ground) < len(names):
@@ -208,10 +207,10 @@ def _on_maps(
 
 
 def _default_folder(maps: Path) -> Path:
-    """Return the folder for the results of a folder of maps.
+    """Return the default folder for the results of a folder of maps.
 
     Raises:
-        ValueError: there is one with the name of former versions.
+        ValueError: a folder with the default name of former versions exists.
     """
     name = os.path.basename(os.path.realpath(maps))
     folder, former = Path("runs") / f"{name}-comparison", Path("runs") / f"{name}-benchmark"
@@ -221,7 +220,7 @@ def _default_folder(maps: Path) -> Path:
 
 
 def _show(found: MapComparison) -> None:
-    """Print the tables, where the files are, and what is missing."""
+    """Print the tables, the paths of the files, and the missing runs."""
     for table in found.tables:
         click.echo(table.title)
         print_table(table.rows, has_lines=True)
@@ -233,7 +232,7 @@ def _show(found: MapComparison) -> None:
     if counts.is_interrupted:
         click.echo(
             f"Interrupted: {counts.num_former + counts.num_done} of {found.num_episodes} runs are "
-            "done; the same command does the others.",
+            "done; the same command continues.",
             err=True,
         )
         sys.exit(_INTERRUPTED)

@@ -16,9 +16,9 @@ _INTERRUPTED = 130
 
 
 def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:
-    """Search settings, write the folder of the search and print the result.
+    """Search for better settings, write the folder of the search and print the result.
 
-    Ends the process with 130 if the user stopped it.
+    The exit code is 130 if the user stopped it.
 
     Raises:
         ValueError: options that are not accepted.
@@ -36,7 +36,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
     if not given["tuned"]:
         raise ValueError(
-            "--tune is missing; accepted: a setting or a number of the controller, such as "
+            "--tune is missing; accepted: a setting or a controller parameter, such as "
             "controller.temperature=0.01:3:log"
         )
     name = "-".join(scenarios)
@@ -69,7 +69,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
 
 
 _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
-"""Options that `tune` takes by the same name."""
+"""Options that are parameters of `tune` with the same name."""
 
 
 def _end(folder: Path, kept: str = "") -> None:

@@ -150,7 +150,8 @@ class MovingObstacleCost(Cost):
         return least(lambda obstacle: _gap(obstacle, points), things)[0]
 
     def room(self, state: State, obstacles: Obstacles) -> Scalar:
-        """Return the distance from the robot's edge to the nearest obstacle at the present time [m]."""
+        """Return the distance from the robot's edge to the nearest obstacle at the present time
+        [m]."""
         return self.distance(state, jnp.zeros(()), obstacles) - state.dynamics.footprint.radius
 
     def _expected(

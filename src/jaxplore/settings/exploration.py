@@ -179,8 +179,8 @@ class SensorModelSettings(Section):
     """The inverse sensor model: see `jaxplore.InverseSensorModel`.
 
     Args:
-        kind: `log_odds` uses the numbers of this section; with `line_of_sight` one measurement makes
-            a cell certain.
+        kind: `log_odds` uses the numbers of this section; with `line_of_sight` one measurement
+            makes a cell certain.
     """
 
     kind: Literal["log_odds", "line_of_sight"] = "log_odds"
@@ -315,9 +315,9 @@ class Settings(RunSettings):
         world: the entries of a world, instead of its file.
         architecture: architecture of the controller. Ground robots: `explorer`, `portfolio`, or a
             rule-based explorer by the name of its rule, such as `nearest-frontier`. Quadrotors:
-            informative MPPI, which is `two-layer`, `parallel` or `sequential` (two-layer from zone to
-            zone of a world), or a baseline, `random-walk` or `goal`, which drives straight to the
-            goal.
+            informative MPPI, which is `two-layer`, `parallel` or `sequential` (two-layer from zone
+            to zone of a world), or a baseline, `random-walk` or `goal`, which drives straight to
+            the goal.
         goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.

@@ -97,7 +97,8 @@ class ContouringSettings(Section):
 
     Args:
         risk_level: level of the conditional value at risk of the obstacle cost over `num_outcomes`
-            sampled motions of the obstacles; the cost of the mean motion, with `caution`, when absent.
+            sampled motions of the obstacles; the cost of the mean motion, with `caution`, when
+            absent.
     """
 
     horizon: Count = setting(mpcc, "horizon")

@@ -55,9 +55,9 @@ def record_runs(
     """Simulate a batch of runs by `jax.vmap`, each until it is finished or the steps are done.
 
     Batches are for accelerators. One run keeps a CPU busy: there a batch takes longer than its runs
-    one after the other. Each run equals that of `record_run` with the same key up to rounding, whose
-    effect grows with time; the same keys give the same runs. The frames show no plans, and the times
-    are those of the steps of all runs together.
+    one after the other. Each run equals that of `record_run` with the same key up to rounding,
+    whose effect grows with time; the same keys give the same runs. The frames show no plans, and
+    the times are those of the steps of all runs together.
 
     Ctrl-C ends all runs after the current chunk and returns them.
 
@@ -86,7 +86,8 @@ def record_experiments(
 ) -> tuple[tuple[Recording, ...], Places]:
     """Simulate a batch of runs that differ in keys and in parameters of controllers and scenarios.
 
-    See `record_runs`. Values that all runs share, maps and noise of the same key, are computed once.
+    See `record_runs`. Values that all runs share, maps and noise of the same key, are computed
+    once.
 
     Args:
         experiments: at least one experiment; their own numbers of steps are ignored.

@@ -34,8 +34,8 @@ def loop[S, R](
 ) -> tuple[S, R, Count]:
     """Step up to `num_steps` times, fewer if the task is finished; a scan of traced length.
 
-    The same compiled program runs a whole chunk or a single step that is timed, and it stops as soon
-    as the task is finished.
+    The same compiled program runs a whole chunk or a single step that is timed, and it stops as
+    soon as the task is finished.
 
     Args:
         step: function from a state to the next state and the step's record.

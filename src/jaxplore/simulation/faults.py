@@ -15,7 +15,7 @@ NEVER = (0.0, 0.0)
 
 
 class Faults(eqx.Module):
-    """Faults to inject into a run; each lasts from a start to an end time [s] since the run's start.
+    """Faults to inject into a run; each lasts from a start to an end time [s].
 
     Args:
         scan_dropout: interval without scans.
@@ -97,7 +97,8 @@ class Faults(eqx.Module):
     def delay(
         self, pending: Float[Array, "D nu"], control: ControlVector
     ) -> tuple[Float[Array, "D nu"], ControlVector]:
-        """Delay a command: return the pending commands (D, nu), oldest first, and the effective one."""
+        """Delay a command: return the pending commands (D, nu), oldest first, and the effective
+        one."""
         queue = jnp.concatenate([pending, control[None]])
         return queue[1:], queue[0]
 

@@ -71,8 +71,8 @@ class Run:
             path: the folder.
             overwrite: whether to replace a former run folder.
             animation: whether to draw the animation.
-            settings: settings of the run, written to settings.yaml; the command line repeats the run
-                from them.
+            settings: settings of the run, written to settings.yaml; the command line repeats the
+                run from them.
             progress: whether to show a progress bar of the drawing.
 
         Raises:

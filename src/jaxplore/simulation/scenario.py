@@ -69,7 +69,8 @@ class Scenario(eqx.Module):
 
     @property
     def period(self) -> float:
-        """Time between controls [s], without the rounding of float32: 0.02, not 0.019999999552965164."""
+        """Time between controls [s], without the rounding of float32: 0.02, not
+        0.019999999552965164."""
         return round(float(self.control_period), 7)
 
     @property
@@ -139,7 +140,8 @@ class Scenario(eqx.Module):
         return {}
 
     def progress(self, state: Any) -> tuple[float, str]:
-        """Return the share of the task that is done, from 0 to 1, and a text for the progress bar."""
+        """Return the share of the task that is done, from 0 to 1, and a text for the progress
+        bar."""
         return 0.0, ""
 
     def for_batches(self) -> "Scenario":
@@ -164,7 +166,7 @@ class Scenario(eqx.Module):
             jnp.zeros((), jnp.int32), nothing, self.start, info.is_finite, info.is_finite
         )
         # Only the shapes are needed, so a constant control and blank diagnostics stand in for the
-        # controller: tracing it here would take seconds.
+        # controller, which would be slow to trace.
         _, record = eqx.filter_eval_shape(
             self.advance, state, self.robot.default_control, moment, info
         )

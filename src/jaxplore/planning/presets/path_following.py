@@ -194,8 +194,8 @@ def mpcc(
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
-                robot, negative weights, a robot without a `max_speed` if none is given, a robot without
-                a time derivative with a `comfort_weight`, or a value that a part rejects.
+                robot, negative weights, a robot without a `max_speed` if none is given, a robot
+                without a time derivative with a `comfort_weight`, or a value that a part rejects.
     """
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)

@@ -56,8 +56,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
     """Draw the final belief with the robot's path and the outline of the true free space.
 
     Walls that were not seen are red. If present, it also shows the height of the ground as contour
-    lines, untraversable ground hatched, the targets, the last positions of the moving obstacles with
-    their positions in the frames, and a rectangular robot's outline at the start and at the end.
+    lines, untraversable ground hatched, the targets, the last positions of the moving obstacles
+    with their positions in the frames, and a rectangular robot's outline at the start and at the
+    end.
 
     A rotated map is drawn along its own axes.
     """

@@ -29,7 +29,8 @@ class Window:
 
     @classmethod
     def around_reachable(cls, recording: ExplorationData) -> "Window":
-        """Return the bounding box of the reachable cells and a margin; the whole grid without any."""
+        """Return the bounding box of the reachable cells and a margin; the whole grid without
+        any."""
         cells = recording.reachable
         rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
         margin = round(MARGIN / recording.resolution)
@@ -76,5 +77,6 @@ class Window:
         return cropped
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """Transform world points (..., 2) to metres from the window's corner along the grid's axes."""
+        """Transform world points (..., 2) to metres from the window's corner along the grid's
+        axes."""
         return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution

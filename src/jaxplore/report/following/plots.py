@@ -174,7 +174,8 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
                 PathPatch(outline, facecolor=dark, alpha=FAINT, linewidth=0.0, zorder=1.5)
             )
     for corners, radius in zip(frames[-1].corners, radii, strict=True):
-        # The edge is drawn beneath the fill: above it would show where pieces of the outline overlap.
+        # The edge is drawn beneath the fill: above it would show where pieces of the outline
+        # overlap.
         rim = [Stroke(linewidth=2.4, foreground=light), Normal()]
         outline = thick_outline(corners, radius)
         patch = PathPatch(outline, facecolor=dark, edgecolor="none", linewidth=0.0, zorder=3.0)

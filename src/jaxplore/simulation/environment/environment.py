@@ -94,7 +94,8 @@ class Environment(eqx.Module):
 
     A robot perceives, decides and moves, in this order. The environment pauses between perception
     and decision: the observation contains the measurement at the present position, as a controller
-    of the closed loop would see it. The same key and the same controls give the states of `simulate`.
+    of the closed loop would see it. The same key and the same controls give the states of
+    `simulate`.
 
         reward = Scenario.reward(before, after) - collision_penalty * (time in contact)
 
@@ -203,8 +204,8 @@ class Environment(eqx.Module):
         Args:
             state: state before.
             action: (A,) action; values out of bounds are clipped.
-            num_steps: number of control periods of the action, fewer if the episode ends; with 0 the
-                robot only perceives. The periods between actions when absent.
+            num_steps: number of control periods of the action, fewer if the episode ends; with 0
+                the robot only perceives. The periods between actions when absent.
         """
         scenario, before = self.scenario(state.choice), state.tally
         steps = self.steps_per_action if num_steps is None else num_steps

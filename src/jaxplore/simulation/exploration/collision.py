@@ -1,4 +1,4 @@
-"""Exact distances from the robot's outline to the true world and to moving obstacles.
+"""Distances from the robot's outline to the true world and to moving obstacles.
 
 For a disc and a rectangle they are from the outline itself, not from the discs that cover it.
 """
@@ -80,12 +80,12 @@ def rectangle_clearance(
 ) -> Scalar:
     """Compute the distance from a rectangle's edge to the nearest solid square cell [m].
 
-    For two disjoint convex polygons it is the least distance of a corner of one from the other. They
-    overlap if no edge normal separates them (separating axis theorem). Then it is minus the
+    For two disjoint convex polygons it is the least distance of a corner of one from the other.
+    They overlap if no edge normal separates them (separating axis theorem). Then it is minus the
     penetration depth, the shortest translation that separates them, which is along an edge normal.
 
-    Exact for cells within `reach` cells of the rectangle's origin, and limited to the least distance
-    of a cell beyond them. Everything off the map is solid.
+    Exact for cells within `reach` cells of the rectangle's origin, and limited to the least
+    distance of a cell beyond them. Everything off the map is solid.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.2.1 (separating axes).
 

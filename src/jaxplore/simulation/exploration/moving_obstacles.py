@@ -26,8 +26,8 @@ class MovingObstacleState(NamedTuple):
 class MovingObstacles(eqx.Module):
     """Discs on closed paths at constant speed.
 
-    A disc moves along the closed polyline through its corners. With L the length of a lap, at time t
-    it has travelled
+    A disc moves along the closed polyline through its corners. With L the length of a lap, at time
+    t it has travelled
 
         s(t) = (phase * L + speed * t) mod L
 
@@ -45,7 +45,8 @@ class MovingObstacles(eqx.Module):
     """
 
     corners: Float[Array, "M P 2"]
-    """Corners of the paths [m]; the last one is repeated where a path has fewer than the longest."""
+    """Corners of the paths [m]; the last one is repeated where a path has fewer than the
+    longest."""
     arc: Float[Array, "M P+1"]
     """Length of the path up to each corner, and of the whole lap [m]."""
     speed: Float[Array, " M"]
@@ -73,7 +74,7 @@ class MovingObstacles(eqx.Module):
         return cls(())
 
     def with_phase(self, phase: ArrayLike | Sequence[float]) -> "MovingObstacles":
-        """Return the same obstacles with another phase (M,), the fraction of a lap at time 0, in [0, 1).
+        """Return the same obstacles with another phase (M,) in [0, 1).
 
         Raises:
             ValueError: not M numbers in [0, 1).
@@ -96,7 +97,8 @@ class MovingObstacles(eqx.Module):
 def _place(
     corners: Float[Array, "P 2"], arc: Float[Array, " P+1"], travelled: Scalar
 ) -> tuple[Position, Position]:
-    """Return the position of a disc on its path, and its unit direction (0 on a path of length 0)."""
+    """Return the position of a disc on its path, and its unit direction (0 on a path of length
+    0)."""
     length = arc[-1]
     rest = jnp.mod(travelled, jnp.where(length > 0.0, length, 1.0))
     rest = jnp.where(rest < length, rest, 0.0)  # rounding may leave a whole round

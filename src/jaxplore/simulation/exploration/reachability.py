@@ -14,7 +14,8 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     distance less half a cell), 8-connected to the start.
 
     Args:
-        world: true map; cells that are not known to be free are solid, as is everything off the map.
+        world: true map; cells that are not known to be free are solid, as is everything off the
+            map.
         start: start position (x, y, ...) [m].
         radius: radius of the disc [m].
 

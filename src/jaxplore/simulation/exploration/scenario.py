@@ -99,8 +99,8 @@ class ExplorationScenario(Scenario):
 
     - By default: at the target coverage.
     - With a goal: within `goal_radius` of it, with less than `max_unknown` of the map unknown or at
-      the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first and
-      explores on the way.
+      the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first
+      and explores on the way.
     - With `targets`: when the first sensor has seen all of them.
     - Without target coverage, goal and targets, as on a patrol: never before the time limit.
 
@@ -135,8 +135,8 @@ class ExplorationScenario(Scenario):
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
-        moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures those
-            in sight of any sensor. Their start is drawn from the run's key.
+        moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
+            those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
 
     Raises:
@@ -359,8 +359,8 @@ class ExplorationScenario(Scenario):
         belief = state.belief
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        # The condition depends on the clock alone. The clock is the same for all runs of a batch, so
-        # under vmap this stays a branch and a batch senses and derives only as often as one run.
+        # The condition depends on the clock alone. The clock is the same for all runs of a batch,
+        # so under vmap this stays a branch and a batch senses and derives only as often as one run.
         belief, progress, is_seen, ranges = jax.lax.cond(
             step % self.steps_per_scan == 0,
             lambda *known: jax.lax.cond(~moment.is_blind & is_placed, sense, _same, *known),
@@ -492,8 +492,8 @@ class ExplorationScenario(Scenario):
 
         `belief` is the occupancy probability of each cell (H, W), or of the cells around the robot
         (N, N), columns ahead and rows to the left. `pose` is the observed pose (x, y, yaw)
-        [m, m, rad], yaw in [-pi, pi]. `state` (nx,) is the observed state, with the same yaw. `scan`
-        (B,) are the ranges of the last scan, sensor by sensor [m].
+        [m, m, rad], yaw in [-pi, pi]. `state` (nx,) is the observed state, with the same yaw.
+        `scan` (B,) are the ranges of the last scan, sensor by sensor [m].
         """
         told, grid = moment.observed, belief.grid
         x, y, yaw = robot_pose(self.robot, told)

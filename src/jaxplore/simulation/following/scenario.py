@@ -56,8 +56,8 @@ class PathState(NamedTuple):
 class PathScenario(Scenario):
     """Path following of a robot among obstacles.
 
-    It is finished when the robot itself, not the path parameter phi of its plan, has reached the end
-    of an open path, or has completed the laps of a closed one.
+    It is finished when the robot itself, not the path parameter phi of its plan, has reached the
+    end of an open path, or has completed the laps of a closed one.
 
     Contacts with obstacles and corridor violations are counted and do not stop the robot.
 
@@ -161,7 +161,8 @@ class PathScenario(Scenario):
         return "finished_at + 10*corridor_violations + 10*collisions"
 
     def true_obstacles(self, time: Scalar) -> Obstacles | None:
-        """Return the true obstacles, moving and static, at a time since the start [s]; None without any."""
+        """Return the true obstacles, moving and static, at a time since the start [s]; None without
+        any."""
         parts = [] if self.traffic is None else [self.traffic.at(time)]
         if self.standing is not None:
             parts.append(Obstacles(self.standing))
@@ -175,7 +176,8 @@ class PathScenario(Scenario):
         return functools.reduce(operator.add, known) if known else None
 
     def _dated(self, known: Obstacles | None) -> Obstacles | None:
-        """Add an age to the obstacles if the tracker may fail, so that measurements can grow old."""
+        """Add an age to the obstacles if the tracker may fail, so that measurements can grow
+        old."""
         if self.faults is None or known is None:
             return known
         return known.after(jnp.zeros(()))
@@ -222,7 +224,7 @@ class PathScenario(Scenario):
         """Move the robot, and record the errors by the controller's own cost terms."""
         model, path, period = self.robot, self.path, self.control_period
         moved = model.step(state.robot, control, period)
-        # A control that is not finite is replaced by the default control.
+        # A control that is not finite does not move the robot.
         robot = jnp.where(jnp.all(jnp.isfinite(moved)), moved, state.robot)
         here = State(robot, model)
         progress = path.nearest(here.position, near=state.progress)

@@ -127,8 +127,8 @@ class Traffic(eqx.Module):
             ahead = jnp.stack([point.cos, point.sin])
             centre = point.position + offset * point.normal
             turned = corners[:, :1] * ahead + corners[:, 1:] * point.normal
-            # The inner side of a bend is shorter, so an obstacle at an offset is slower or faster than
-            # its rate along the path.
+            # The inner side of a bend is shorter, so an obstacle at an offset is slower or faster
+            # than its rate along the path.
             velocity = rate * (1.0 - point.curvature * offset) * ahead
             return centre, turned + centre, velocity, rate * point.curvature
 

@@ -1,4 +1,4 @@
-"""Animation of a run before and a run after a search, side by side."""
+"""Animation of runs before and after a search, side by side."""
 
 import io
 from bisect import bisect_right
@@ -53,7 +53,7 @@ def side_by_side(
 ) -> bytes:
     """Return a GIF of several runs side by side, at the same simulated time.
 
-    A finished run stands still while the others go on.
+    A finished run keeps its last frame while the others continue.
 
     Args:
         recordings: recordings of the runs, from left to right.

@@ -1,4 +1,4 @@
-"""Significance of a search: current and chosen settings on seeds that were not tuned on."""
+"""Significance of a search: current and chosen settings on unseen seeds."""
 
 import dataclasses
 import math
@@ -35,17 +35,17 @@ SHOWN = (
     "mean_effective_sample_size",
     "compute.step_ms_p50",
 )
-"""Metrics that are shown, if the runs have them."""
+"""Metrics to show, if the runs have them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """One quantity before and after a search, over the same episodes.
+    """Change of a quantity by a search, over the same episodes.
 
     Args:
         name: name of the metric or the objective.
-        before: mean.
-        after: mean.
+        before: mean before the search.
+        after: mean after the search.
         difference: mean over the episodes of after minus before.
         low: lower end of its 95 % interval.
         high: upper end.
@@ -60,7 +60,7 @@ class Change:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the interval of the difference leaves out zero."""
+        """Whether the interval of the difference excludes zero."""
         return self.low > 0.0 or self.high < 0.0
 
 
@@ -81,9 +81,9 @@ def changes(
     before: Mapping[tuple[str, int], Numbers],
     after: Mapping[tuple[str, int], Numbers],
 ) -> list[Change]:
-    """Compute the changes of the objectives first, then of the metrics that are shown.
+    """Compute the changes of the objectives, then of the metrics to show.
 
-    An episode that failed with one of the settings is left out.
+    An episode that failed before or after is left out.
 
     Args:
         objectives: objectives that were minimized.
@@ -103,7 +103,7 @@ def changes(
 
 
 def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
-    """Return in a sentence whether the search has improved the settings.
+    """Summarise in a sentence whether the search has improved the settings.
 
     Args:
         chosen: number of the candidate; 0 is the current settings.
