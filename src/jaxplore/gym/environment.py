@@ -26,7 +26,9 @@ from jaxplore.simulation.environment.environment import Environment, Environment
 
 
 class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
-    """A scenario as a Gymnasium environment: `jaxplore/Exploration-v0` and `jaxplore/PathFollowing-v0`.
+    """A scenario as a Gymnasium environment.
+
+    It is registered as `jaxplore/Exploration-v0` and `jaxplore/PathFollowing-v0`.
 
     `reset(seed=s)` begins the run of `simulate` with the key `jax.random.key(s)`; without a seed,
     one is drawn. `reset(options={"scenario": k})` selects one of several scenarios; without it, one
