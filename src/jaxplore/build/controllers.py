@@ -123,7 +123,9 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
     return ground_portfolio(
         # Within a plan Euler's error is millimetres, and it saves a fifth of the time.
         build_robot(settings.robot, Euler()),
-        Mission(goal, has_terrain=place.ground is not None, has_movers=bool(place.movers)),
+        Mission(
+            goal, has_terrain=place.ground is not None, has_moving_obstacles=bool(place.movers)
+        ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),
         **arguments(given, ground_portfolio),

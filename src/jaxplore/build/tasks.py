@@ -52,10 +52,10 @@ def make_settings(entries: dict[str, Any]) -> RunSettings:
             that names it.
     """
     entries = _with_path(entries)
-    return task_of(entries).check(entries)
+    return find_task(entries).check(entries)
 
 
-def task_of(entries: dict[str, Any]) -> Task:
+def find_task(entries: dict[str, Any]) -> Task:
     """Return the kind of task that entries describe; see `make_settings`.
 
     Raises:

@@ -12,7 +12,7 @@ from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison import comparison_options, run_comparison
-from jaxplore.cli._options import entries_of, path_options, place_name, with_options
+from jaxplore.cli._options import option_entries, path_options, place_name, with_options
 from jaxplore.cli._runner import runner_options
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._tune import run_tune
@@ -71,7 +71,7 @@ def run(
 
     Ctrl-C ends the run and saves it up to then.
     """
-    entries = entries_of(options)
+    entries = option_entries(options)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / place_name(entries)) if out is None else out
     check_folder(folder, overwrite=overwrite)
@@ -91,14 +91,22 @@ def run(
 @comparison_options
 @runner_options
 @cache_option
-@click.option("--seeds", type=int, default=20, show_default=True, help="Runs of each.")
+@click.option(
+    "--seeds",
+    type=int,
+    default=20,
+    show_default=True,
+    help="Number of seeds, the runs of each variant.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]",
 )
-@click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
+@click.option(
+    "--animation/--no-animation", default=True, help="Draw the first run of each variant."
+)
 def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **options: Any) -> None:
     """Compare controllers or other settings in one scenario or on many maps.
 
@@ -137,7 +145,9 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
     metavar="DIR",
     help="Folder of the study.  [default: runs/MAP-tuned]",
 )
-@click.option("--animation/--no-animation", default=True, help="Draw a run before and after.")
+@click.option(
+    "--animation/--no-animation", default=True, help="Draw runs before and after the search."
+)
 def tune(out: Path | None, animation: bool, **options: Any) -> None:
     """Search for better settings of a scenario, and compare them with the current ones.
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import click
 
-from jaxplore.build.tasks import build, make_settings, task_of
-from jaxplore.cli._options import entries_of, place_name
+from jaxplore.build.tasks import build, find_task, make_settings
+from jaxplore.cli._options import option_entries, place_name
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison
 from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, merged
+from jaxplore.settings.exploration import GROUND, merge_entries
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -124,16 +124,16 @@ def _in_one_place(
     overwrite: bool,
     animation: bool,
 ) -> None:
-    entries = entries_of(options)
+    entries = option_entries(options)
     if not variants:
         variants = {
-            name: {"architecture": name} for name in task_of(entries).architectures(entries)
+            name: {"architecture": name} for name in find_task(entries).architectures(entries)
         }
     if not variants:
         raise ValueError(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
-    settings = {name: make_settings(merged(entries, own)) for name, own in variants.items()}
+    settings = {name: make_settings(merge_entries(entries, own)) for name, own in variants.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
     folder = free_name(Path("runs") / f"{place_name(entries)}-comparison") if out is None else out
@@ -188,7 +188,7 @@ def _on_maps(
             raise ValueError(
                 f"{shown} is {options[name]} beside --maps; accepted: one of them, and --starts"
             )
-    entries = entries_of(options)
+    entries = option_entries(options)
     maps = maps_in(given["maps"])
     if given["starts"] is not None:
         maps = with_starts(maps, given["starts"])

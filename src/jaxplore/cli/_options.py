@@ -142,7 +142,7 @@ _OF_BOTH = (
 """Options of both exploration and path following."""
 
 
-def entries_of(options: Mapping[str, Any]) -> dict[str, Any]:
+def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     """Convert options to settings entries.
 
     Args:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._tune_options import OWN, budget_of, measure_of, scenarios_of
+from jaxplore.cli._tune_options import OWN, parse_budget, parse_measure, scenario_entries
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
@@ -26,8 +26,8 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     given = {name: options.pop(name) for name in (*OWN, *RUNNER)}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
-    scenarios, common = scenarios_of(options, given["also"])
-    budget, seconds = budget_of(given["budget"])
+    scenarios, common = scenario_entries(options, given["also"])
+    budget, seconds = parse_budget(given["budget"])
     for name in ("seeds", "unseen", "population"):
         if given[name] < 1:
             raise ValueError(f"--{name} is {given[name]}; accepted: a whole number >= 1")
@@ -51,7 +51,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
                 budget=budget,
                 seconds=seconds,
                 seed=first,
-                measures=tuple(map(measure_of, given["measures"])),
+                measures=tuple(map(parse_measure, given["measures"])),
                 folder=folder,
                 title=f"Tuned: {name}",
                 animation=animation,

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from jaxplore.cli._options import entries_of, place_entries, place_name
-from jaxplore.settings.exploration import merged, read_settings
+from jaxplore.cli._options import option_entries, place_entries, place_name
+from jaxplore.settings.exploration import merge_entries, read_settings
 from jaxplore.settings.path import PATH
 from jaxplore.study.tuning.optimizers import NAMES
 from jaxplore.study.tuning.search import POPULATION, Measure
@@ -83,7 +83,7 @@ _OPTIONS = (
         multiple=True,
         metavar="SUM",
         help="Sum of metrics to minimize, such as 'time_to.90 + 100*collisions'; several "
-        "for a Pareto front.  [default: time to the end plus 100 per collision]",
+        "for a Pareto front.  [default: time to the end, plus a penalty per collision]",
     ),
     click.option(
         "--budget",
@@ -117,7 +117,7 @@ def tune_options(command: Any) -> Any:
     return command
 
 
-def scenarios_of(
+def scenario_entries(
     options: dict[str, Any], also: Sequence[str]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
     """Return the settings entries of each scenario by name, and the common entries.
@@ -129,12 +129,12 @@ def scenarios_of(
     Raises:
         ValueError: an unknown scenario, or a repeated one.
     """
-    first = entries_of(options)
+    first = option_entries(options)
     along_path = PATH in first
     if along_path:
         name, common = PATH, {key: value for key, value in first.items() if key != PATH}
     else:
-        common = entries_of({**options, "map_": None})
+        common = option_entries({**options, "map_": None})
         if "map" not in first:
             raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
         name = place_name(first)
@@ -144,7 +144,7 @@ def scenarios_of(
         if label in scenarios:
             raise ValueError(f"--also is {place!r}, which is there already; accepted: another one")
         if _holds_settings(place):
-            scenarios[label] = merged(first, read_settings(place))
+            scenarios[label] = merge_entries(first, read_settings(place))
         elif along_path:
             scenarios[label] = {**common, PATH: str(Path(place).absolute())}
         else:
@@ -162,7 +162,7 @@ def _holds_settings(file: str) -> bool:
     return all(entries.get(name) is None for name in ("image", "poses", "world"))
 
 
-def budget_of(text: str) -> tuple[int | None, float | None]:
+def parse_budget(text: str) -> tuple[int | None, float | None]:
     """Parse a budget: a number of candidates, or a time [s]."""
     if text.isdigit() and int(text) >= 1:
         return int(text), None
@@ -175,7 +175,7 @@ def budget_of(text: str) -> tuple[int | None, float | None]:
     return None, float(found[1]) * _UNITS[found[2]]
 
 
-def measure_of(text: str) -> Measure:
+def parse_measure(text: str) -> Measure:
     """Parse a measure, METRIC=LOW:HIGH[:CELLS]."""
     found = re.fullmatch(r"([\w.]+)=([^:]+):([^:]+)(?::(\d+))?", text)
     try:

@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxplore import _checks
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.defaults import default_of
+from jaxplore.settings.defaults import parameter_default
 from jaxplore.settings.exploration import OFFICE, Settings
 from jaxplore.settings.path import PATH
 from jaxplore.settings.sections import RunSettings
@@ -19,7 +19,7 @@ from jaxplore.simulation.environment.action_modes import (
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
 
-DRIVE = {name: default_of(waypoint_mppi, name) for name in ("horizon", "num_samples")}
+DRIVE = {name: parameter_default(waypoint_mppi, name) for name in ("horizon", "num_samples")}
 """Default settings of the controller that drives to waypoints."""
 WAYPOINT_PERIOD = 1.0
 """Time between waypoints [s]."""
@@ -27,7 +27,7 @@ BESIDE_A_SCENARIO = ("controller", "time_limit")
 """Settings that may be given together with a scenario."""
 
 
-def environment_of(
+def build_environment(
     *,
     scenario: Scenario | Sequence[Scenario] | None = None,
     action: str = "control",

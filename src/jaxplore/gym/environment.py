@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.belief.belief import Belief
-from jaxplore.gym.build import environment_of
+from jaxplore.gym.build import build_environment
 from jaxplore.gym.spaces import (
     Observed,
     action_space,
@@ -22,7 +22,7 @@ from jaxplore.gym.spaces import (
     positions,
     step,
 )
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 
 class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
@@ -48,23 +48,23 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     Args:
         render_mode: "rgb_array" or None.
-        options: those of `environment_of`.
+        options: those of `build_environment`.
 
     Raises:
-        ValueError: an unknown render mode, or arguments that `environment_of` rejects.
+        ValueError: an unknown render mode, or arguments that `build_environment` rejects.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.render_mode = checked_render_mode(render_mode)
-        self.environment = environment_of(**options)
-        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.environment = build_environment(**options)
+        self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.action_space = action_space(self.environment)
         self._observation_space = observation_space(self.environment)
         self.observation_space: gymnasium.Space[Any] = self._observation_space
         self._state: EnvironmentState | None = None
-        self._outcome: Outcome | None = None
+        self._outcome: StepResult | None = None
         self._path: list[np.ndarray] = []
 
     @property
@@ -142,7 +142,7 @@ def checked_render_mode(render_mode: str | None) -> str | None:
     return render_mode
 
 
-def metadata_of(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
+def environment_metadata(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
     """Return Gymnasium's metadata with the frame rate of an environment."""
     period = environment.control_period * int(environment.steps_per_action)
     return {**general, "render_fps": max(1, round(1.0 / period))}

@@ -10,7 +10,7 @@ from gymnasium import error, spaces
 from jax import Array
 
 from jaxplore._types import Count, Key
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 Observed = dict[str, np.ndarray]
 
@@ -24,7 +24,7 @@ def begin(environment: Environment, key: Key, choice: Count) -> EnvironmentState
 @eqx.filter_jit
 def step(
     environment: Environment, state: EnvironmentState, action: Array, num_steps: Count
-) -> tuple[EnvironmentState, Outcome]:
+) -> tuple[EnvironmentState, StepResult]:
     """Compiled `Environment.step`."""
     return environment.step(state, action, num_steps)
 
@@ -108,7 +108,7 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
     return jnp.asarray(given)
 
 
-def facts(environment: Environment, outcome: Outcome, state: EnvironmentState) -> dict[str, Any]:
+def facts(environment: Environment, outcome: StepResult, state: EnvironmentState) -> dict[str, Any]:
     """Return the entries of Gymnasium's `info`, for one or more environments."""
     tally = outcome.tally
     arrays = jax.device_get(

@@ -16,8 +16,8 @@ from jax import Array
 from jaxplore import _checks
 from jaxplore._trees import stack_trees
 from jaxplore._types import Count
-from jaxplore.gym.build import environment_of
-from jaxplore.gym.environment import checked_render_mode, metadata_of, picture
+from jaxplore.gym.build import build_environment
+from jaxplore.gym.environment import checked_render_mode, environment_metadata, picture
 from jaxplore.gym.spaces import (
     Observed,
     action_space,
@@ -30,7 +30,7 @@ from jaxplore.gym.spaces import (
     observed,
     positions,
 )
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 
 class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
@@ -47,11 +47,11 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
             the call. When absent, not on a CPU: there a batch does every branch that any of its
             environments takes, and is several times slower.
         render_mode: "rgb_array" or None.
-        options: those of `environment_of`.
+        options: those of `build_environment`.
 
     Raises:
         ValueError: fewer than one environment, an unknown render mode, or arguments that
-            `environment_of` rejects.
+            `build_environment` rejects.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -71,8 +71,8 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self.num_envs = _checks.positive_int("num_envs", num_envs)
         self.is_vmapped = jax.default_backend() != "cpu" if is_vmapped is None else is_vmapped
         self.render_mode = checked_render_mode(render_mode)
-        self.environment = environment_of(**options)
-        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.environment = build_environment(**options)
+        self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.single_action_space = action_space(self.environment)
         self._single_observation_space = observation_space(self.environment)
         self.single_observation_space = self._single_observation_space
@@ -80,7 +80,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._states: EnvironmentState | None = None
-        self._outcomes: Outcome | None = None
+        self._outcomes: StepResult | None = None
         self._has_ended = np.zeros(num_envs, bool)
         self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
 
@@ -207,13 +207,13 @@ def _step_each(
     actions: Array,
     num_steps: Array,
     is_vmapped: bool,
-) -> tuple[EnvironmentState, Outcome]:
+) -> tuple[EnvironmentState, StepResult]:
     if is_vmapped:
-        together: tuple[EnvironmentState, Outcome] = jax.vmap(environment.step)(
+        together: tuple[EnvironmentState, StepResult] = jax.vmap(environment.step)(
             states, actions, num_steps
         )
         return together
-    in_turn: tuple[EnvironmentState, Outcome] = jax.lax.map(
+    in_turn: tuple[EnvironmentState, StepResult] = jax.lax.map(
         lambda row: environment.step(*row), (states, actions, num_steps)
     )
     return in_turn

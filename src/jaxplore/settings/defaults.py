@@ -22,7 +22,7 @@ _ARGUMENT = re.compile(r"    (\w+): (.*)")
 _UNIT = re.compile(r"\[([^\]]+)\]")
 
 
-class Difference(NamedTuple):
+class DefaultDifference(NamedTuple):
     """A default of a setting that differs from its owner's.
 
     Args:
@@ -34,7 +34,7 @@ class Difference(NamedTuple):
     reason: str
 
 
-def default_of(owner: Owner, name: str) -> Any:
+def parameter_default(owner: Owner, name: str) -> Any:
     """Return the default of an owner's parameter.
 
     Args:
@@ -58,29 +58,43 @@ def in_degrees(angle: float) -> float:
     return round(math.degrees(angle), 9)
 
 
-DIFFERENCES: dict[str, Difference] = {
-    "exploration.robot.max_speed": Difference(1.0, "a walking pace, for a robot in a building"),
-    "exploration.lidar.max_range": Difference(
+DIFFERENCES: dict[str, DefaultDifference] = {
+    "exploration.robot.max_speed": DefaultDifference(
+        1.0, "a walking pace, for a robot in a building"
+    ),
+    "exploration.lidar.max_range": DefaultDifference(
         5.0, "a short-range lidar, as small indoor robots have"
     ),
-    "exploration.lidar.range_noise": Difference(0.02, "the noise of a short-range lidar"),
-    "path.robot.max_acceleration": Difference(6.0, "a race car of F1TENTH's size"),
-    "path.robot.wheelbase": Difference(0.33, "a race car of F1TENTH's size"),
-    "path.robot.max_steering": Difference(0.42, "a race car of F1TENTH's size"),
-    "path.robot.max_steering_rate": Difference(3.2, "a race car of F1TENTH's size"),
-    "quadrotor.robot.model": Difference("quadrotor", "what its architectures control"),
-    "quadrotor.robot.radius": Difference(default_of(Quadrotor, "radius"), "that of `Quadrotor`"),
-    "quadrotor.robot.max_speed": Difference(default_of(Flight, "max_speed"), "that of `Flight`"),
-    "quadrotor.lidar.num_beams": Difference(24, "a depth camera, from the design notes"),
-    "quadrotor.lidar.max_range": Difference(4.0, "a depth camera, from the design notes"),
-    "quadrotor.lidar.field_of_view_degrees": Difference(
-        in_degrees(default_of(FieldNumbers, "field_of_view")), "that of `FieldNumbers`"
+    "exploration.lidar.range_noise": DefaultDifference(0.02, "the noise of a short-range lidar"),
+    "path.robot.max_acceleration": DefaultDifference(6.0, "a race car of F1TENTH's size"),
+    "path.robot.wheelbase": DefaultDifference(0.33, "a race car of F1TENTH's size"),
+    "path.robot.max_steering": DefaultDifference(0.42, "a race car of F1TENTH's size"),
+    "path.robot.max_steering_rate": DefaultDifference(3.2, "a race car of F1TENTH's size"),
+    "quadrotor.robot.model": DefaultDifference("quadrotor", "what its architectures control"),
+    "quadrotor.robot.radius": DefaultDifference(
+        parameter_default(Quadrotor, "radius"), "that of `Quadrotor`"
     ),
-    "quadrotor.lidar.range_noise": Difference(0.0, "the design notes have no range noise"),
-    "quadrotor.sensor_model.kind": Difference("line_of_sight", "the model of `informative_mppi`"),
-    "quadrotor.fields.min_information": Difference(3.0, "a camera of 24 beams sees less at a time"),
-    "quadrotor.fields.occupancy_prior": Difference(0.5, "the design notes have no other prior"),
-    "quadrotor.rates.sensing": Difference(50.0, "a scan at every command, as in the design notes"),
+    "quadrotor.robot.max_speed": DefaultDifference(
+        parameter_default(Flight, "max_speed"), "that of `Flight`"
+    ),
+    "quadrotor.lidar.num_beams": DefaultDifference(24, "a depth camera, from the design notes"),
+    "quadrotor.lidar.max_range": DefaultDifference(4.0, "a depth camera, from the design notes"),
+    "quadrotor.lidar.field_of_view_degrees": DefaultDifference(
+        in_degrees(parameter_default(FieldNumbers, "field_of_view")), "that of `FieldNumbers`"
+    ),
+    "quadrotor.lidar.range_noise": DefaultDifference(0.0, "the design notes have no range noise"),
+    "quadrotor.sensor_model.kind": DefaultDifference(
+        "line_of_sight", "the model of `informative_mppi`"
+    ),
+    "quadrotor.fields.min_information": DefaultDifference(
+        3.0, "a camera of 24 beams sees less at a time"
+    ),
+    "quadrotor.fields.occupancy_prior": DefaultDifference(
+        0.5, "the design notes have no other prior"
+    ),
+    "quadrotor.rates.sensing": DefaultDifference(
+        50.0, "a scan at every command, as in the design notes"
+    ),
 }
 """Settings whose default is not their owner's, by kind of run and name.
 
@@ -126,7 +140,7 @@ def setting(
     Raises:
         ValueError: the owner has no such parameter, or it has no default.
     """
-    default = convert(default_of(owner, name))
+    default = convert(parameter_default(owner, name))
     if differs is not None:
         default = DIFFERENCES[differs].value
     return Field(
@@ -136,7 +150,7 @@ def setting(
     )
 
 
-def differences_of(kind: str) -> dict[str, Any]:
+def difference_entries(kind: str) -> dict[str, Any]:
     """Return the `DIFFERENCES` of a kind of run as settings entries."""
     entries: dict[str, Any] = {}
     for name, difference in DIFFERENCES.items():

@@ -29,7 +29,7 @@ from jaxplore.planning.presets.quadrotor import (
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
-from jaxplore.settings.defaults import differences_of, in_degrees, setting
+from jaxplore.settings.defaults import difference_entries, in_degrees, setting
 from jaxplore.settings.sections import (
     Count,
     Fraction,
@@ -385,15 +385,15 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Merge the entries over the defaults of their architecture and map."""
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
-        entries = merged(read_settings(scenario_path(entries["map"])), entries)
+        entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     if entries.get("architecture", "explorer") in GROUND:
         return entries
-    return merged(differences_of("quadrotor"), entries)
+    return merge_entries(difference_entries("quadrotor"), entries)
 
 
-def merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
+def merge_entries(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
     """Merge entries over defaults, section by section."""
     merged = {**defaults, **entries}
     for name, section in defaults.items():

@@ -89,7 +89,7 @@ def _one_line(
     if kind == "extra_forbidden":
         section = settings
         for part in where[:-1]:
-            inner = section_of(section.model_fields[str(part)].annotation)
+            inner = section_class(section.model_fields[str(part)].annotation)
             assert inner is not None
             section = inner
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
@@ -99,7 +99,7 @@ def _one_line(
     return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
 
 
-def section_of(annotation: Any) -> type[BaseModel] | None:
+def section_class(annotation: Any) -> type[BaseModel] | None:
     """Return the section class of a field, optional ones included; None for other fields."""
     for each in (annotation, *get_args(annotation)):
         if isinstance(each, type) and issubclass(each, BaseModel):

@@ -26,13 +26,13 @@ from jaxplore.simulation.loop import (
 )
 from jaxplore.simulation.run import make_frame
 from jaxplore.simulation.scenario import Scenario
-from jaxplore.simulation.stacking import Places, Stacked
+from jaxplore.simulation.stacking import LeafMask, Stacked
 
 Keys = KeyArray[Array, "..."]
 """Random keys (B,) of the runs, or one key for all."""
 
 
-class Batch(NamedTuple):
+class RunBatch(NamedTuple):
     """Loop states of a batch of runs.
 
     Args:
@@ -82,8 +82,8 @@ def record_experiments(
     num_steps: int,
     *,
     with_frames: bool = True,
-    differs: Places | None = None,
-) -> tuple[tuple[Recording, ...], Places]:
+    differs: LeafMask | None = None,
+) -> tuple[tuple[Recording, ...], LeafMask]:
     """Simulate a batch of runs that differ in keys and in parameters of controllers and scenarios.
 
     See `record_runs`. Values that all runs share, maps and noise of the same key, are computed
@@ -110,7 +110,7 @@ def record_experiments(
         (one.controller.at_period(one.scenario.control_period), one.scenario.for_batches())
         for one in experiments
     ]
-    stacked = Stacked.of(pairs, differs, name="experiments")
+    stacked = Stacked.from_trees(pairs, differs, name="experiments")
     keys = jnp.stack([one.key for one in experiments])
     data = jax.random.key_data(keys)
     if len(experiments) > 1 and bool(jnp.all(data == data[:1])):
@@ -120,10 +120,10 @@ def record_experiments(
     chunk = max(1, round(CHUNK_SECONDS / scenario.period))
     before = _begin(stacked, keys, len(experiments))
 
-    def run(batch: Batch, steps: Count) -> tuple[Batch, Any, Count]:
+    def run(batch: RunBatch, steps: Count) -> tuple[RunBatch, Any, Count]:
         return _run_chunk(stacked, batch, keys, steps, chunk)
 
-    def frames(batch: Batch, step: int) -> tuple[Frame, ...]:
+    def frames(batch: RunBatch, step: int) -> tuple[Frame, ...]:
         if not with_frames:
             return ()
         arrays = jax.tree.map(np.asarray, _frames(stacked, batch.states, keys))
@@ -154,7 +154,7 @@ def _run_at[T](together: T, i: int) -> T:
 
 
 def _alone(
-    together: ChunkedRun[Batch, Any, tuple[Frame, ...]], i: int
+    together: ChunkedRun[RunBatch, Any, tuple[Frame, ...]], i: int
 ) -> ChunkedRun[LoopState, Any, Frame]:
     """Extract one of the runs, as if it had been simulated alone."""
     state = _run_at(together.state.states, i)
@@ -176,14 +176,14 @@ def _key_axis(keys: Keys) -> int | None:
 
 
 @eqx.filter_jit
-def _begin(stacked: Stacked, keys: Keys, size: int) -> Batch:
+def _begin(stacked: Stacked, keys: Keys, size: int) -> RunBatch:
     def one(arrays: tuple[Array, ...], key: Key) -> LoopState:
         controller, scenario = stacked.tree(arrays)
         return initial_loop_state(controller, scenario, key)
 
     axes = (stacked.axes, _key_axis(keys))
     states = jax.vmap(one, in_axes=axes, axis_size=size)(stacked.arrays, keys)
-    return Batch(states, jnp.zeros((), jnp.int32))
+    return RunBatch(states, jnp.zeros((), jnp.int32))
 
 
 @eqx.filter_jit
@@ -198,15 +198,15 @@ def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
 @eqx.filter_jit
 def _run_chunk(
     stacked: Stacked,
-    batch: Batch,
+    batch: RunBatch,
     keys: Keys,
     num_steps: Count,
     capacity: int,
-) -> tuple[Batch, Any, Count]:
+) -> tuple[RunBatch, Any, Count]:
     """Run up to `num_steps` steps, fewer if all runs are finished; see `run_chunk`."""
     axes = (stacked.axes, 0, _key_axis(keys))
 
-    def step(batch: Batch) -> tuple[Batch, Any]:
+    def step(batch: RunBatch) -> tuple[RunBatch, Any]:
         states, clock = batch
 
         def one(arrays: tuple[Array, ...], state: LoopState, key: Key) -> tuple[LoopState, Any]:
@@ -215,7 +215,7 @@ def _run_chunk(
 
         after, record = jax.vmap(one, in_axes=axes)(stacked.arrays, states, keys)
         choose = functools.partial(jax.vmap(jnp.where), _unfinished(stacked, states))
-        return Batch(jax.tree.map(choose, after, states), clock + 1), record
+        return RunBatch(jax.tree.map(choose, after, states), clock + 1), record
 
     size = batch.states.step.shape[0]
     controller, scenario = stacked.at(0)

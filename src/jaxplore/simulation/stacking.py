@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from jaxplore._types import Count
 
-type Places = tuple[bool, ...]
+type LeafMask = tuple[bool, ...]
 """Whether each array leaf of the controller and the scenario differs between the runs."""
 
 
@@ -27,13 +27,13 @@ class Stacked(eqx.Module):
     """
 
     arrays: tuple[Array, ...]
-    differs: Places = eqx.field(static=True)
+    differs: LeafMask = eqx.field(static=True)
     structure: Any = eqx.field(static=True)
     rest: Any
 
     @classmethod
-    def of(
-        cls, trees: Sequence[Any], differs: Places | None = None, *, name: str = "members"
+    def from_trees(
+        cls, trees: Sequence[Any], differs: LeafMask | None = None, *, name: str = "members"
     ) -> "Stacked":
         """Stack pytrees.
 

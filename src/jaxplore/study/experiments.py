@@ -6,7 +6,7 @@ from jaxplore.report.recording import Recording
 from jaxplore.simulation.batch import record_experiments
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.run import record_run
-from jaxplore.simulation.stacking import Places
+from jaxplore.simulation.stacking import LeafMask
 
 
 def record_alone(
@@ -47,7 +47,7 @@ class SideBySide:
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._differs: dict[str, Places] = {}
+        self._differs: dict[str, LeafMask] = {}
 
     def record(
         self,

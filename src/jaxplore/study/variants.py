@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from jaxplore.settings.exploration import Settings, merged, read_settings
+from jaxplore.settings.exploration import Settings, merge_entries, read_settings
 from jaxplore.settings.path import PathSettings
 
 Entries = Mapping[str, Any]
@@ -46,7 +46,7 @@ def make_variants(
         name = " ".join(part for part, _ in parts)
         entries: dict[str, Any] = {}
         for _, own in parts:
-            entries = merged(entries, own)
+            entries = merge_entries(entries, own)
         if name in variants:
             raise ValueError(f"variant {name} is there twice; accepted: different ones")
         variants[name] = entries

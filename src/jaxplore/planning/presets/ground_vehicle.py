@@ -64,12 +64,12 @@ class Mission(NamedTuple):
     Args:
         goal: goal position (x, y) [m]; None for exploration alone.
         has_terrain: whether the ground has slopes or rough parts.
-        has_movers: whether there are moving obstacles.
+        has_moving_obstacles: whether there are moving obstacles.
     """
 
     goal: Vector | None = None
     has_terrain: bool = False
-    has_movers: bool = False
+    has_moving_obstacles: bool = False
 
 
 def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
@@ -97,7 +97,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     }
     if mission.has_terrain:
         chosen["terrain"] = TerrainCost() + TraversabilityCost()
-    if mission.has_movers:
+    if mission.has_moving_obstacles:
         chosen["movers"] = MovingObstacleCost(collision=None)
     chosen["effort"] = ControlCost()
     return chosen
@@ -275,6 +275,6 @@ def _fitted(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
     if not mission.has_terrain:
         # On level ground the weight of the terrain is added to the weight of safety.
         fitted["safety"] = fitted["safety"] + fitted.pop("terrain", 0.0)
-    if mission.has_movers:
+    if mission.has_moving_obstacles:
         fitted["movers"] = row["safety"]
     return fitted

@@ -145,7 +145,7 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
     _draw_targets(canvas, draw)
-    _draw_movers(canvas, frame, draw)
+    _draw_moving_obstacles(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         line(frame.reference, REFERENCE, 3.0)
@@ -169,7 +169,9 @@ def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
         draw.polygon(pairs(middle + star), TARGET)
 
 
-def _draw_movers(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_moving_obstacles(
+    canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw
+) -> None:
     radii = canvas.recording.mover_radii.tolist()
     for middle, radius in zip(frame.movers, radii, strict=True):
         if np.isfinite(middle).all():

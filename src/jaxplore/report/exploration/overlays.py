@@ -125,7 +125,7 @@ def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> Non
         )
 
 
-def add_movers(axes: "Axes", recording: ExplorationData, window: Window) -> None:
+def add_moving_obstacles(axes: "Axes", recording: ExplorationData, window: Window) -> None:
     """Draw the last positions of the moving obstacles, and faintly their positions in the
     frames."""
     from matplotlib.patches import Circle

@@ -19,7 +19,7 @@ from jaxplore.report.exploration.metrics import LEVELS, compute_metrics
 from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
-    add_movers,
+    add_moving_obstacles,
     add_targets,
     closed_cells,
 )
@@ -118,7 +118,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     axes.plot([], [], "s", color=shade(MISSED), markersize=5.0, label="wall not seen")
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
-    add_movers(axes, recording, window)
+    add_moving_obstacles(axes, recording, window)
     add_footprint(axes, recording, window)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""

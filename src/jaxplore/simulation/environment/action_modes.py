@@ -164,7 +164,7 @@ class WaypointMode(ActionMode):
             stride=perception.field_sensor.stride,
             num_layers=LAYERS,
         )
-        return AlongWay(self.drive, way)
+        return WaypointController(self.drive, way)
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":
         """Return this mode for commands that are `control_period` seconds apart."""
@@ -207,7 +207,7 @@ class Hold(Controller):
         return self
 
 
-class AlongWay(Controller):
+class WaypointController(Controller):
     """Wrapper of a controller that adds a cost to go to the belief.
 
     Args:
@@ -244,9 +244,9 @@ class AlongWay(Controller):
             state, observation, guided, key=key, num_trajectories=num_trajectories
         )
 
-    def at_period(self, control_period: ArrayLike) -> "AlongWay":
+    def at_period(self, control_period: ArrayLike) -> "WaypointController":
         """Return this controller for commands that are `control_period` seconds apart."""
-        return AlongWay(self.drive.at_period(control_period), self.way)
+        return WaypointController(self.drive.at_period(control_period), self.way)
 
 
 def waypoint_mppi(

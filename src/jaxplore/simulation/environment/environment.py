@@ -27,7 +27,7 @@ from jaxplore.simulation.scenario import Moment, Scenario
 from jaxplore.simulation.stacking import Stacked
 
 
-class Tally(NamedTuple):
+class EpisodeStatistics(NamedTuple):
     """Statistics of an episode so far.
 
     Args:
@@ -60,12 +60,12 @@ class EnvironmentState(NamedTuple):
     perceived: Any
     moment: Moment
     belief: Any
-    tally: Tally
+    tally: EpisodeStatistics
     key: Key
     choice: Count
 
 
-class Outcome(NamedTuple):
+class StepResult(NamedTuple):
     """The result of an action: the observation, the reward and the end of the episode.
 
     Args:
@@ -86,7 +86,7 @@ class Outcome(NamedTuple):
     is_collision: Flag
     facts: dict[str, Scalar]
     num_steps: Count
-    tally: Tally
+    tally: EpisodeStatistics
 
 
 class Environment(eqx.Module):
@@ -136,7 +136,7 @@ class Environment(eqx.Module):
         given = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
         if not given or not all(isinstance(each, Scenario) for each in given):
             raise ValueError(f"scenarios is {scenarios!r}; accepted: a scenario, or several")
-        self.scenarios = Stacked.of(given, name="scenarios")
+        self.scenarios = Stacked.from_trees(given, name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)
         self.mode = mode.at_period(given[0].control_period)
@@ -182,12 +182,12 @@ class Environment(eqx.Module):
             perceived=loop.task,
             moment=moment_at(scenario, loop),
             belief=belief,
-            tally=Tally(jnp.zeros(()), zero, zero, jnp.array(False)),
+            tally=EpisodeStatistics(jnp.zeros(()), zero, zero, jnp.array(False)),
             key=key,
             choice=choice,
         )
 
-    def reset(self, key: Key, choice: Count) -> tuple[EnvironmentState, Outcome]:
+    def reset(self, key: Key, choice: Count) -> tuple[EnvironmentState, StepResult]:
         """Return the state at the start of an episode, and the first observation.
 
         Args:
@@ -198,7 +198,7 @@ class Environment(eqx.Module):
 
     def step(
         self, state: EnvironmentState, action: ActionVector, num_steps: Count | None = None
-    ) -> tuple[EnvironmentState, Outcome]:
+    ) -> tuple[EnvironmentState, StepResult]:
         """Carry out an action.
 
         Args:
@@ -233,7 +233,7 @@ class Environment(eqx.Module):
                 moment=moment,
                 belief=belief,
                 is_hit=scenario.is_contact(record),
-                tally=Tally(
+                tally=EpisodeStatistics(
                     path_length=tally.path_length + jnp.sqrt(jnp.sum(moved * moved)),
                     collisions=tally.collisions + is_new.astype(jnp.int32),
                     collision_steps=tally.collision_steps + course.is_hit.astype(jnp.int32),
@@ -275,7 +275,7 @@ class Environment(eqx.Module):
         penalty = self.collision_penalty * scenario.control_period * contact
         earned = scenario.reward(state.perceived, after.perceived)
         is_terminated = has_ended(course)
-        return after, Outcome(
+        return after, StepResult(
             observation=scenario.observation(
                 after.perceived, after.moment, after.belief, self.view_cells
             ),
@@ -300,4 +300,4 @@ class _Course(NamedTuple):
     moment: Moment
     belief: Any
     is_hit: Flag
-    tally: Tally
+    tally: EpisodeStatistics

@@ -60,7 +60,7 @@ from jaxplore.simulation.exploration.collision import (
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.reachability import reachable_cells
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.outline import outline_of
+from jaxplore.simulation.outline import footprint_corners
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
 
 WHOLE_MAP = 100.0
@@ -567,7 +567,7 @@ class ExplorationScenario(Scenario):
             path=trail,
             heading=float(pose[2]),
             radius=float(self.robot.radius),
-            footprint=outline_of(self.robot.footprint),
+            footprint=footprint_corners(self.robot.footprint),
             scan=pose[:2] + np.asarray(state.ranges)[:, None] * directions,
         )
 
@@ -607,7 +607,7 @@ class ExplorationScenario(Scenario):
             state_names=self.robot.state_names,
             robot_radius=float(self.robot.radius),
             target_coverage=None if target > 1.0 else target,
-            footprint=outline_of(self.robot.footprint),
+            footprint=footprint_corners(self.robot.footprint),
             targets=np.asarray(self.targets),
             elevation=None if ground is None else np.asarray(ground.elevation),
             traversable=None if ground is None else np.asarray(ground.is_traversable),

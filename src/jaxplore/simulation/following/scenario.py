@@ -30,7 +30,7 @@ from jaxplore.report.following.recording import PathRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.following.traffic import Traffic
-from jaxplore.simulation.outline import outline_of
+from jaxplore.simulation.outline import footprint_corners
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
 
 AHEAD, NUM_AHEAD = 1.0, 12
@@ -396,7 +396,7 @@ class PathScenario(Scenario):
             state_names=model.state_names,
             control_half_range=np.asarray(model.control_half_range),
             robot_radius=float(model.radius),
-            footprint=outline_of(model.footprint),
+            footprint=footprint_corners(model.footprint),
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
 

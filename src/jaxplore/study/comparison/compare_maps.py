@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxplore.report.console import progress_bar
 from jaxplore.report.table import to_markdown
-from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merged
+from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
 from jaxplore.study.comparison.maps import read_grids
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
@@ -181,7 +181,7 @@ def run_episodes(
 
     try:
         with Runner() if runner is None else runner as active:
-            active.run([RowTask.of(batch, make) for batch in left], finish)
+            active.run([RowTask.from_episodes(batch, make) for batch in left], finish)
     except KeyboardInterrupt:
         is_interrupted = True
     finally:
@@ -193,8 +193,8 @@ def with_protocol(settings: Entries) -> dict[str, Any]:
     """Merge given settings over the default settings of a comparison on maps."""
     robot = settings.get("robot")
     flies = isinstance(robot, Mapping) and robot.get("model") == "quadrotor"
-    protocol = merged(PROTOCOL, QUADROTOR) if flies else PROTOCOL
-    return merged(protocol, dict(settings))
+    protocol = merge_entries(PROTOCOL, QUADROTOR) if flies else PROTOCOL
+    return merge_entries(protocol, dict(settings))
 
 
 def _in_lines(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:

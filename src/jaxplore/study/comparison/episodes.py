@@ -13,7 +13,7 @@ from jaxplore.settings.exploration import (
     Architecture,
     Settings,
     make_exploration_settings,
-    merged,
+    merge_entries,
 )
 from jaxplore.study.comparison.maps import MapFile
 
@@ -78,11 +78,11 @@ class MapEpisode:
         return range(first, first + self.batch)
 
 
-Batch = tuple[MapEpisode, ...]
+EpisodeBatch = tuple[MapEpisode, ...]
 """Episodes that run together: same map, same variant and same `seeds`."""
 
 
-def make_batches(episodes: Iterable[MapEpisode]) -> tuple[Batch, ...]:
+def make_batches(episodes: Iterable[MapEpisode]) -> tuple[EpisodeBatch, ...]:
     """Group episodes into batches, sorted by map, variant and seed."""
 
     def together(each: MapEpisode) -> tuple[str, str, int]:
@@ -124,7 +124,7 @@ def make_episodes(
             raise ValueError(f"{kind} is {values}; accepted: different ones, at least one")
     common = common_settings(settings)
     own = {
-        name: {**common_settings(merged(common, entries)), **_architecture(entries)}
+        name: {**common_settings(merge_entries(common, entries)), **_architecture(entries)}
         for name, entries in variant_entries(variants).items()
     }
     for seed in (min(seeds), max(seeds)):

@@ -10,17 +10,17 @@ from jaxplore.build.tasks import build
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.exploration.reachability import open_spot
-from jaxplore.study.comparison.episodes import Batch
+from jaxplore.study.comparison.episodes import EpisodeBatch
 from jaxplore.study.comparison.maps import read_grid
 from jaxplore.study.comparison.rows import Row, StoredRow, failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
 
-MakeRows = Callable[[Batch], Sequence[Row]]
+MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 """Runs a batch of episodes and returns their rows. Other processes import it by name."""
 
 
-def make_rows(batch: Batch) -> tuple[Row, ...]:
+def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
     """Run a batch of episodes and return their rows; several episodes run in one `jax.vmap`.
 
     Raises:
@@ -60,11 +60,11 @@ class RowTask(EpisodeTask):
         make: function that runs the batch.
     """
 
-    episodes: Batch
+    episodes: EpisodeBatch
     make: MakeRows = make_rows
 
     @classmethod
-    def of(cls, episodes: Batch, make: MakeRows = make_rows) -> "RowTask":
+    def from_episodes(cls, episodes: EpisodeBatch, make: MakeRows = make_rows) -> "RowTask":
         """Make the task of a batch of episodes.
 
         Args:

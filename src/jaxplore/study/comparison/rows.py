@@ -186,7 +186,7 @@ def schema() -> Any:
     return pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
 
-def settings_of(row: Row) -> dict[str, Any]:
+def row_settings(row: Row) -> dict[str, Any]:
     """Return the settings of a row, from which `jaxplore run --settings` repeats the run."""
     entries: dict[str, Any] = json.loads(row["settings"])
     return entries

@@ -78,12 +78,12 @@ class SettingsEpisodes(Episodes):
         self._common = shared_entries(self._scenarios) if common is None else dict(common)
         first = next(iter(self._scenarios.values()))
         self._settings = make_settings(first)
-        self._known = _settings_of(self._settings)
+        self._known = _searchable_settings(self._settings)
         self._built: dict[tuple[str, int | None], Experiment] = {}
         for name in self._scenarios:
             # Built at once, so that an unreadable file is reported before any episode runs.
             self._current(name, None)
-        self._files = {name: _file_of(entries) for name, entries in self._scenarios.items()}
+        self._files = {name: _find_file(entries) for name, entries in self._scenarios.items()}
 
     @property
     def example(self) -> Experiment:
@@ -203,14 +203,14 @@ class SettingsEpisodes(Episodes):
             tasks = [
                 dataclasses.replace(
                     task,
-                    build=functools.partial(build_entries, self._entries_of(task)),
+                    build=functools.partial(build_entries, self._task_entries(task)),
                     file=self._files[task.scenario],
                 )
                 for task in tasks
             ]
         self._runner.run(tasks, report_each(on_result))
 
-    def _entries_of(self, task: MetricsTask) -> Entries:
+    def _task_entries(self, task: MetricsTask) -> Entries:
         (episode,) = task.episodes
         return self.entries(episode.scenario, episode.candidate, episode.seed)
 
@@ -276,7 +276,7 @@ def shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
     }
 
 
-def _file_of(entries: Entries) -> InputFile | None:
+def _find_file(entries: Entries) -> InputFile | None:
     """Return the map or path file that settings name; None without one."""
     setting = "path" if "path" in entries else "map"
     name = entries.get(setting)
@@ -294,7 +294,7 @@ def _content(path: str) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
-def _settings_of(settings: RunSettings) -> dict[str, Value]:
+def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
     """Return the settings that may be searched, by dotted name: those that affect the run."""
     entries = settings.model_dump(mode="python", exclude=set(_FIXED))
     architecture = getattr(settings, "architecture", None)

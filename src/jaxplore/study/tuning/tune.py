@@ -97,7 +97,7 @@ def tune(
         raise ValueError(f"unseen is {unseen}; accepted: a whole number >= 1")
     objectives = _objectives(episodes, objective)
     search = Search(
-        space_of(parameters, episodes),
+        build_space(parameters, episodes),
         objectives,
         tuple(range(seed, seed + seeds)),
         optimizer,
@@ -210,7 +210,7 @@ def _animation(study: Study, found: TuningResult, *, progress: bool) -> bytes | 
         )
 
 
-def space_of(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
+def build_space(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
     """Build the search space; an array parameter stands for all of its elements.
 
     Args:
