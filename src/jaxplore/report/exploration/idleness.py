@@ -24,7 +24,8 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
 
     Cells that were never seen count from the start. The shaded first half of the run is not part of
     the metrics.
-    A rotated map is drawn along its own axes.
+    A rotated map is drawn along its own axes. The function has more than 60 lines because both
+    panels share the figure's layout.
 
     Args:
         recording: recording of a robot with an idleness map.

@@ -60,7 +60,8 @@ def map_figure(recording: ExplorationData) -> "Figure":
     with their positions in the frames, and a rectangular robot's outline at the start and at the
     end.
 
-    A rotated map is drawn along its own axes.
+    A rotated map is drawn along its own axes. The function has more than 60 lines because the
+    order of its layers decides what covers what.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection

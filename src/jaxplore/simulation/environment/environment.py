@@ -201,6 +201,9 @@ class Environment(eqx.Module):
     ) -> tuple[EnvironmentState, StepResult]:
         """Carry out an action.
 
+        The function has more than 60 lines because its three inner functions share the scenario,
+        the controller and the limits of the loop.
+
         Args:
             state: state before.
             action: (A,) action; values out of bounds are clipped.
