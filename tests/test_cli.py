@@ -277,7 +277,7 @@ def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(
         assert seeds == [7, 8, 9]
         assert {num_steps for *_, num_steps in experiments.values()} == {100}
     assert "runs/room-comparison-2/table.md" in captured.out.splitlines()
-    assert captured.err.count("Interrupted: the runs that were done before") == 2
+    assert captured.err.count("Interrupted: the folder holds the finished runs") == 2
     names = {"metrics.json", "table.md", "curves.png", "settings.yaml"}
     for folder in ("room-comparison", "room-comparison-2"):
         assert {path.name for path in (Path("runs") / folder).iterdir()} == names

@@ -30,7 +30,7 @@ def is_recommendation(warning: warnings.WarningMessage) -> bool:
     return "we recommend using a symmetric and normalized space" in str(warning.message)
 
 
-def entries_of(info: dict, index: int) -> dict:
+def option_entries(info: dict, index: int) -> dict:
     return {name: info[name][index] for name in info if not name.startswith("_")}
 
 

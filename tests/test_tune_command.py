@@ -11,7 +11,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.cli import main
-from jaxplore.cli._tune_options import scenarios_of
+from jaxplore.cli._tune_options import scenario_entries
 from jaxplore.study.tuning.study import Study
 
 QUICK = ("path", "--samples", "16", "--set", "controller.horizon=6", "--time-limit", "0.6")
@@ -165,14 +165,14 @@ def test_settings_of_another_robot_are_a_scenario(tmp_path) -> None:
     wagon = tmp_path / "wagon.yaml"
     wagon.write_text("robot: {model: differential_drive, max_speed: 3}", encoding="utf-8")
     track = tmp_path / "hall.csv"
-    scenarios, common = scenarios_of(asked(map_="path", obstacles=5), [str(wagon)])
+    scenarios, common = scenario_entries(asked(map_="path", obstacles=5), [str(wagon)])
     assert scenarios["path"] == common == {"path": "track", "obstacles": {"number": 5}}
     assert scenarios["wagon"] == {
         **common,
         "robot": {"model": "differential_drive", "max_speed": 3},
     }
     # Of several places, only what they share is worth keeping.
-    scenarios, common = scenarios_of(asked(map_="path", obstacles=5), [str(track)])
+    scenarios, common = scenario_entries(asked(map_="path", obstacles=5), [str(track)])
     assert scenarios["hall"] == {"path": str(track), "obstacles": {"number": 5}}
     assert common == {"obstacles": {"number": 5}}
 
@@ -184,7 +184,7 @@ def test_maps_worlds_and_settings_are_scenarios_beside_a_map(tmp_path) -> None:
     wagon.write_text("robot: {radius: 0.3}", encoding="utf-8")
     also = [str(map_), str(world), str(wagon)]
     options = asked(map_="office", assignments=("robot.max_speed=2",))
-    scenarios, common = scenarios_of(options, also)
+    scenarios, common = scenario_entries(options, also)
     fast = {"robot": {"max_speed": 2}}
     assert scenarios == {
         "office": {"map": "office", **fast},

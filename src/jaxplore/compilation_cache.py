@@ -1,13 +1,13 @@
-"""Compiled programs, kept on disk for the next process.
+"""A persistent cache of compiled programs on disk.
 
-JAX can write what XLA compiles to a folder, and read it in place of compiling. It leaves four
-things to whoever chooses the folder, and they are here:
+JAX can store compiled programs in a folder and load them instead of compiling again. It leaves
+four things to the application, and this module does them:
 
-- Whoever can write there can run code as the user: the folder belongs to the user alone.
-- XLA may use every instruction of the processor that it compiles on: each kind has its own folder.
-- The folder grows: the entries that were read longest ago are removed. JAX can do this, but only
-  with a lock that it waits for at every program, and only within one processor's folder.
-- JAX ignores an entry that it cannot read, and never replaces it: such entries are removed.
+- Anyone who can write to the folder can run code as the user: the folder is private to the user.
+- XLA uses all instructions of the processor it compiles on: each processor type has its own folder.
+- The folder grows: the least recently used entries are removed. JAX can do this too, but it waits
+    for a lock at every program, and counts one processor's folder only.
+- JAX ignores an unreadable entry and never replaces it: such entries are removed.
 """
 
 import hashlib
@@ -29,17 +29,18 @@ from jax.experimental.compilation_cache.compilation_cache import reset_cache
 from jaxplore._checks import positive_int
 
 MAX_SIZE: Final = 2**30
-"""Size of the cache from which on entries are removed [bytes]."""
+"""Size of the cache above which entries are removed [bytes]."""
 
 _PREFIX, _SUFFIX, _CHECKED = "jax-", "-cache", ".checked"
 _NOISE = tuple(f"Error {what} persistent compilation cache" for what in ("reading", "writing"))
-"""How JAX's warnings begin: two processes may read and write, or a disk be full, at any time."""
+"""First words of JAX's warnings about the cache. They are harmless: another process may be writing
+the same entry, or the disk may be full, and then JAX compiles."""
 
 
 def enable_compilation_cache(
     path: str | os.PathLike[str] | None = None, *, max_size: int = MAX_SIZE
 ) -> Path:
-    """Keep compiled programs on disk, so that the next process need not compile them again.
+    """Store compiled programs on disk, so that the next process need not compile them again.
 
     Call it before the first array is made. Processes that this one starts use the same folder.
     Several processes may use it at once. Programs of other versions of JAX, of other processors and
@@ -48,7 +49,7 @@ def enable_compilation_cache(
     Args:
         path: folder, made when absent. None: the folder for cached files that the operating system
             gives the user, such as `~/.cache/jaxplore`.
-        max_size: of all entries [bytes]. When there are more, those that were used longest ago are
+        max_size: size of all entries [bytes]. Beyond it, the least recently used entries are
             removed, now and at each further call.
 
     Returns:
@@ -62,7 +63,7 @@ def enable_compilation_cache(
     given = platformdirs.user_cache_path("jaxplore", appauthor=False) if path is None else path
     name = _folder_name(_processor(), os.environ.get("XLA_FLAGS", ""))
     try:
-        # Links are followed once: JAX is given the folder that was looked at.
+        # Links are resolved once, so that JAX uses the very folder that was checked.
         root = Path(given).expanduser().resolve()
         folder = root / name
         _make_private(root)
@@ -72,45 +73,45 @@ def enable_compilation_cache(
         _remove_least_recently_used(root, max_size)
     except (OSError, RuntimeError) as error:
         raise ValueError(f"path is {given}: {error}; accepted: a folder to write") from None
-    # From the environment, for processes that this one starts.
+    # Set in the environment, so that child processes inherit the settings.
     for name, value in {
         "jax_compilation_cache_dir": str(folder),
-        # A run compiles a hundred programs of a few milliseconds: together they count.
+        # No minimum compile time: a run compiles a hundred programs of a few milliseconds each,
+        # which together matter.
         "jax_persistent_cache_min_compile_time_secs": 0.0,
         "jax_persistent_cache_min_entry_size_bytes": -1,
-        # XLA's own files would grow without bound.
+        # XLA's own cache files would grow without bound.
         "jax_persistent_cache_enable_xla_caches": "none",
     }.items():
         jax.config.update(name, value)  # type: ignore[no-untyped-call]
         os.environ[name.upper()] = str(value)
-    # JAX looks at the folder's name once.
+    # JAX reads the name of the folder only once, at first use.
     reset_cache()
     _silence()
     return folder
 
 
 def _folder_name(processor: str, flags: str) -> str:
-    """Return the folder's name: everything that a compiled program depends on but itself."""
+    """Return a folder name that identifies JAX, the processor and the compiler flags."""
     text = "\n".join((processor, *sorted(flags.split())))
     digest = hashlib.sha256(text.encode()).hexdigest()[:16]
     return f"{_PREFIX}{jax.__version__}-{version('jaxlib')}-{digest}"
 
 
 def _processor() -> str:
-    """Return the model and the instruction sets of the processor, as far as the system says."""
+    """Return the model and the instruction sets of the processor, as far as the system reports."""
     cpuinfo = Path("/proc/cpuinfo")
     if not cpuinfo.exists():
         return f"{platform.system()} {platform.machine()} {platform.processor()}"
     names = ("vendor", "model", "cpu family", "stepping", "flags", "features", "cpu ")
-    # Of the first processor. Its clock rate is there as well, and never the same.
+    # Lines of the first core. Its present clock rate is left out: it changes all the time.
     first = cpuinfo.read_text().split("\n\n", 1)[0].splitlines()
     said = [line for line in first if line.lower().startswith(names)]
     return "\n".join(line for line in said if not line.startswith(("cpu MHz", "cpu cores")))
 
 
 def _make_private(folder: Path) -> None:
-    """Make a folder that only its owner can enter, or check that the one that is there can be
-    trusted.
+    """Make a folder that only its owner can enter, or check that an existing one can be trusted.
 
     Raises:
         ValueError: it belongs to another user, or others can write to it.
@@ -118,7 +119,7 @@ def _make_private(folder: Path) -> None:
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if not hasattr(os, "geteuid"):
         return
-    # Of the folder itself: a link may be another user's.
+    # Without following links: a link itself may belong to another user.
     found = folder.lstat()
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.geteuid():
         raise ValueError(f"path is {folder}, another user's; accepted: a folder of your own")
@@ -127,18 +128,19 @@ def _make_private(folder: Path) -> None:
 
 
 def _remove_broken(folder: Path) -> None:
-    """Remove entries that were not written to their end, or not by this user.
+    """Remove entries that are incomplete or were written by another user.
 
-    An entry is read once. After that only one that was changed since the last call is.
+    An entry is read once, and again only if it has changed since the last call.
     """
     checked = folder / _CHECKED
     last = checked.stat().st_mtime_ns if checked.exists() else 0
-    # Older than whatever other processes write while this one reads.
+    # The mark is made first: it is older than entries that other processes write while this
+    # one reads, so the next call checks those.
     now = folder / f"{_CHECKED}-{os.getpid()}-{time.monotonic_ns()}"
     now.touch(mode=0o600)
     owner = folder.stat().st_uid
     for entry in folder.glob(f"*{_SUFFIX}"):
-        # Another process may remove it at the same time.
+        # Another process may remove the entry at the same time.
         try:
             found = entry.lstat()
             is_own = stat.S_ISREG(found.st_mode) and found.st_uid == owner
@@ -151,7 +153,7 @@ def _remove_broken(folder: Path) -> None:
 
 
 def _is_whole(entry: bytes) -> bool:
-    """Say whether an entry can be unpacked. JAX packs with zlib, or Zstandard where it is there."""
+    """Check whether an entry can be decompressed. JAX uses Zstandard if installed, else zlib."""
     if not entry.startswith(b"\x28\xb5\x2f\xfd"):
         try:
             return bool(zlib.decompress(entry))
@@ -162,22 +164,21 @@ def _is_whole(entry: bytes) -> bool:
             return bool(importlib.import_module(name).decompress(entry))
         except ImportError:
             continue
-        # The two libraries' own errors, which have no common base.
+        # The errors of the two libraries have no common base class.
         except Exception:
             return False
     return False
 
 
 def _remove_least_recently_used(root: Path, max_size: int) -> None:
-    """Remove the entries that were used longest ago, of all versions and processors, until the
-    others are no more than `max_size` bytes."""
+    """Remove the least recently used entries of all versions and processors, down to `max_size`."""
     entries = []
     for path in root.glob(f"{_PREFIX}*/*{_SUFFIX}"):
         try:
             found = path.lstat()
         except FileNotFoundError:
             continue
-        # Read or written; many file systems note the former once a day, some never.
+        # Last read or written: many file systems update the read time once a day, some never.
         entries.append((max(found.st_atime_ns, found.st_mtime_ns), found.st_size, path))
     size = sum(each for _, each, _ in entries)
     for _, each, path in sorted(entries):
@@ -188,7 +189,7 @@ def _remove_least_recently_used(root: Path, max_size: int) -> None:
 
 
 def _silence() -> None:
-    """Hide what JAX warns of when an entry cannot be read or written: it compiles instead."""
+    """Hide JAX's warnings about entries that cannot be read or written: it compiles instead."""
     for message in _NOISE:
         warnings.filterwarnings("ignore", message, UserWarning)
     given = os.environ.get("PYTHONWARNINGS", "")

@@ -16,14 +16,14 @@ from jaxplore.planning.presets.target_explorer import target_explorer
 from jaxplore.settings.defaults import (
     DIFFERENCES,
     arguments,
-    default_of,
     descriptions,
+    parameter_default,
     setting,
     unit,
 )
 from jaxplore.settings.exploration import BASELINES, SCENARIOS, Settings, scenario_path
 from jaxplore.settings.path import PathSettings
-from jaxplore.settings.sections import Section, read_settings, section_of
+from jaxplore.settings.sections import Section, read_settings, section_class
 
 
 def assert_equal(found: Any, expected: Any) -> None:
@@ -76,7 +76,7 @@ GOALS = {"zones": jx.three_zones().goal}
 MISSIONS = {
     "zones": jx.Mission(GOALS["zones"][:2]),
     "search-rescue": jx.Mission(has_terrain=True),
-    "perimeter": jx.Mission(has_movers=True),
+    "perimeter": jx.Mission(has_moving_obstacles=True),
 }
 VIEWS = {"warehouse": 1.5 * math.pi}
 """Of the lidars, where a scenario says so."""
@@ -198,7 +198,7 @@ def sections(kind: type[Section]) -> list[type[Section]]:
     """Return a class of settings and those of its sections."""
     found = [kind]
     for field in kind.model_fields.values():
-        inner = section_of(field.annotation)
+        inner = section_class(field.annotation)
         if inner is not None:
             found += sections(inner)
     return found
@@ -269,7 +269,7 @@ def test_differences_are_differences_and_have_a_reason() -> None:
     ground = make_settings({"map": "office"})
     for name, difference in DIFFERENCES.items():
         kind, section, last = name.split(".")
-        field = section_of(owned[kind].model_fields[section].annotation).model_fields[last]
+        field = section_class(owned[kind].model_fields[section].annotation).model_fields[last]
         assert difference.reason
         if kind == "quadrotor":
             assert getattr(getattr(ground, section), last) != difference.value
@@ -277,7 +277,7 @@ def test_differences_are_differences_and_have_a_reason() -> None:
             assert field.default == difference.value
             model = {"robot": {"exploration": jx.DifferentialDrive, "path": jx.Ackermann}[kind],
                      "lidar": jx.Lidar}[section]  # fmt: skip
-            assert default_of(model, last) != difference.value
+            assert parameter_default(model, last) != difference.value
 
 
 def test_the_owner_s_signature_is_the_default() -> None:
@@ -309,7 +309,7 @@ def test_the_owner_s_signature_is_the_default() -> None:
         with pytest.raises(
             ValueError, match=f"parameter is '{name}' of .*preset; accepted: weight"
         ):
-            default_of(preset, name)
+            parameter_default(preset, name)
 
 
 # Which kind of run

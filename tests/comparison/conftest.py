@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import jaxplore as jx
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import MapFile, maps_in
 from jaxplore.study.comparison.rows import TIMING, Row, failed_row
 from jaxplore.study.comparison.store import Plan, Store, open_store
@@ -81,8 +81,8 @@ def timeless() -> Callable[[Store], list[Row]]:
 
 
 @pytest.fixture
-def pretend() -> Callable[[Batch], list[Row]]:
-    def make(batch: Batch) -> list[Row]:
+def pretend() -> Callable[[EpisodeBatch], list[Row]]:
+    def make(batch: EpisodeBatch) -> list[Row]:
         """Return rows that say how they were made, without a run."""
         return [
             {**failed_row(episode, "none"), "error": None, "coverage": episode.seed / 100.0}

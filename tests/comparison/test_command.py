@@ -91,7 +91,7 @@ def test_the_same_command_goes_on(
     monkeypatch.setattr(comparing, "run_episodes", interrupted)
     assert ends([*arguments, "--out", "out"]) == 130
     shown = capsys.readouterr()
-    assert "Interrupted: 3 of 4 runs are done; the same command does the others." in shown.err
+    assert "Interrupted: 3 of 4 runs are done; the same command continues." in shown.err
     assert "0 of 1" in shown.out
     store = open_store("out")
     assert len(timeless(store)) == 3

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from jaxplore.study.comparison.compare_maps import RunCounts, run_episodes
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Plan, Store, open_store
@@ -48,7 +48,9 @@ FATAL = """
 
 
 @pytest.fixture
-def fatal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[Batch], tuple[Row, ...]]:
+def fatal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[[EpisodeBatch], tuple[Row, ...]]:
     """Return what makes such runs; where it is, the other processes look for modules too."""
     (tmp_path / "fatal_runs.py").write_text(textwrap.dedent(FATAL))
     monkeypatch.syspath_prepend(tmp_path)
@@ -70,7 +72,7 @@ def test_processes_that_are_killed_change_nothing(
     plan: Plan,
     episodes: tuple[MapEpisode, ...],
     store: Store,
-    fatal: Callable[[Batch], tuple[Row, ...]],
+    fatal: Callable[[EpisodeBatch], tuple[Row, ...]],
     whole: tuple[RunCounts, list[Row]],
     timeless: Timeless,
     monkeypatch: pytest.MonkeyPatch,
@@ -107,7 +109,7 @@ def test_a_map_that_is_gone_meanwhile_fails_its_own_runs(episodes: tuple[MapEpis
     workers = object.__new__(RayPool)  # without a cluster: nothing is sent
     workers._files, workers._failed = {}, []
     Path(episodes[0].path).unlink()
-    workers.submit(3, RowTask.of(episodes[:2], make_rows))
+    workers.submit(3, RowTask.from_episodes(episodes[:2], make_rows))
     ((worker, results, death),) = workers.wait()
     assert (worker, death) == (3, None)
     assert [each.id for each in results] == [episode.id for episode in episodes[:2]]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import maps_in, read_grid
 from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import Row
@@ -14,7 +14,7 @@ from jaxplore.study.comparison.store import Plan
 
 def test_workers_keep_to_a_map_and_explorer_then_to_the_explorer(plan: Plan) -> None:
     episodes = make_episodes(plan.maps, ("explorer", "portfolio"), (0, 1), plan.settings)
-    tasks = [RowTask.of((episode,), make_rows) for episode in episodes]
+    tasks = [RowTask.from_episodes((episode,), make_rows) for episode in episodes]
     assert [task.id for task in tasks] == [episode.id for episode in episodes]
     assert len({task.id for task in tasks}) == 8
     assert [task.group for task in tasks[::2]] == [
@@ -40,11 +40,11 @@ def test_a_map_is_the_same_in_any_folder(
     (north,) = make_episodes(maps_in(tmp_path / "other"), ("explorer",), (0,), plan.settings)
     seen: list[MapEpisode] = []
 
-    def look(batch: Batch) -> list[Row]:
+    def look(batch: EpisodeBatch) -> list[Row]:
         seen.extend(batch)
         raise ValueError(f"{batch[0].entries['map']} is not for me")
 
-    task = RowTask.of((north,), look)
+    task = RowTask.from_episodes((north,), look)
     ((key, read),) = task.files().items()
     assert key == north.content
     before = read_grid(north.path, 0.1)

@@ -13,7 +13,7 @@ from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.replay import NEVER
 from jaxplore.study.comparison.row_task import RowTask, make_rows
@@ -23,7 +23,7 @@ from jaxplore.study.comparison.rows import (
     Row,
     failed_row,
     make_row,
-    settings_of,
+    row_settings,
     store_row,
 )
 
@@ -89,7 +89,7 @@ def test_a_row_says_what_the_run_was(episodes: tuple[MapEpisode, ...]) -> None:
     assert row["positions_x"] == [float(each[0]) for each in positions]
     assert row["positions_y"] == [float(each[1]) for each in positions]
     _check_replay(row, recording)
-    assert settings_of(row) == settings.model_dump(mode="json")
+    assert row_settings(row) == settings.model_dump(mode="json")
     assert json.loads(row["versions"]) == metrics.versions
     (again,) = make_rows((episode,))
     different = {name for name in row if row[name] != again[name]}
@@ -122,7 +122,7 @@ def test_without_a_start_it_is_the_most_open_spot(episodes: tuple[MapEpisode, ..
     west = episodes[2]
     (row,) = make_rows((west,))
     x, y = open_spot(jx.OccupancyGrid.from_ros(west.path), 0.2)
-    assert settings_of(row)["start"] == [x, y, 0.0]
+    assert row_settings(row)["start"] == [x, y, 0.0]
     assert (row["positions_x"][0], row["positions_y"][0]) == (x, y)
     assert row["id"] == west.id
 
@@ -133,30 +133,34 @@ def test_a_copy_of_the_map_leaves_no_trace(
     (episode,) = make_episodes(maps[1:], ("explorer",), (0,), small)
     Path(episode.path).rename(tmp_path / "copy.yaml")
     Path(episode.path).with_suffix(".pgm").rename(tmp_path / "west.pgm")
-    elsewhere = dataclasses.replace(RowTask.of((episode,)), copy=str(tmp_path / "copy.yaml"))
+    elsewhere = dataclasses.replace(
+        RowTask.from_episodes((episode,)), copy=str(tmp_path / "copy.yaml")
+    )
     (result,) = elsewhere.run()
     (row,) = read(result.data)
     assert row["error"] is None
-    assert settings_of(row)["map"] == episode.path
+    assert row_settings(row)["map"] == episode.path
     (tmp_path / "west.pgm").unlink()
     (result,) = elsewhere.run()
     (row,) = read(result.data)
     assert row["error"].startswith(f"{episode.path}: image is 'west.pgm', which is not there")
-    assert settings_of(row)["map"] == episode.path
+    assert row_settings(row)["map"] == episode.path
 
 
 def test_what_fails_is_a_row_of_one_line(episodes: tuple[MapEpisode, ...]) -> None:
-    def wrong(batch: Batch) -> list[Row]:
+    def wrong(batch: EpisodeBatch) -> list[Row]:
         raise ValueError("this\n  is wrong")
 
-    def broken(batch: Batch) -> list[Row]:
+    def broken(batch: EpisodeBatch) -> list[Row]:
         raise TypeError("a bug")
 
-    def stopped(batch: Batch) -> list[Row]:
+    def stopped(batch: EpisodeBatch) -> list[Row]:
         raise KeyboardInterrupt
 
     results = [
-        result for each in (wrong, broken) for result in RowTask.of(episodes[:1], each).run()
+        result
+        for each in (wrong, broken)
+        for result in RowTask.from_episodes(episodes[:1], each).run()
     ]
     assert [each.error for each in results] == ["this is wrong", "TypeError: a bug"]
     assert [each[:2] for each in results] == [(episodes[0].id, "east")] * 2
@@ -167,10 +171,10 @@ def test_what_fails_is_a_row_of_one_line(episodes: tuple[MapEpisode, ...]) -> No
         *("time_limit", "settings"),
     ]
     assert row == failed_row(episodes[0], "this is wrong")
-    assert settings_of(row) == episodes[0].entries
+    assert row_settings(row) == episodes[0].entries
     with pytest.raises(KeyboardInterrupt):
-        RowTask.of(episodes[:1], stopped).run()
-    assert [each.id for each in RowTask.of(episodes[:2], wrong).run()] == [
+        RowTask.from_episodes(episodes[:1], stopped).run()
+    assert [each.id for each in RowTask.from_episodes(episodes[:2], wrong).run()] == [
         each.id for each in episodes[:2]
     ]
 
@@ -184,7 +188,7 @@ def test_runs_side_by_side_are_the_same_whichever_are_asked_for(
     (second,) = make_rows((episodes[1],))
     assert [row["id"] for row in both] == [episode.id for episode in episodes[:2]]
     assert [row["seed"] for row in both] == [0, 1]
-    assert [settings_of(row)["seed"] for row in both] == [0, 1]
+    assert [row_settings(row)["seed"] for row in both] == [0, 1]
     assert {name for name in second if second[name] != both[1][name]} <= set(TIMING)
     assert both[0]["positions_x"] != both[1]["positions_x"]
     # As if it were alone, but for rounding: so it is another run by name.

@@ -11,13 +11,13 @@ import pytest
 from jaxplore.study import experiments as running
 from jaxplore.study import runner
 from jaxplore.study.comparison.compare_maps import EpisodeDone, RunCounts, run_episodes
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.row_task import RowTask, make_rows
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.store import Plan, Store, open_store
 from jaxplore.study.runner import Runner
 
-Pretend = Callable[[Batch], list[Row]]
+Pretend = Callable[[EpisodeBatch], list[Row]]
 Die = Callable[[int, MapEpisode | None], bool]
 Spread = Callable[..., tuple[list[tuple[int, RowTask]], RunCounts]]
 Timeless = Callable[[Store], list[Row]]
@@ -70,7 +70,7 @@ def test_it_goes_on_where_it_was_and_tries_again_what_failed(
     calls: list[MapEpisode] = []
     shown: list[EpisodeDone] = []
 
-    def fragile(batch: Batch) -> list[Row]:
+    def fragile(batch: EpisodeBatch) -> list[Row]:
         calls.extend(batch)
         if batch == (many[2],) and len(calls) < 5:
             raise ValueError("not now")
@@ -94,7 +94,7 @@ def test_it_goes_on_where_it_was_and_tries_again_what_failed(
 def test_ctrl_c_keeps_what_is_done_and_the_rest_gives_the_same_table(
     episodes: tuple[MapEpisode, ...], store: Store, plan: Plan, timeless: Timeless, tmp_path: Path
 ) -> None:
-    def third(batch: Batch) -> tuple[Row, ...]:
+    def third(batch: EpisodeBatch) -> tuple[Row, ...]:
         if batch == (episodes[2],):
             raise KeyboardInterrupt
         return make_rows(batch)

@@ -7,12 +7,12 @@ from typing import Any
 
 import pytest
 
-from jaxplore.study.comparison.episodes import Batch, MapEpisode, make_episodes
+from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import maps_in
 from jaxplore.study.comparison.rows import COLUMNS, Row, failed_row, store_row
 from jaxplore.study.comparison.store import Plan, Store, open_store
 
-Pretend = Callable[[Batch], list[Row]]
+Pretend = Callable[[EpisodeBatch], list[Row]]
 
 
 def test_what_is_put_there_is_done_and_what_failed_is_not(

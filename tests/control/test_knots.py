@@ -36,7 +36,7 @@ SIZES = [(1, 6), (2, 6), (4, 10), (5, 13)]
 sizes = pytest.mark.parametrize(("num_knots", "horizon"), SIZES)
 
 
-def space_of(horizon: int) -> ControlSpace:
+def build_space(horizon: int) -> ControlSpace:
     return ControlSpace(
         *(jnp.asarray(value, jnp.float32) for value in (LOW, HIGH, DEFAULT, 0.1)), horizon=horizon
     )
@@ -113,7 +113,7 @@ def test_weights_are_those_of_scipy(name: str, num_knots: int, horizon: int) -> 
 def test_controls_are_the_interpolated_deviation_from_the_default(
     name: str, num_knots: int, horizon: int
 ) -> None:
-    rng, space = np.random.default_rng(0), space_of(horizon)
+    rng, space = np.random.default_rng(0), build_space(horizon)
     knots = rng.uniform(-0.5, 1.5, (num_knots, SIZE)) + np.array([0.0, 8.0])
     weights = expected_weights(name, np.arange(horizon), num_knots, horizon)
     expected = np.clip(DEFAULT + weights @ (knots - DEFAULT), LOW, HIGH)
@@ -175,7 +175,7 @@ def test_the_cubic_spline_has_no_kinks(name: str) -> None:
 @every
 def test_controls_fall_to_the_default_away_from_the_knots(name: str) -> None:
     """A quadrotor keeps its hover thrust, 9.81, however often the plan is moved on."""
-    part, space = Knots(4, INTERPOLATIONS[name]), space_of(10)
+    part, space = Knots(4, INTERPOLATIONS[name]), build_space(10)
     nominal = jnp.asarray(np.random.default_rng(0).uniform(LOW, HIGH, (4, SIZE)), jnp.float32)
     far = np.abs(np.asarray(nominal) - DEFAULT).max(axis=0)
     for steps in [1.0, 0.4, 1.6] * 20:
@@ -189,7 +189,7 @@ def test_controls_fall_to_the_default_away_from_the_knots(name: str) -> None:
 
 
 def test_a_kernel_falls_to_the_default_between_far_knots() -> None:
-    part, space = Knots(2, RBFKernel(1.0)), space_of(13)
+    part, space = Knots(2, RBFKernel(1.0)), build_space(13)
     controls = np.asarray(controls_of(part, jnp.asarray([[2.0, 0.0], [2.0, 0.0]]), space))
     np.testing.assert_allclose(controls[[0, 12]], [[2.0, 0.0]] * 2, atol=1e-5)
     np.testing.assert_allclose(controls[6], DEFAULT, rtol=1e-5)
@@ -197,7 +197,7 @@ def test_a_kernel_falls_to_the_default_between_far_knots() -> None:
 
 @every
 def test_the_first_control_is_the_first_knot(name: str) -> None:
-    part, space = Knots(4, INTERPOLATIONS[name]), space_of(10)
+    part, space = Knots(4, INTERPOLATIONS[name]), build_space(10)
     nominal = np.random.default_rng(0).uniform(LOW, HIGH, (4, SIZE)).astype(np.float32)
     controls = controls_of(part, jnp.asarray(nominal), space)
     np.testing.assert_allclose(controls[0], nominal[0], atol=2e-3)
@@ -207,7 +207,7 @@ def test_the_first_control_is_the_first_knot(name: str) -> None:
 @every
 @pytest.mark.parametrize("steps", [0.0, 1.0, 3.0, 0.3, 2.7, 9.0, 9.5, 30.0])
 def test_a_shift_takes_the_curve_where_the_knots_will_be(name: str, steps: float) -> None:
-    space, nominal = space_of(10), np.random.default_rng(2).uniform(LOW, HIGH, (4, SIZE))
+    space, nominal = build_space(10), np.random.default_rng(2).uniform(LOW, HIGH, (4, SIZE))
     part = Knots(4, INTERPOLATIONS[name])
     actual = shift(part, jnp.asarray(nominal, jnp.float32), jnp.asarray(steps), space)
     times = np.linspace(0, 9, 4) + steps
@@ -218,7 +218,7 @@ def test_a_shift_takes_the_curve_where_the_knots_will_be(name: str, steps: float
 
 @pytest.mark.parametrize("name", ["hold", "linear", "cubic"])
 def test_a_shift_by_a_knot_s_distance_moves_every_knot_one_on(name: str) -> None:
-    part, space = Knots(4, INTERPOLATIONS[name]), space_of(10)
+    part, space = Knots(4, INTERPOLATIONS[name]), build_space(10)
     nominal = np.random.default_rng(2).uniform(LOW, HIGH, (4, SIZE)).astype(np.float32)
     actual = np.asarray(shift(part, jnp.asarray(nominal), jnp.asarray(3.0), space))
     np.testing.assert_allclose(actual[:-1], nominal[1:], atol=1e-5)
@@ -233,7 +233,7 @@ def test_a_shift_by_a_knot_s_distance_moves_every_knot_one_on(name: str) -> None
 @pytest.mark.parametrize("steps", [0.25, 0.5, 1.0])
 def test_many_small_shifts_go_as_far_as_a_large_one(name: str, steps: float) -> None:
     """Along a straight line, which interpolation does not smear."""
-    part, space = Knots(9, INTERPOLATIONS[name]), space_of(33)
+    part, space = Knots(9, INTERPOLATIONS[name]), build_space(33)
     line = np.linspace([0.0, 2.0], [1.0, 14.0], 9)
     nominal = jnp.asarray(line, jnp.float32)
     for _ in range(round(4 / steps)):
@@ -245,7 +245,7 @@ def test_many_small_shifts_go_as_far_as_a_large_one(name: str, steps: float) -> 
 
 @every
 def test_small_shifts_move_the_first_control(name: str) -> None:
-    part, space = Knots(4, INTERPOLATIONS[name]), space_of(10)
+    part, space = Knots(4, INTERPOLATIONS[name]), build_space(10)
     nominal = jnp.asarray([[0.0, 9.81], [1.0, 9.81], [1.0, 9.81], [1.0, 9.81]])
     before = 0.0
     for _ in range(8):
@@ -259,7 +259,7 @@ def test_small_shifts_move_the_first_control(name: str) -> None:
 @every
 def test_a_knot_at_every_step_is_direct(name: str) -> None:
     horizon = 7
-    space, rng = space_of(horizon), np.random.default_rng(3)
+    space, rng = build_space(horizon), np.random.default_rng(3)
     part, direct = Knots(horizon, INTERPOLATIONS[name]), Direct()
     if name in ("rbf", "matern"):
         part = Knots(horizon, type(INTERPOLATIONS[name])(1.0))
@@ -282,7 +282,7 @@ def test_a_knot_at_every_step_is_direct(name: str) -> None:
 
 @every
 def test_encode_finds_the_nearest_knots(name: str) -> None:
-    space, rng = space_of(10), np.random.default_rng(4)
+    space, rng = build_space(10), np.random.default_rng(4)
     part = Knots(4, INTERPOLATIONS[name])
     controls = rng.uniform(LOW, HIGH, (10, SIZE))
     weights = expected_weights(name, np.arange(10), 4, 10)
@@ -298,7 +298,7 @@ def test_encode_finds_the_nearest_knots(name: str) -> None:
 @every
 def test_encode_is_the_inverse_of_decode(name: str) -> None:
     """For knots whose controls are within the bounds."""
-    space, rng = space_of(10), np.random.default_rng(4)
+    space, rng = build_space(10), np.random.default_rng(4)
     part = Knots(4, INTERPOLATIONS[name])
     knots = DEFAULT + rng.uniform(-0.3, 0.3, (4, SIZE))
     nominal = jnp.asarray(knots, jnp.float32)
@@ -315,7 +315,7 @@ def test_encode_is_the_inverse_of_decode(name: str) -> None:
 @hypothesis.settings(max_examples=15)
 def test_everything_stays_within_the_bounds(name: str, seed: int, spread: float) -> None:
     """Controls too, where a spline overshoots; and the mean of the knots that took effect."""
-    part, space, rng = Knots(4, INTERPOLATIONS[name]), space_of(10), np.random.default_rng(seed)
+    part, space, rng = Knots(4, INTERPOLATIONS[name]), build_space(10), np.random.default_rng(seed)
     drawn = rng.normal(0.0, spread, (4, SIZE, 8)).astype(np.float32)
     controls, knots = decode(part, jnp.zeros((4, SIZE)), jnp.asarray(drawn), space)
     np.testing.assert_array_equal(
@@ -328,7 +328,7 @@ def test_everything_stays_within_the_bounds(name: str, seed: int, spread: float)
 
 
 def test_the_matrix_is_computed_when_the_step_is_compiled() -> None:
-    part, space = Knots(4, RBFKernel(2.0)), space_of(10)
+    part, space = Knots(4, RBFKernel(2.0)), build_space(10)
     jaxpr = str(
         jax.make_jaxpr(lambda samples: part.decode(samples[:, :, 0], samples, space))(
             jnp.zeros((4, SIZE, 3))

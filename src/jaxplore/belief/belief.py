@@ -1,4 +1,4 @@
-"""What the robot knows."""
+"""The belief: the robot's map, fields derived from it, and known moving obstacles."""
 
 from typing import TYPE_CHECKING, Annotated, Any, Optional, TypeVar
 
@@ -17,7 +17,8 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 if TYPE_CHECKING:
-    # Whatever explores has a map: its code need not ask each time whether it is there.
+    # The parts are typed as present: exploration code always has a map and would otherwise have to
+    # check for None at every use. `part` reports an absent one.
     _Present = TypeVar("_Present")
     Part = Annotated[_Present, "None where the belief has no such part"]
 else:
@@ -25,7 +26,7 @@ else:
 
 
 class Belief(eqx.Module):
-    """The robot's map, the fields derived from it, and the moving obstacles: all costs may read.
+    """The robot's map, the fields derived from it and the known moving obstacles; costs read it.
 
     Any part may be absent, None. A robot that explores has the map and its fields (`Perception`
     makes them); one that follows a path has `Belief(obstacles=...)`. A cost that needs a part that
@@ -33,20 +34,20 @@ class Belief(eqx.Module):
 
     Args:
         grid: occupancy, from the robot's own scans.
-        clearance: distance to the nearest cell not known to be free [m].
+        clearance: distance to the nearest cell that is not known to be free [m].
         information: expected information of a scan at any pose [nat].
-        guidance: cost to go to the remaining information [m], and the way there.
-        dwell: (rows, columns) of the guidance's nodes: time recently spent near each [s].
-        is_explored: whether nothing worthwhile is left to see, so that a robot with a goal goes
-            there.
-        patience: time near a place after which its pull has faded to 1/e [s].
-        pose: where the robot was when its fields were made (x, y, yaw) [m, m, rad].
-        ground: what it drives on, known beforehand; level and passable when absent.
-        to_goal: cost to go to the goal [m], through whatever is not known to be blocked, and the
-            way there; absent if nothing asks for it.
-        obstacles: moving obstacles that the robot knows of; none when absent.
-        idleness: (H, W) time since each cell was seen [s], infinite if never; absent if nobody
-            keeps watch.
+        guidance: cost to go to the remaining information [m], and the direction to it.
+        dwell: (rows, columns) time recently spent near each node of the guidance field [s].
+        is_explored: whether no scan would gain enough information any more, so that a robot with a
+            goal goes there.
+        patience: time near a position after which its attraction has fallen to 1/e [s].
+        pose: pose (x, y, yaw) of the robot at the last update of the fields [m, m, rad].
+        ground: terrain, known in advance; level and traversable when absent.
+        to_goal: cost to go to the goal [m] through cells that are not known to be occupied, and
+            the direction to it; absent if no cost needs it.
+        obstacles: known moving obstacles; none when absent.
+        idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
+            an idleness map.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -64,27 +65,30 @@ class Belief(eqx.Module):
 
     @property
     def pull(self) -> ScalarField:
-        """What is left of a place's pull, see `dwell_discount`; 1 off the map."""
+        """Factor of the attraction that is left after the time spent near a position.
+
+        It is `dwell_discount`; 1 off the map.
+        """
         share = dwell_discount(self.dwell, self.patience)
         return ScalarField(share, self.information.frame, jnp.ones(()))
 
     @property
     def worth(self) -> Float[Array, "rows columns"]:
-        """What a scan from each node is still worth: its information times the pull [nat]."""
+        """Value of a scan from each node: its information times the attraction left [nat]."""
         return self.information.total * dwell_discount(self.dwell, self.patience)
 
 
 class StrategicBelief(Belief):
-    """A belief with what a strategic layer made of it, for the costs of informative MPPI.
+    """A belief with the fields and the reference of a strategic layer, for informative MPPI.
 
     Args:
-        potential: information of a scan around the robot by heading [nat], as it was when the
-            strategic layer ran last.
-        best: its greatest value over headings [nat].
-        local: information of a short look by heading [nat], as of now.
-        reference: (T, 3) where to be, row i at `(i + 1) reference_period - reference_age` from now
-            [m].
-        reference_period: [s].
+        potential: information of a scan by position and heading around the robot [nat], as of
+            the last update of the strategic layer.
+        best: greatest value of `potential` over headings [nat].
+        local: information of a short-range scan by position and heading [nat], as of now.
+        reference: (T, 3) reference positions [m]; row i is due in
+            `(i + 1) reference_period - reference_age` seconds.
+        reference_period: time between the rows of the reference [s].
         reference_age: time since the reference was made [s].
     """
 
@@ -96,7 +100,10 @@ class StrategicBelief(Belief):
     reference_age: Scalar = eqx.field(kw_only=True)
 
     def reference_at(self, t: Scalar) -> Float[Array, "3"]:
-        """Return where to be `t` seconds from now [m], linear between rows; the ends hold."""
+        """Interpolate the reference position `t` seconds from now [m].
+
+        Linear between rows; before the first and after the last row, that row.
+        """
         last = self.reference.shape[0] - 1
         row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)
         before = jnp.floor(row)
@@ -106,18 +113,18 @@ class StrategicBelief(Belief):
 
 
 class MissingPartError(ValueError):
-    """A cost needs a part that the belief does not have."""
+    """Error of a cost that needs an absent part of the belief."""
 
 
 def part(belief: Any, name: str) -> Any:
-    """Return a part of a belief that a cost needs.
+    """Return a part of a belief, or raise an error that names its source.
 
     Args:
         belief: a `Belief`, any object with such an attribute, or None.
-        name: of the part.
+        name: name of the part.
 
     Raises:
-        MissingPartError: it is absent, or there is no belief.
+        MissingPartError: the part is absent, or there is no belief.
     """
     found = getattr(belief, name, None)
     if found is None:
@@ -131,4 +138,4 @@ _SOURCES = {
     "to_goal": "the belief of a Perception with a goal apart",
     **dict.fromkeys(("potential", "best", "local", "reference"), "a StrategicBelief"),
 }
-"""Where parts of a belief come from; what is not listed is derived from the map."""
+"""Sources of parts for the error message; parts that are not listed derive from the map."""

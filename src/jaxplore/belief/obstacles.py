@@ -1,4 +1,4 @@
-"""Moving obstacles as a robot knows them, and where they will be."""
+"""Known moving obstacles, their uncertainty and their prediction."""
 
 import dataclasses
 from typing import Any
@@ -14,11 +14,11 @@ from jaxplore._types import Key, Rows, Scalar, Vector
 from jaxplore.geometry.outlines import Outlines
 
 FAR = 1e9
-"""Where predictions put an obstacle that is not known, along x and y [m]."""
+"""Predicted x and y of an obstacle that is not known: far beyond any cost's reach [m]."""
 
 
 class Obstacles(eqx.Module):
-    """N moving obstacles: where they are, how they move, and how well that is known.
+    """Positions, velocities, turn rates and uncertainty of N moving obstacles.
 
     Each moves with constant velocity and constant turn rate. The n-th turns with the rate w about
     its centre p, whose velocity v turns with it. At time t
@@ -35,26 +35,28 @@ class Obstacles(eqx.Module):
     tracking. Part I: dynamic models", IEEE TAES 2003, section V.B.1. Its errors here are unknown
     constants, not white noise: they last.)
 
-    An obstacle that is not known, because it was never seen or is forgotten, is predicted out of
-    reach (`FAR`), exactly, and without size. So no cost counts it, whatever its numbers are.
+    An unknown obstacle, one that was never seen or is forgotten, is predicted far away (`FAR`),
+    without uncertainty or extent. So it costs nothing, whatever its numbers are.
 
     A tracker starts with `unseen` and calls `update`.
 
     All fields are array leaves: other obstacles of the same number do not recompile.
 
     Args:
-        outlines: where they are now.
-        velocities: (N, 2) of their centres [m/s]; 0 when absent.
-        turn_rates: (N,) or one number [rad/s], positive to the left; all move straight, and their
-            predictions take less time, when this and `turn_growth` are absent.
+        outlines: present outlines.
+        velocities: (N, 2) velocities of the centres [m/s]; 0 when absent.
+        turn_rates: (N,) turn rates, or one number [rad/s], positive to the left. When this and
+            `turn_growth` are absent, all move straight, which is faster to predict.
         centres: (N, 2) about which they turn [m]; the middles of their bounding boxes when absent.
-        std: of their positions along either axis when they were measured, (N,) or one number [m];
+        std: standard deviation of the measured positions along either axis, (N,) or one number [m];
             0, exact, when absent.
-        covariance: (N, 2, 2), or (2, 2) for all [m^2]; instead of `std`.
+        covariance: (N, 2, 2) covariances of the positions, or one (2, 2) for all [m^2]; instead of
+            `std`.
         growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
         turn_growth: standard deviation of the turn rate, (N,) or one number [rad/s]; 0 when absent.
-        age: time since each was measured, (N,) or one number [s]; they are as of now when absent.
-        is_known: (N,) false: never seen, or forgotten; all are known when absent.
+        age: time since the last measurement, (N,) or one number [s]; 0 when absent.
+        is_known: (N,) whether each obstacle is known: false if never seen, or forgotten; all are
+            known when absent.
         memory: time without a measurement after which `update` forgets an obstacle [s].
 
     Raises:
@@ -117,13 +119,14 @@ class Obstacles(eqx.Module):
 
     @classmethod
     def unseen(cls, radii: Vector, growth: Vector = 0.2, memory: ArrayLike = 3.0) -> "Obstacles":
-        """Return the discs that a tracker starts with: none has been seen yet.
+        """Return the initial obstacles of a tracker: discs that have not been seen yet.
 
         Args:
-            radii: (N,) [m]; none of them is fine.
+            radii: (N,) radii [m]; N = 0 is accepted.
             growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
-            memory: time without a measurement after which an obstacle is forgotten [s]. It may be
-                anywhere by then, and who keeps clear of all of that runs into walls.
+            memory: time without a measurement after which an obstacle is forgotten [s]. Its
+                possible
+                    positions are so many by then that a robot avoiding all of them would hit walls.
 
         Raises:
             ValueError: radii that are not N finite numbers >= 0, a negative growth, a memory that
@@ -140,7 +143,7 @@ class Obstacles(eqx.Module):
         )
 
     def __add__(self, other: "Obstacles") -> "Obstacles":
-        """Return the obstacles of both, which are forgotten as those of `self` are."""
+        """Concatenate two sets of obstacles; `memory` is that of `self`."""
         both = (self, other)
         names = ("velocities", "centres", "covariance", "growth")
         merged: dict[str, Array] = {
@@ -160,7 +163,7 @@ class Obstacles(eqx.Module):
         """Radii of the circles about the centres that hold the outlines [m]."""
         away = self.outlines.corners - self.centres[:, None]
         square = jnp.max(jnp.sum(away * away, axis=-1), axis=-1)
-        # The slope of the root at 0, at the centre of a disc, is not a number.
+        # The derivative of the root at 0, the centre of a disc, would be NaN.
         is_zero = square <= 0.0
         reach = jnp.where(is_zero, 0.0, jnp.sqrt(jnp.where(is_zero, 1.0, square)))
         return self._if_known(reach + self.outlines.radii, 0.0)
@@ -171,17 +174,17 @@ class Obstacles(eqx.Module):
         return self._if_known(jnp.hypot(*self.velocities.T), 0.0)
 
     def predicted_centres(self, t: Scalar) -> Float[Array, "N 2"]:
-        """Return where the centres are `t` seconds from now (N, 2) [m]."""
+        """Predict the centres `t` seconds from now (N, 2) [m]."""
         return self._if_known(self._centres_at(t), FAR)
 
     def predicted(self, t: Scalar) -> Outlines:
-        """Return the outlines as they are `t` seconds from now."""
+        """Predict the outlines `t` seconds from now."""
         corners = self._corners_at(t, self._centres_at(t))
         radii = self._if_known(self.outlines.radii, 0.0)
         return Outlines(self._if_known(corners, FAR), radii)
 
     def predicted_covariance(self, t: Scalar) -> Float[Array, "N 2 2"]:
-        """Return the covariance of the centres `t` seconds from now (N, 2, 2) [m^2]."""
+        """Predict the covariance of the centres `t` seconds from now (N, 2, 2) [m^2]."""
         drift = (self.growth * self._time_at(t)) ** 2
         covariance = self.covariance + drift[:, None, None] * jnp.eye(2)
         if self.turn_growth is not None:
@@ -191,18 +194,18 @@ class Obstacles(eqx.Module):
         return self._if_known(covariance, 0.0)
 
     def deviation(self, t: Scalar) -> Float[Array, " N"]:
-        """Return the standard deviation (N,) of the centres `t` seconds from now [m].
+        """Predict the standard deviation (N,) of the centres `t` seconds from now [m].
 
-        It is that along the axis where it is greatest: the root of the greatest eigenvalue of C(t).
+        It is the greatest over all directions: the root of the greatest eigenvalue of C(t).
         """
         covariance = self.predicted_covariance(t)
         a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
         return jnp.sqrt(0.5 * (a + c) + jnp.hypot(0.5 * (a - c), b))
 
     def after(self, elapsed: Scalar) -> "Obstacles":
-        """Return the obstacles a time later, without a measurement [s].
+        """Advance the obstacles by `elapsed` seconds without a measurement.
 
-        They have moved on as predicted and are that much older. Those that were seen by a tracker
+        They move as predicted and their age grows by `elapsed`. Those that were seen by a tracker
         are forgotten when their age exceeds `memory`.
         """
         centres, age = self._centres_at(elapsed), self._age + elapsed
@@ -226,16 +229,16 @@ class Obstacles(eqx.Module):
         position_std: Scalar,
         elapsed: Scalar,
     ) -> "Obstacles":
-        """Return the obstacles a time later, with what a tracker measures of them then.
+        """Advance the obstacles by `elapsed` seconds and apply a tracker's measurements.
 
-        Obstacles that are measured are where they were measured. The others have moved on as
-        predicted, and are forgotten when their age exceeds `memory`. A measurement that is not
-        finite is no measurement.
+        A measured obstacle takes the measured position and velocity. The others move as
+        predicted and are forgotten when their age exceeds `memory`. A measurement that is not
+        finite is ignored.
 
         Args:
-            measured_positions: (N, 2) of the centres [m].
-            measured_velocities: (N, 2) [m/s].
-            is_seen: (N,) which of them are measured.
+            measured_positions: (N, 2) measured positions of the centres [m].
+            measured_velocities: (N, 2) measured velocities of the centres [m/s].
+            is_seen: (N,) whether each obstacle is measured.
             position_std: standard deviation of a measured position along either axis [m].
             elapsed: time since the last update [s].
         """
@@ -257,7 +260,7 @@ class Obstacles(eqx.Module):
         )
 
     def drawn(self, key: Key) -> "Obstacles":
-        """Return one way in which they may truly be and go on, known exactly."""
+        """Sample one possible truth: positions, velocities and turn rates without uncertainty."""
         number = self.outlines.number
         first, second, third = jax.random.split(key, 3)
         shift = jax.random.normal(first, (number, 2))
@@ -267,7 +270,8 @@ class Obstacles(eqx.Module):
         off = jnp.einsum("nij,nj->ni", _root(self.covariance), shift)
         velocities = self.velocities
         if self.age is not None:
-            # The errors of velocity and turn rate have lasted since the measurement.
+            # The errors of velocity and turn rate are constants: they have acted since the
+            # measurement, `age` ago.
             off = off + self.age[:, None] * faster
             if self.turn_rates is not None:
                 off = off + turn[:, None] * self._slope_at(jnp.zeros(()))
@@ -285,7 +289,7 @@ class Obstacles(eqx.Module):
         )
 
     def _if_known(self, values: Array, otherwise: float) -> Array:
-        """Return values (N, ...), and something else of obstacles that are not known."""
+        """Return values (N, ...), with `otherwise` for unknown obstacles."""
         if self.is_known is None:
             return values
         rows = self.is_known.reshape(-1, *[1] * (values.ndim - 1))
@@ -311,7 +315,7 @@ class Obstacles(eqx.Module):
         return t if self.age is None else self.age + t
 
     def _centres_at(self, t: Scalar) -> Float[Array, "N 2"]:
-        """Return the centres at a time, also of those that are not known (N, 2) [m]."""
+        """Predict the centres (N, 2), those of unknown obstacles included [m]."""
         if self.turn_rates is None:
             return self.centres + t * self.velocities
         half = 0.5 * t * self.turn_rates
@@ -319,7 +323,7 @@ class Obstacles(eqx.Module):
         return self.centres + chord[:, None] * _turned(self.velocities, half)
 
     def _corners_at(self, t: Scalar, centres: Float[Array, "N 2"]) -> Float[Array, "N V 2"]:
-        """Return the corners at a time (N, V, 2), turned and put around centres [m]."""
+        """Rotate the corners (N, V, 2) by the predicted turn and place them around centres [m]."""
         corners = self.outlines.corners - self.centres[:, None]
         if self.turn_rates is not None:
             turn = jax.vmap(_turned, in_axes=(1, None), out_axes=1)
@@ -327,12 +331,13 @@ class Obstacles(eqx.Module):
         return corners + centres[:, None]
 
     def _slope_at(self, t: Scalar) -> Float[Array, "N 2"]:
-        """Return d, the derivative of the centres at a time by the turn rates (N, 2) [m s]."""
+        """Return d, the derivative of the predicted centres by the turn rates (N, 2) [m s]."""
         time = self._time_at(t)
         rates, _ = self._turns
         half = 0.5 * time * rates
-        # The chord since the measurement is time sinc(half) long, and half a turn ahead of the
-        # velocity that was measured, from which the velocity of now has turned on.
+        # The chord of the arc since the measurement has the length v t sinc(w t / 2) and is
+        # rotated by w t / 2 from the measured velocity. `velocities` holds the present one, which
+        # has turned since by w times the age.
         stretch = 0.5 * time * time * _sinc_slope(half)
         swing = 0.5 * time * time * jnp.sinc(half / jnp.pi)
         along = half if self.age is None else half - self.age * rates
@@ -354,13 +359,13 @@ def _sinc_slope(angle: Float[Array, " N"]) -> Float[Array, " N"]:
     is_small = jnp.abs(angle) < 0.1
     safe = jnp.where(is_small, 1.0, angle)
     square = angle * angle
-    # The terms of the difference cancel near 0: there, the series, right to 1e-10.
+    # Near 0 the two terms cancel. The series has an error below 1e-10 there.
     series = angle * (-1.0 / 3.0 + square * (1.0 / 30.0 - square / 840.0))
     return jnp.where(is_small, series, (jnp.cos(safe) - jnp.sin(safe) / safe) / safe)
 
 
 def _root(covariance: Float[Array, "N 2 2"]) -> Float[Array, "N 2 2"]:
-    """Return symmetric square roots (N, 2, 2), (C + s I) / sqrt(tr C + 2 s) with s^2 = det C."""
+    """Return the symmetric square roots (N, 2, 2), (C + s I) / sqrt(tr C + 2 s), s^2 = det C."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     root = jnp.sqrt(jnp.maximum(a * c - b * b, 0.0))
     size = a + c + 2.0 * root

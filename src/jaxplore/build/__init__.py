@@ -1,1 +1,1 @@
-"""Experiments, from settings."""
+"""Building of experiments from settings."""

@@ -1,4 +1,4 @@
-"""Controllers of runs that explore, from settings."""
+"""Controllers of exploration runs, from settings."""
 
 import math
 
@@ -34,17 +34,16 @@ from jaxplore.settings.exploration import BASELINES, Settings
 def build_controller(
     settings: Settings, robot: Dynamics, place: Place, perception: Perception
 ) -> Controller:
-    """Return the controller of an architecture.
+    """Build the controller of an architecture.
 
     Args:
-        settings: of the run.
-        robot: its model.
-        place: where it is.
-        perception: of the scenario.
+        settings: settings of the run.
+        robot: model of the robot.
+        place: world of the run.
+        perception: perception of the scenario.
 
     Raises:
-        ValueError: an architecture that the place does not allow, a part that does not accept its
-            settings.
+        ValueError: an architecture that the world does not allow, or settings that a part rejects.
     """
     if settings.architecture == "explorer":
         return explorer(robot, **arguments(settings.controller, explorer))
@@ -65,7 +64,7 @@ def build_controller(
 def _quadrotor_controller(
     settings: Settings, robot: Dynamics, place: Place, perception: Perception
 ) -> Controller:
-    """Return informative MPPI or one of its baselines."""
+    """Build informative MPPI or one of its baselines."""
     given = settings.informative
     flight = Flight(
         **arguments(given, Flight),
@@ -122,9 +121,11 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
     given = settings.portfolio
     goal = None if place.goal is None else place.goal[:2]
     return ground_portfolio(
-        # Within the steps of a plan Euler is millimetres off, and saves a fifth of the time.
+        # Within a plan Euler's error is millimetres, and it saves a fifth of the time.
         build_robot(settings.robot, Euler()),
-        Mission(goal, has_terrain=place.ground is not None, has_movers=bool(place.movers)),
+        Mission(
+            goal, has_terrain=place.ground is not None, has_moving_obstacles=bool(place.movers)
+        ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),
         **arguments(given, ground_portfolio),
@@ -132,7 +133,7 @@ def _portfolio(settings: Settings, place: Place) -> Portfolio:
 
 
 def _fusion(settings: Settings, goal: tuple[float, ...] | None) -> Fusion:
-    """Return how plans become one."""
+    """Build the rule that fuses the members' plans."""
     given = settings.portfolio
     if given.fusion == "weighted-vote":
         fusion: Fusion = WeightedVote(**arguments(given, WeightedVote))

@@ -1,4 +1,4 @@
-"""Runs that explore, from settings."""
+"""Exploration experiments, from settings."""
 
 from typing import Any
 
@@ -21,11 +21,11 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
 def build_exploration(settings: Settings) -> Experiment:
-    """Return the run that settings describe.
+    """Build the experiment that settings describe.
 
     Raises:
-        ValueError: a map that cannot be read, a start that is not possible, a part that does not
-            accept its settings.
+        ValueError: a map that cannot be read, a start that is not possible, or settings that a part
+            rejects.
     """
     robot = build_robot(settings.robot)
     place = build_place(settings, float(robot.radius))
@@ -60,7 +60,7 @@ def _perception(
 ) -> Perception:
     goal = None if place.goal is None else place.goal[:2]
     watch = settings.watch
-    # Absent, it is the default of `Perception`, not of the scenario's end.
+    # When absent, the default of `Perception` applies, not that of the scenario.
     unknown: dict[str, Any] = (
         {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
     )
@@ -79,13 +79,13 @@ def _perception(
 
 
 def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
-    """Return the architectures to compare where nothing else is asked for.
+    """Return the architectures to compare by default.
 
-    A portfolio is compared with the explorer; else the architectures for quadrotors that the map
-    allows are compared with each other.
+    A portfolio is compared with the explorer. Otherwise the quadrotor architectures that the map
+    allows are compared.
 
     Args:
-        entries: names and values as in a settings file.
+        entries: names and values of settings, as in a settings file.
 
     Raises:
         ValueError: entries that are not accepted, a map that cannot be read.

@@ -1,4 +1,4 @@
-"""The robot, its sensors and what they do to its map, from settings."""
+"""The robot, its sensors and their inverse sensor model, from settings."""
 
 import math
 
@@ -18,14 +18,14 @@ from jaxplore.settings.exploration import RobotSettings, SensorModelSettings, Se
 
 
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
-    """Return the model of the robot.
+    """Build the model of the robot.
 
     Args:
-        given: its settings.
-        integrator: of a car or a differential drive; the model's own when absent.
+        given: settings of the robot.
+        integrator: integrator of a car or a differential drive; the model's default when absent.
 
     Raises:
-        ValueError: a car that is shorter than its wheelbase, and what the model refuses.
+        ValueError: a car that is shorter than its wheelbase, or a value that the model rejects.
     """
     if given.model == "quadrotor":
         return Quadrotor(given.mass, radius=given.radius)
@@ -63,7 +63,7 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
 
 
 def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
-    """Return the sensors, the one that leads first: a camera if there is one, else the lidar."""
+    """Build the sensors. The first, primary one is the camera if there is one, else the lidar."""
     given, seen = settings.lidar, settings.camera
     view = math.radians(given.field_of_view_degrees)
     lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view})
@@ -77,7 +77,7 @@ def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
 
 
 def build_sensor_model(given: SensorModelSettings) -> InverseSensorModel:
-    """Return what a measurement does to a cell."""
+    """Build the inverse sensor model, the update of a cell by a measurement."""
     if given.kind == "line_of_sight":
         return InverseSensorModel.line_of_sight()
     return InverseSensorModel(**arguments(given, InverseSensorModel))

@@ -1,4 +1,4 @@
-"""A run along a path, from settings."""
+"""Path-following experiments, from settings."""
 
 import jax
 import numpy as np
@@ -23,10 +23,10 @@ from jaxplore.simulation.following.traffic import Traffic
 
 
 def build_path_following(settings: PathSettings) -> Experiment:
-    """Return the run that settings describe.
+    """Build the experiment that settings describe.
 
     Raises:
-        ValueError: a file that cannot be read, and what the parts refuse.
+        ValueError: a file that cannot be read, or a value that a part rejects.
     """
     path = _path(settings)
     traffic, standing = _traffic(settings, path), _standing(settings)
@@ -58,7 +58,8 @@ def _following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> Pa
         avoidance = arguments(settings.obstacles, avoidance_cost)
         if given.risk_level is not None:
             disturbance, risk = UncertainObstacles(), ConditionalValueAtRisk(given.risk_level)
-            # What is uncertain is in the outcomes.
+            # With outcomes, the sampled motions represent the uncertainty: no caution on top of
+            # them.
             avoidance["caution"] = 0.0
         other = avoidance_cost(**avoidance)
     return mpcc(

@@ -1,4 +1,4 @@
-"""Where a run takes place: a map, a world or a scenario, and what of it is known beforehand."""
+"""The true world of an exploration run, from settings: a ROS map, a world file or a scenario."""
 
 from typing import NamedTuple
 
@@ -13,17 +13,17 @@ from jaxplore.simulation.exploration.reachability import open_spot
 
 
 class Place(NamedTuple):
-    """Where a run takes place.
+    """The true world of a run, the start and the goal, and the map known in advance.
 
     Args:
-        world: the truth.
-        start: pose (x, y, yaw) [m, m, rad].
-        prior: what is known beforehand; nothing when absent.
-        goal: (x, y) or (x, y, z) [m].
-        zones: rectangles that are unknown beforehand [m].
-        ground: what is driven on; level when absent.
-        targets: (x, y) of what is to be seen [m].
-        movers: what moves.
+        world: true map.
+        start: start pose (x, y, yaw) [m, m, rad].
+        prior: map that is known in advance; nothing when absent.
+        goal: goal position (x, y) or (x, y, z) [m].
+        zones: rectangles that are unknown in advance [m].
+        ground: terrain; level when absent.
+        targets: positions (x, y) of the targets [m].
+        movers: moving obstacles.
     """
 
     world: OccupancyGrid
@@ -37,11 +37,12 @@ class Place(NamedTuple):
 
 
 def build_place(settings: Settings, radius: float) -> Place:
-    """Return the place of a run.
+    """Build the world of a run.
 
     Args:
-        settings: of the run.
-        radius: of the robot, for whom an open spot is named if the start is missing [m].
+        settings: settings of the run.
+        radius: radius of the robot [m]; if the start is missing, the error names a free position
+            for it.
 
     Raises:
         ValueError: a map, world or height map that cannot be read; a start that is missing.
@@ -80,7 +81,7 @@ def _in_world(world: World, settings: Settings) -> Place:
 
 
 def _on_map(settings: Settings, radius: float) -> Place:
-    """Return the place of a ROS map, with its height map if there is one."""
+    """Build the world of a ROS map, with its height map if there is one."""
     given = settings.terrain
     grid, ground = OccupancyGrid.from_ros(settings.map), None
     if given.height_map is not None:

@@ -1,4 +1,4 @@
-"""Kinds of runs: which settings belong to which, and how each is built."""
+"""Kinds of tasks: the settings of each, and the function that builds it."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -12,15 +12,15 @@ from jaxplore.simulation.experiment import Experiment
 
 
 class Task(NamedTuple):
-    """A kind of run.
+    """A kind of task.
 
     Args:
-        place: the setting that names where it is, by which its entries are known.
+        place: setting that names the map or path; its presence in the entries selects this kind.
         settings: class of its settings.
-        check: returns settings for entries.
-        build: returns the run that settings describe.
-        architectures: returns the architectures to compare where nothing else is asked for; none
-            where there are no architectures.
+        check: function from entries to checked settings.
+        build: function from settings to an experiment.
+        architectures: function from entries to the architectures to compare by default; none for
+            a task without architectures.
     """
 
     place: str
@@ -36,27 +36,27 @@ TASKS = {
     ),
     "path": Task("path", PathSettings, make_path_settings, build_path_following, lambda _: ()),
 }
-"""By name. The first is that of entries that name no place."""
+"""Kinds of tasks by name. The first is the default."""
 
 
 def make_settings(entries: dict[str, Any]) -> RunSettings:
-    """Return checked settings of the kind of run that entries describe.
+    """Check entries, and return settings of the kind of task that they describe.
 
-    Entries with a `path`, or with the map `path`, are a run along a path; all others explore.
+    Entries with a `path`, or with the map `path`, describe path following; all others exploration.
 
     Args:
-        entries: names and values as in a settings file.
+        entries: names and values of settings, as in a settings file.
 
     Raises:
         ValueError: a path beside a map, an unknown name or a value that is not accepted; one line
             that names it.
     """
     entries = _with_path(entries)
-    return task_of(entries).check(entries)
+    return find_task(entries).check(entries)
 
 
-def task_of(entries: dict[str, Any]) -> Task:
-    """Return the kind of run that entries describe; see `make_settings`.
+def find_task(entries: dict[str, Any]) -> Task:
+    """Return the kind of task that entries describe; see `make_settings`.
 
     Raises:
         ValueError: a path beside a map.
@@ -71,7 +71,7 @@ def task_of(entries: dict[str, Any]) -> Task:
 
 def _with_path(entries: dict[str, Any]) -> dict[str, Any]:
     """Return entries whose map `path` has become the path `track`."""
-    # With a world of its own, `map` is a name that users choose.
+    # Beside a `world`, `map` is a free name and selects nothing.
     if entries.get("map") != PATH or entries.get("world") is not None:
         return entries
     rest = {name: value for name, value in entries.items() if name != "map"}
@@ -79,11 +79,11 @@ def _with_path(entries: dict[str, Any]) -> dict[str, Any]:
 
 
 def build(settings: RunSettings) -> Experiment:
-    """Return the controller, scenario, number of steps and key that settings describe.
+    """Build the experiment that settings describe.
 
     Raises:
-        ValueError: a file that cannot be read, a start that is not possible, a part that does not
-            accept its settings.
+        ValueError: a file that cannot be read, a start that is not possible, or settings that a
+            part rejects.
     """
     tasks = {task.settings: task for task in TASKS.values()}
     return tasks[type(settings)].build(settings)

@@ -12,7 +12,7 @@ from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison import comparison_options, run_comparison
-from jaxplore.cli._options import entries_of, path_options, place_name, with_options
+from jaxplore.cli._options import option_entries, path_options, place_name, with_options
 from jaxplore.cli._runner import runner_options
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._tune import run_tune
@@ -28,7 +28,15 @@ from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="jaxplore")
 def cli() -> None:
-    """Informative exploration with sampling-based control, on JAX."""
+    """Simulate robots that explore unknown maps or follow paths.
+
+    The robots are controlled by model predictive path integral control (MPPI) on JAX. An exploring
+    robot drives to where its sensors gain the most information. A path-following robot maximises
+    its progress and avoids obstacles.
+
+    `run` simulates one run, `compare` compares controllers or settings, `tune` searches for better
+    settings.
+    """
 
 
 @cli.command()
@@ -45,13 +53,12 @@ def run(
     animation: bool,
     **options: Any,
 ) -> None:
-    """Let a robot explore a ROS map, a world or scenario file, or one that has a name, or let it
-    follow a path.
+    """Simulate a robot that explores a map or follows a path.
 
-    Names: office (generated), zones (a quadrotor's), the ground vehicles' scenarios warehouse,
-    search-rescue and perimeter, and path.
+    The argument is a ROS map, a world or scenario file, or a name: office (a generated map), zones
+    (for a quadrotor), warehouse, search-rescue or perimeter (for ground vehicles), or path.
 
-    Writes a run folder with metrics, arrays, pictures, an animation and the settings used:
+    Writes a run folder with metrics, arrays, figures, an animation and the settings:
 
     \b
       jaxplore run office
@@ -62,9 +69,9 @@ def run(
       jaxplore run path --laps 3 --obstacles 5
       jaxplore run path --path centerline.csv --max-speed 8
 
-    Ctrl-C ends the run and keeps what was done.
+    Ctrl-C ends the run and saves it up to then.
     """
-    entries = entries_of(options)
+    entries = option_entries(options)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / place_name(entries)) if out is None else out
     check_folder(folder, overwrite=overwrite)
@@ -84,16 +91,24 @@ def run(
 @comparison_options
 @runner_options
 @cache_option
-@click.option("--seeds", type=int, default=20, show_default=True, help="Runs of each.")
+@click.option(
+    "--seeds",
+    type=int,
+    default=20,
+    show_default=True,
+    help="Number of seeds, the runs of each variant.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
     metavar="DIR",
     help="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]",
 )
-@click.option("--animation/--no-animation", default=True, help="Draw the first run of each.")
+@click.option(
+    "--animation/--no-animation", default=True, help="Draw the first run of each variant."
+)
 def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **options: Any) -> None:
-    """Compare architectures or other settings in one place or on many maps.
+    """Compare controllers or other settings in one scenario or on many maps.
 
     All variants run with the same seeds. Writes a folder with a table, curves, all metrics, and an
     animation of the first run of each variant:
@@ -106,10 +121,11 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
       jaxplore compare path --vary cost.progress.weight=100,1000 --seeds 5
       jaxplore compare path --variants mild.yaml,fast.yaml
 
-    Ctrl-C ends the comparison and keeps the finished runs.
+    Ctrl-C ends the comparison and keeps finished runs.
 
-    With --maps it compares on all ROS maps of a folder. The folder of results has a file for each
-    run, results.parquet, the table of all, and results.html; the same command continues:
+    With --maps it compares on all ROS maps of a folder. The folder of results has one file per run,
+    a table of all runs, results.parquet, and a page, results.html. The same command continues an
+    interrupted comparison:
 
     \b
       jaxplore compare --maps maps --architectures explorer,portfolio --workers 4
@@ -129,12 +145,14 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
     metavar="DIR",
     help="Folder of the study.  [default: runs/MAP-tuned]",
 )
-@click.option("--animation/--no-animation", default=True, help="Draw a run before and after.")
+@click.option(
+    "--animation/--no-animation", default=True, help="Draw runs before and after the search."
+)
 def tune(out: Path | None, animation: bool, **options: Any) -> None:
-    """Search better settings for a scenario, and compare them with the current ones.
+    """Search for better settings of a scenario, and compare them with the current ones.
 
-    Every candidate runs the same episodes. The best ones run further ones. The chosen candidate and
-    the current settings are then compared on unseen seeds:
+    Every candidate is evaluated on the same seeds, and the best ones on further seeds. The chosen
+    candidate and the current settings are then compared on unseen seeds:
 
     \b
       jaxplore tune office --tune controller.temperature --budget 100
@@ -142,8 +160,8 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
       jaxplore tune warehouse --tune portfolio.temperature --budget 30min --workers 2
       jaxplore tune path --tune cost.progress.weight --tune cost.comfort.weight --optimizer cma-es
 
-    Writes settings.yaml for jaxplore run --settings, a report with pictures, tables, and study.db,
-    which optuna-dashboard shows. Ctrl-C keeps all finished episodes; the same command continues.
+    Writes settings.yaml for jaxplore run --settings, a report with figures, tables, and study.db
+    for optuna-dashboard. Ctrl-C keeps finished episodes; the same command continues.
     """
     run_tune(options, out, animation=animation)
 
@@ -157,10 +175,10 @@ def show_settings() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line: what is wrong with the input is one line and exit code 2.
+    """Run the command line. Bad input gives one line on stderr and exit code 2.
 
     Args:
-        arguments: in place of the process's own.
+        arguments: command-line arguments; those of the process when absent.
     """
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")

@@ -1,4 +1,4 @@
-"""Where the commands keep what they compile."""
+"""The cache of compiled programs of the commands."""
 
 import os
 from typing import Any
@@ -9,25 +9,25 @@ import jax
 from jaxplore.compilation_cache import enable_compilation_cache
 
 VARIABLE = "JAXPLORE_CACHE"
-"""Environment variable: a folder for compiled programs, or off."""
+"""Environment variable with the folder of the cache, or off."""
 
 
 def cache_option(command: Any) -> Any:
-    """Add the option that keeps no compiled programs; without it they are kept."""
+    """Add the option that turns the cache of compiled programs off."""
     return click.option(
         "--no-cache",
         is_flag=True,
         expose_value=False,
         callback=_open_cache,
-        help=f"Keep no compiled programs and use none that are kept; so does {VARIABLE}=off.",
+        help=f"Do not use the cache of compiled programs; the same as {VARIABLE}=off.",
     )(command)
 
 
 def _open_cache(_context: click.Context, _option: click.Parameter, is_off: bool) -> None:
-    """Keep compiled programs, unless the user wants none kept, or has JAX keep them elsewhere.
+    """Enable the cache, unless it is turned off or JAX's own cache is configured.
 
     Raises:
-        ValueError: a folder that was asked for and cannot be used.
+        ValueError: a folder that the user has chosen cannot be used.
     """
     given = os.environ.get(VARIABLE, "")
     if is_off or given.lower() == "off":
@@ -38,5 +38,5 @@ def _open_cache(_context: click.Context, _option: click.Parameter, is_off: bool)
         try:
             enable_compilation_cache()
         except ValueError as error:
-            # Nobody asked for it: without it the command does the same, and starts slower.
-            click.echo(f"jaxplore: no programs are kept: {error}", err=True)
+            # The default folder is optional: without it the command only starts slower.
+            click.echo(f"jaxplore: no cache of compiled programs: {error}", err=True)

@@ -8,14 +8,14 @@ from typing import Any
 
 import click
 
-from jaxplore.build.tasks import build, make_settings, task_of
-from jaxplore.cli._options import entries_of, place_name
+from jaxplore.build.tasks import build, find_task, make_settings
+from jaxplore.cli._options import option_entries, place_name
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison
 from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, merged
+from jaxplore.settings.exploration import GROUND, merge_entries
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -32,26 +32,26 @@ _OF_ONE_PLACE = {
     "start": "--start",
     "goal": "--goal",
 }
-"""Options for one place only."""
+"""Options for a single scenario only."""
 
 _FAILED, _INTERRUPTED = 1, 130
 
 
 def comparison_options(command: Any) -> Any:
-    """Add the options that say what is compared, and where."""
+    """Add the options for the variants and the maps of a comparison."""
     folder = click.Path(path_type=Path)
     for option in (
         click.option(
             "--batch",
             type=int,
-            help="With --maps: runs side by side in one program, for accelerators.  [default: 1]",
+            help="With --maps: runs in one program (vmap), for accelerators.  [default: 1]",
         ),
         click.option(
             "--starts",
             type=folder,
             metavar="FILE",
-            help="With --maps: where to start, NAME: [x, y, yaw] in YAML.  [default: starts.yaml "
-            "of the folder, else the most open spot]",
+            help="With --maps: YAML file of start poses, NAME: [x, y, yaw].  [default: starts.yaml "
+            "of the folder, else the position with the greatest clearance]",
         ),
         click.option(
             "--maps",
@@ -64,12 +64,12 @@ def comparison_options(command: Any) -> Any:
             "varied",
             multiple=True,
             metavar="NAME=A,B,C",
-            help="Compare values of a setting, or of a number of the controller by its path.",
+            help="Compare values of a setting, or of a controller parameter by its path.",
         ),
         click.option(
             "--variants",
             metavar="FILE,FILE",
-            help="Compare files of settings, each over the common settings.",
+            help="Compare settings files, each merged over the common settings.",
         ),
         click.option(
             "--architectures",
@@ -87,8 +87,7 @@ def run_comparison(
 ) -> None:
     """Compare variants, write the folder of the comparison and print its tables.
 
-    With several maps it ends the process with 1 if runs failed, and with 130 if the user stopped
-    it.
+    With --maps the exit code is 1 if runs failed, and 130 if the user stopped it.
 
     Raises:
         ValueError: options that are not accepted.
@@ -125,16 +124,16 @@ def _in_one_place(
     overwrite: bool,
     animation: bool,
 ) -> None:
-    entries = entries_of(options)
+    entries = option_entries(options)
     if not variants:
         variants = {
-            name: {"architecture": name} for name in task_of(entries).architectures(entries)
+            name: {"architecture": name} for name in find_task(entries).architectures(entries)
         }
     if not variants:
         raise ValueError(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
-    settings = {name: make_settings(merged(entries, own)) for name, own in variants.items()}
+    settings = {name: make_settings(merge_entries(entries, own)) for name, own in variants.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
     folder = free_name(Path("runs") / f"{place_name(entries)}-comparison") if out is None else out
@@ -142,7 +141,7 @@ def _in_one_place(
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     first = common.seed
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
-    # Defaults depend on the architecture: those of the first one are kept.
+    # Defaults depend on the architecture; settings.yaml stores those of the first one.
     architecture = getattr(common, "architecture", None)
     kind = {} if architecture is None else {"architecture": architecture}
     kept = make_settings({**entries, **kind}).model_dump(mode="json", exclude={"architecture"})
@@ -164,7 +163,7 @@ def _in_one_place(
 
 
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
-    """Refuse architectures that drive another robot than the others."""
+    """Check that all architectures drive the same robot."""
     names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
     ground = [name for name, architecture in names.items() if architecture in GROUND]
     if ground and len(ground) < len(names):
@@ -189,7 +188,7 @@ def _on_maps(
             raise ValueError(
                 f"{shown} is {options[name]} beside --maps; accepted: one of them, and --starts"
             )
-    entries = entries_of(options)
+    entries = option_entries(options)
     maps = maps_in(given["maps"])
     if given["starts"] is not None:
         maps = with_starts(maps, given["starts"])
@@ -208,10 +207,10 @@ def _on_maps(
 
 
 def _default_folder(maps: Path) -> Path:
-    """Return the folder for the results of a folder of maps.
+    """Return the default folder for the results of a folder of maps.
 
     Raises:
-        ValueError: there is one with the name of former versions.
+        ValueError: a folder with the default name of former versions exists.
     """
     name = os.path.basename(os.path.realpath(maps))
     folder, former = Path("runs") / f"{name}-comparison", Path("runs") / f"{name}-benchmark"
@@ -221,7 +220,7 @@ def _default_folder(maps: Path) -> Path:
 
 
 def _show(found: MapComparison) -> None:
-    """Print the tables, where the files are, and what is missing."""
+    """Print the tables, the paths of the files, and the missing runs."""
     for table in found.tables:
         click.echo(table.title)
         print_table(table.rows, has_lines=True)
@@ -233,7 +232,7 @@ def _show(found: MapComparison) -> None:
     if counts.is_interrupted:
         click.echo(
             f"Interrupted: {counts.num_former + counts.num_done} of {found.num_episodes} runs are "
-            "done; the same command does the others.",
+            "done; the same command continues.",
             err=True,
         )
         sys.exit(_INTERRUPTED)

@@ -1,4 +1,4 @@
-"""Options that the commands share, and the settings that they give."""
+"""Options that the commands share, and their conversion to settings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -20,7 +20,7 @@ from jaxplore.settings.path import PATH, TRACK
 
 # Options of single settings: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
-    ("--seed", "seed", int, "Seed of everything random."),
+    ("--seed", "seed", int, "Seed of all random numbers."),
     ("--time-limit", "time_limit", float, "Simulated time [s]."),
     ("--target-coverage", "target_coverage", float, "Share of reachable cells at which to stop."),
     ("--resolution", "resolution", float, "Side of a map cell [m]; finer maps are resampled."),
@@ -39,9 +39,9 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
-    ("--beams", "lidar.num_beams", int, "Beams of the lidar."),
-    ("--range", "lidar.max_range", float, "Reach of the lidar [m]."),
-    ("--samples", "controller.num_samples", int, "Rollouts of MPPI."),
+    ("--beams", "lidar.num_beams", int, "Number of lidar beams."),
+    ("--range", "lidar.max_range", float, "Range of the lidar [m]."),
+    ("--samples", "controller.num_samples", int, "Number of MPPI rollouts."),
 )
 
 
@@ -49,7 +49,7 @@ DEFAULTS = tuple(
     make_exploration_settings({"map": OFFICE, "architecture": name}).model_dump()
     for name in ("explorer", "two-layer")
 )
-"""Of ground robots and of quadrotors."""
+"""Default settings of ground robots and of quadrotors."""
 
 
 def _default(defaults: dict[str, Any], setting: str) -> Any:
@@ -68,14 +68,14 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             nargs=3,
             type=float,
             metavar="X Y YAW",
-            help="Where the robot starts [m, m, rad]; office and zones have a start of their own.",
+            help="Start pose [m, m, rad]; office and zones define their own.",
         ),
         click.option(
             "--goal",
             nargs=2,
             type=float,
             metavar="X Y",
-            help="Where the robot is to be in the end [m]; zones have a goal of their own.",
+            help="Goal position [m]; zones define their own.",
         ),
     ]
     for flag, setting, kind, text in _OPTIONS:
@@ -91,7 +91,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             "settings_file",
             type=click.Path(path_type=Path),
             metavar="FILE",
-            help="Settings in YAML, for example the settings.yaml of a run; options win over it.",
+            help="Settings file in YAML, for example settings.yaml of a run; options override it.",
         ),
         click.option(
             "--set",
@@ -101,7 +101,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
             "settings').",
         ),
-        click.option("--overwrite", is_flag=True, help="Replace a run folder that is there."),
+        click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
     ]
 
     def add(command: Any) -> Any:
@@ -115,8 +115,8 @@ def with_options(*without: str) -> Callable[[Any], Any]:
 def path_options(command: Any) -> Any:
     """Add the options of a path."""
     for option in (
-        click.option("--obstacles", type=int, help="Of a path: moving obstacles.  [default: 0]"),
-        click.option("--laps", type=int, help="Of a closed path.  [default: 1]"),
+        click.option("--obstacles", type=int, help="Moving obstacles on a path.  [default: 0]"),
+        click.option("--laps", type=int, help="Laps of a closed path.  [default: 1]"),
         click.option(
             "--path",
             "path_file",
@@ -129,7 +129,7 @@ def path_options(command: Any) -> Any:
 
 
 _OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
-"""Options of a path only, and their settings."""
+"""Options of path following only, and their settings."""
 _OF_BOTH = (
     "seed",
     "time_limit",
@@ -139,14 +139,14 @@ _OF_BOTH = (
     "robot__max_speed",
     "controller__num_samples",
 )
-"""Options of a map and of a path."""
+"""Options of both exploration and path following."""
 
 
-def entries_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings that the options give.
+def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert options to settings entries.
 
     Args:
-        options: those of `with_options` and `path_options`.
+        options: values of the options of `with_options` and `path_options`.
 
     Raises:
         ValueError: a path beside a map, an option that does not apply, a file that cannot be read.
@@ -167,7 +167,7 @@ def entries_of(options: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError(f"--{name} is {value}; accepted: along a path")
         assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
     if not along_path and given["controller__num_samples"] is not None:
-        # The option stands for the rollouts of every architecture.
+        # The option sets the number of rollouts of every architecture.
         for section in ("informative", "portfolio"):
             assign(entries, f"{section}.num_samples", given["controller__num_samples"])
     assign_all(entries, assignments)
@@ -175,7 +175,7 @@ def entries_of(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _with_place(entries: dict[str, Any], map_: str | None, file: str | None) -> dict[str, Any]:
-    """Return settings with the map or the path that the options name."""
+    """Add the map or the path that the options name to settings entries."""
     if file is not None and map_ not in (None, PATH):
         raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
     if file is not None:
@@ -186,12 +186,12 @@ def _with_place(entries: dict[str, Any], map_: str | None, file: str | None) -> 
 
 
 def place_name(entries: Mapping[str, Any]) -> str:
-    """Return the name of the map or path of some settings, for folders."""
+    """Return a name for folders from the map or path of settings entries."""
     return Path(str(entries.get(PATH, entries.get("map")))).stem
 
 
 def place_entries(name: str) -> dict[str, Any]:
-    """Return the settings of a map, a world or a scenario, given by its file or name."""
+    """Return settings entries for a map, a world or a scenario, given by its file or name."""
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
     if is_scenario_file(name):
@@ -203,7 +203,7 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
     """Set one setting by its dotted name.
 
     Raises:
-        ValueError: a name within a setting that is no section.
+        ValueError: a name within a setting that is not a section.
     """
     *sections, last = name.split(".")
     for section in sections:
@@ -215,11 +215,11 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
 
 
 def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
-    """Set the settings that `--set` gives, NAME=VALUE each.
+    """Set the settings of the `--set` options, NAME=VALUE each.
 
     Raises:
-        ValueError: no assignment, a value that is not YAML, a name within a setting that is no
-            section.
+        ValueError: a text without an assignment, a value that is not YAML, a name within a setting
+            that is not a section.
     """
     for assignment in assignments:
         name, separator, text = assignment.partition("=")

@@ -1,4 +1,4 @@
-"""Options that say where runs are computed: in this process, in several, or on a Ray cluster."""
+"""Options of the runner: one process, several processes, or a Ray cluster."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def runner_options(command: Any) -> Any:
         click.option(
             "--workers",
             type=int,
-            help="Processes, or workers of Ray.  [default: 1; all that Ray has]",
+            help="Number of processes, or of Ray workers.  [default: 1; all of Ray's]",
         ),
     ):
         command = option(command)

@@ -1,4 +1,4 @@
-"""Output of the commands when they are done."""
+"""Results of the commands: folders, tables and messages."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from jaxplore.study.comparison.comparison import Comparison
 
 
 def free_name(path: Path) -> Path:
-    """Return a path that is not there yet: itself, or with a number."""
+    """Return an unused path: the path itself, or with a number."""
     candidate, number = path, 2
     while candidate.exists():
         candidate, number = path.with_name(f"{path.name}-{number}"), number + 1
@@ -19,7 +19,7 @@ def free_name(path: Path) -> Path:
 
 
 def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, animation: bool) -> None:
-    """Write a run's folder, and print what it came to and its files."""
+    """Write a run folder, and print its metrics and files."""
     result.save(
         folder,
         overwrite=overwrite,
@@ -32,15 +32,15 @@ def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, anima
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
     if result.metrics.is_interrupted:
-        click.echo("Interrupted: what was done before is in the run folder.", err=True)
+        click.echo("Interrupted: the run folder holds the run up to then.", err=True)
 
 
 def show_comparison(comparison: Comparison, folder: Path) -> None:
     """Print the table of a comparison, and its files."""
-    # A column for each variant: a row would not fit on a terminal.
+    # Transposed, one column for each variant: the rows would be too wide for a terminal.
     click.echo(f"{folder}: medians [quartiles]")
     print_table(transposed(comparison.rows()))
     for path in sorted(folder.iterdir()):
         click.echo(str(path))
     if comparison.is_interrupted:
-        click.echo("Interrupted: the runs that were done before are in the folder.", err=True)
+        click.echo("Interrupted: the folder holds the finished runs.", err=True)

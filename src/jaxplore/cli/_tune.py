@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._tune_options import OWN, budget_of, measure_of, scenarios_of
+from jaxplore.cli._tune_options import OWN, parse_budget, parse_measure, scenario_entries
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
@@ -16,9 +16,9 @@ _INTERRUPTED = 130
 
 
 def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:
-    """Search settings, write the folder of the search and print the result.
+    """Search for better settings, write the folder of the search and print the result.
 
-    Ends the process with 130 if the user stopped it.
+    The exit code is 130 if the user stopped it.
 
     Raises:
         ValueError: options that are not accepted.
@@ -26,8 +26,8 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     given = {name: options.pop(name) for name in (*OWN, *RUNNER)}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
-    scenarios, common = scenarios_of(options, given["also"])
-    budget, seconds = budget_of(given["budget"])
+    scenarios, common = scenario_entries(options, given["also"])
+    budget, seconds = parse_budget(given["budget"])
     for name in ("seeds", "unseen", "population"):
         if given[name] < 1:
             raise ValueError(f"--{name} is {given[name]}; accepted: a whole number >= 1")
@@ -36,7 +36,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
     if not given["tuned"]:
         raise ValueError(
-            "--tune is missing; accepted: a setting or a number of the controller, such as "
+            "--tune is missing; accepted: a setting or a controller parameter, such as "
             "controller.temperature=0.01:3:log"
         )
     name = "-".join(scenarios)
@@ -51,7 +51,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
                 budget=budget,
                 seconds=seconds,
                 seed=first,
-                measures=tuple(map(measure_of, given["measures"])),
+                measures=tuple(map(parse_measure, given["measures"])),
                 folder=folder,
                 title=f"Tuned: {name}",
                 animation=animation,
@@ -69,7 +69,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
 
 
 _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
-"""Options that `tune` takes by the same name."""
+"""Options that are parameters of `tune` with the same name."""
 
 
 def _end(folder: Path, kept: str = "") -> None:

@@ -7,8 +7,8 @@ from typing import Any
 
 import click
 
-from jaxplore.cli._options import entries_of, place_entries, place_name
-from jaxplore.settings.exploration import merged, read_settings
+from jaxplore.cli._options import option_entries, place_entries, place_name
+from jaxplore.settings.exploration import merge_entries, read_settings
 from jaxplore.settings.path import PATH
 from jaxplore.study.tuning.optimizers import NAMES
 from jaxplore.study.tuning.search import POPULATION, Measure
@@ -26,7 +26,7 @@ OWN = (
     "measures",
     "batch",
 )
-"""Options that only a search takes."""
+"""Names of the options of a search."""
 
 _UNITS = {"s": 1.0, "min": 60.0, "h": 3600.0}
 
@@ -37,53 +37,53 @@ _OPTIONS = (
         type=int,
         default=1,
         show_default=True,
-        help="Candidates side by side in one program (vmap), for accelerators and small problems.",
+        help="Number of candidates in one program (vmap), for accelerators and small problems.",
     ),
     click.option(
         "--measure",
         "measures",
         multiple=True,
         metavar="METRIC=LOW:HIGH[:CELLS]",
-        help="For --optimizer cma-me: spread settings over this metric.",
+        help="With --optimizer cma-me: metric over which to find diverse settings.",
     ),
     click.option(
         "--give-up/--no-give-up",
         "gives_up",
         default=None,
-        help="Give up candidates that look worse than most after their first episodes.  "
-        "[default: with one objective, and not with cma-me]",
+        help="Stop candidates that are worse than most after their first episodes.  "
+        "[default: on with one objective, except with cma-me]",
     ),
     click.option(
         "--population",
         type=int,
         default=POPULATION,
         show_default=True,
-        help="Candidates in a generation.",
+        help="Number of candidates in a generation.",
     ),
     click.option(
         "--unseen",
         type=int,
         default=10,
         show_default=True,
-        help="Seeds for the comparison of current and chosen settings, not used by the search.",
+        help="Number of seeds, not used by the search, to compare current and chosen settings.",
     ),
     click.option(
-        "--seeds", type=int, default=5, show_default=True, help="Episodes of each candidate."
+        "--seeds", type=int, default=5, show_default=True, help="Number of seeds per candidate."
     ),
     click.option(
         "--optimizer",
         default="tpe",
         show_default=True,
         metavar="NAME",
-        help=f"Any of {', '.join(NAMES)}.",
+        help=f"One of {', '.join(NAMES)}.",
     ),
     click.option(
         "--objective",
         "objectives",
         multiple=True,
         metavar="SUM",
-        help="Sum of metrics to be minimized, such as 'time_to.90 + 100*collisions'; several "
-        "for a Pareto front.  [default: the time to the end, and collisions]",
+        help="Sum of metrics to minimize, such as 'time_to.90 + 100*collisions'; several "
+        "for a Pareto front.  [default: time to the end, plus a penalty per collision]",
     ),
     click.option(
         "--budget",
@@ -96,45 +96,45 @@ _OPTIONS = (
         "--also",
         multiple=True,
         metavar="FILE | NAME",
-        help="A further map, path or scenario, or a file of settings that differ, such as "
-        "those of another robot.",
+        help="Another map, path or scenario, or a settings file with differences, such as "
+        "another robot.",
     ),
     click.option(
         "--tune",
         "tuned",
         multiple=True,
         metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
-        help="A setting, or a number of the controller by its path. Without bounds it is "
+        help="A setting, or a controller parameter by its path. Without bounds it is "
         "searched from a tenth to ten times its value.",
     ),
 )
 
 
 def tune_options(command: Any) -> Any:
-    """Add the options that only a search takes."""
+    """Add the options of a search."""
     for option in _OPTIONS:
         command = option(command)
     return command
 
 
-def scenarios_of(
+def scenario_entries(
     options: dict[str, Any], also: Sequence[str]
 ) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
-    """Return the settings of each scenario by its name, and what they have in common.
+    """Return the settings entries of each scenario by name, and the common entries.
 
     Args:
-        options: what `with_options` and `path_options` add.
-        also: further maps, paths or scenarios, or files of settings that differ from the first's.
+        options: options of `with_options` and `path_options`.
+        also: further maps, paths or scenarios, or settings files with differences from the first.
 
     Raises:
-        ValueError: a scenario that is none, or is there already.
+        ValueError: an unknown scenario, or a repeated one.
     """
-    first = entries_of(options)
+    first = option_entries(options)
     along_path = PATH in first
     if along_path:
         name, common = PATH, {key: value for key, value in first.items() if key != PATH}
     else:
-        common = entries_of({**options, "map_": None})
+        common = option_entries({**options, "map_": None})
         if "map" not in first:
             raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
         name = place_name(first)
@@ -144,7 +144,7 @@ def scenarios_of(
         if label in scenarios:
             raise ValueError(f"--also is {place!r}, which is there already; accepted: another one")
         if _holds_settings(place):
-            scenarios[label] = merged(first, read_settings(place))
+            scenarios[label] = merge_entries(first, read_settings(place))
         elif along_path:
             scenarios[label] = {**common, PATH: str(Path(place).absolute())}
         else:
@@ -155,15 +155,15 @@ def scenarios_of(
 
 
 def _holds_settings(file: str) -> bool:
-    """Say whether a file holds settings, and not a map, a path or a world."""
+    """Check whether a file holds settings, and not a map, a path or a world."""
     if Path(file).suffix not in (".yaml", ".yml") or not Path(file).is_file():
         return False
     entries = read_settings(file)
     return all(entries.get(name) is None for name in ("image", "poses", "world"))
 
 
-def budget_of(text: str) -> tuple[int | None, float | None]:
-    """Return a number of candidates, or a time [s]."""
+def parse_budget(text: str) -> tuple[int | None, float | None]:
+    """Parse a budget: a number of candidates, or a time [s]."""
     if text.isdigit() and int(text) >= 1:
         return int(text), None
     found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h)", text.strip())
@@ -175,8 +175,8 @@ def budget_of(text: str) -> tuple[int | None, float | None]:
     return None, float(found[1]) * _UNITS[found[2]]
 
 
-def measure_of(text: str) -> Measure:
-    """Read a measure from METRIC=LOW:HIGH[:CELLS]."""
+def parse_measure(text: str) -> Measure:
+    """Parse a measure, METRIC=LOW:HIGH[:CELLS]."""
     found = re.fullmatch(r"([\w.]+)=([^:]+):([^:]+)(?::(\d+))?", text)
     try:
         if found is None:

@@ -1,7 +1,7 @@
 """Pass a pytree to a compiled function with each of its arrays once.
 
-An array that two costs share, such as a path, occurs twice in the pytree. As two inputs the
-compiler could not know that they are equal, and would look up everything twice.
+An array that two costs share, such as a path, occurs twice in the pytree. As two separate inputs
+the compiler could not know that they are equal, and would evaluate every look-up twice.
 """
 
 from typing import Any, NamedTuple

@@ -1,4 +1,4 @@
-"""Compute rollouts with all states and costs, for inspection."""
+"""Rollouts with all states and costs, for inspection."""
 
 from typing import Any, NamedTuple
 
@@ -11,7 +11,7 @@ from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
 
 
-class Batch(NamedTuple):
+class RolloutBatch(NamedTuple):
     """M rollouts, with time as the first axis and samples as the last.
 
     Args:
@@ -35,7 +35,7 @@ def rollout_batch(
     belief: Any = None,
     *,
     applied: ControlVector | None = None,
-) -> Batch:
+) -> RolloutBatch:
     """Roll out control sequences and return all states and costs.
 
     This takes T times the memory of `rollout_costs`, which controllers use.
@@ -56,4 +56,4 @@ def rollout_batch(
         return states, step_costs(dynamics, cost, states, sequence, dt, belief, applied=before)
 
     states, costs = jax.vmap(one, in_axes=-1, out_axes=-1)(controls)
-    return Batch(states, controls, costs)
+    return RolloutBatch(states, controls, costs)

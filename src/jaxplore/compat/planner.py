@@ -1,4 +1,4 @@
-"""Plan with MPPI as a pure function of the state, the nominal sequence and the temperature."""
+"""MPPI as a pure function of the state, the nominal sequence and the temperature."""
 
 import dataclasses
 import functools
@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.compat._inputs import Inputs, Structure, join_arrays, split_arrays
-from jaxplore.compat.batch import Batch, rollout_batch
+from jaxplore.compat.batch import RolloutBatch, rollout_batch
 from jaxplore.control.base import Info
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.parameterisations import shifted
@@ -36,7 +36,7 @@ class PlannedControl(NamedTuple):
     optimal: Float[Array, "T nu"]
     nominal: Float[Array, "T nu"]
     info: Info
-    batch: Batch | None
+    batch: RolloutBatch | None
 
 
 # A registered dataclass is a pytree like an equinox.Module, whose method calls, however, take a

@@ -1,4 +1,4 @@
-"""The cost of being near moving obstacles."""
+"""Cost of the distance to moving obstacles."""
 
 import functools
 from typing import Any, NamedTuple
@@ -19,11 +19,11 @@ from jaxplore.dynamics.base import State
 from jaxplore.geometry.outlines import nearest
 
 SMALLEST = 1e-3
-"""Least width of a Gaussian [m]: a point robot meets a point that is known exactly."""
+"""Least width of a Gaussian [m]: a point robot and an exact point obstacle would have width 0."""
 
 
 class _Obstacle(NamedTuple):
-    """One obstacle when the state is reached, or N of them on the first axis; unused ones are None.
+    """Predicted quantities of one obstacle, or of N on the first axis; unused ones are None.
 
     `form` are the coefficients of x^2, x y and y^2 in the exponent of its Gaussian, `variances`
     those in the variance of its distance.
@@ -37,7 +37,7 @@ class _Obstacle(NamedTuple):
 
 
 class MovingObstacleCost(Cost):
-    """Nearness to moving obstacles where they are expected when the state is reached:
+    """Cost of nearness to the predicted moving obstacles at the time of the state:
 
         sum_n [ nearness exp(-1/2 e_n^T S_n(t)^-1 e_n)
                 + ((clearance - d_n)_+ / clearance)^2 + collision ((c - d_n)_+ / 0.05 m)^2 ]
@@ -47,32 +47,33 @@ class MovingObstacleCost(Cost):
 
     with p the robot's centre, r its radius and v its speed; p_n(t) the centre of obstacle n, C_n(t)
     its covariance (`Obstacles`) and r_n the radius of the circle about its centre that holds it;
-    g_n the distance of p from its outline, negative inside, and u the direction of the way there.
+    g_n the distance of p from its outline, negative inside, and u the direction from p to the
+    nearest point of the outline.
 
-    - The Gaussian keeps away from where an obstacle may be. Its peak is 1 at any time: uncertainty
-      spreads it and makes it no smaller. At contact with a disc that is known exactly it is
-      exp(-1/2), about 0.6, and still rises further in.
+    - The Gaussian penalises positions where an obstacle may be. Its peak is always 1: uncertainty
+        widens it and does not lower it. At contact with a disc that is known exactly it is
+        exp(-1/2), about 0.6, and it rises further inside.
     - The ramp and the collision term are those of `ObstacleCost`. They keep a distance from the
-      outline, which grows by `caution` standard deviations. What several outcomes come to, weighed
-      by a measure of risk, says more and takes longer: `UncertainObstacles`.
+        outline, which grows by `caution` standard deviations. `UncertainObstacles` samples outcomes
+        and applies a risk measure instead: more accurate and slower.
 
-    With `nearest_only` both of the latter count the least d_n alone, not the sum.
+    With `nearest_only` the ramp and the collision term use the least d_n instead of the sum.
 
-    Of a robot that several discs cover (`Footprint`), r is their radius, and for each obstacle the
-    greatest Gaussian and the least d_n over their centres p count. An obstacle that is not known
-    costs nothing.
+    For a robot that several discs cover (`Footprint`), r is their radius, and each obstacle enters
+    with the greatest Gaussian and the least d_n over their centres p. An unknown obstacle costs
+    nothing.
 
-    A term whose factor is None is left out, and takes no time.
+    A term whose factor is None is not compiled.
 
     Args:
-        obstacles: known beforehand; those of the belief, `belief.obstacles`, when absent.
+        obstacles: obstacles that are known in advance; `belief.obstacles` when absent.
         nearness: weight of the Gaussian.
         clearance: distance from the robot's centre below which the ramp costs [m].
         collision: cost of each step that is 5 cm too close.
-        margin: kept beyond the robot's radius [m].
-        reaction_time: [s].
-        caution: standard deviations that are kept free.
-        nearest_only: whether the ramp and the collision term count the nearest obstacle only;
+        margin: distance kept beyond the robot's radius [m].
+        reaction_time: time that the robot takes to react [s].
+        caution: number of standard deviations to keep clear of.
+        nearest_only: whether the ramp and the collision term use the nearest obstacle only;
             static.
 
     Raises:
@@ -113,7 +114,7 @@ class MovingObstacleCost(Cost):
         self.nearest_only = bool(nearest_only)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return the cost of being this close when the state is reached."""
+        """Return the cost of a state that is reached `t` seconds from now."""
         obstacles = part(belief, "obstacles") if self.obstacles is None else self.obstacles
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
@@ -138,24 +139,28 @@ class MovingObstacleCost(Cost):
         return total
 
     def distance(self, state: State, t: Scalar, obstacles: Obstacles) -> Scalar:
-        """Return the least d_n, the distance of the nearest obstacle from the robot's centres [m].
+        """Return the least d_n: the distance of the nearest obstacle from the robot's centres [m].
 
         Args:
-            state: of the robot at that time.
+            state: state of the robot at that time.
             t: time from now [s].
-            obstacles: as they are now.
+            obstacles: the obstacles at the present time.
         """
         things, points = self._expected(state, t, obstacles, True), _points(state)
         return least(lambda obstacle: _gap(obstacle, points), things)[0]
 
     def room(self, state: State, obstacles: Obstacles) -> Scalar:
-        """Return the distance of the robot's edge from obstacles as they are now [m]."""
+        """Return the distance from the robot's edge to the nearest obstacle at the present time
+        [m]."""
         return self.distance(state, jnp.zeros(()), obstacles) - state.dynamics.footprint.radius
 
     def _expected(
         self, state: State, t: Scalar, obstacles: Obstacles, has_distance: bool
     ) -> _Obstacle:
-        """Return what the terms read of each obstacle, once for all samples."""
+        """Predict the quantities of each obstacle that the terms read.
+
+        They do not depend on the sample, so under `jax.vmap` they are computed once for all.
+        """
         covariance = obstacles.predicted_covariance(t)
         centre = form = corners = radius = variances = None
         if self.nearness is not None:
@@ -170,7 +175,7 @@ class MovingObstacleCost(Cost):
         return _Obstacle(centre, form, corners, radius, variances)
 
     def _penalty(self, distance: Scalar, too_close: Scalar) -> Scalar:
-        """Return what the ramp and the collision term make of a distance."""
+        """Return the sum of the ramp and the collision term for a distance."""
         paid = jnp.zeros(())
         if self.clearance is not None:
             near = jnp.maximum(self.clearance - distance, 0.0) / self.clearance
@@ -194,8 +199,8 @@ def _forms(covariance: Float[Array, "N 2 2"], extent: Float[Array, " N"]) -> Flo
     """Return the coefficients of x^2, x y and y^2 in -1/2 e^T S^-1 e.
 
     Args:
-        covariance: (N, 2, 2) of the centres [m^2].
-        extent: (N,) both radii together [m].
+        covariance: (N, 2, 2) covariances of the centres [m^2].
+        extent: (N,) sums of the robot's and the obstacle's radius [m].
     """
     wider = jnp.maximum(extent, SMALLEST) ** 2
     a, b = covariance[:, 0, 0] + wider, covariance[:, 0, 1]
@@ -226,7 +231,8 @@ def _gap(obstacle: _Obstacle, points: list[tuple[Scalar, ...]]) -> Scalar:
             square = found.x * found.x + found.y * found.y
             is_zero = square <= 0.0
             variance = xx * found.x * found.x + xy * found.x * found.y + yy * found.y * found.y
-            # Where there is no way to go, in the middle of a disc, both axes count.
+            # At the centre of a disc the direction is undefined: the sum over both axes is an
+            # upper bound of the variance.
             spread = jnp.where(is_zero, xx + yy, variance / jnp.where(is_zero, 1.0, square))
             is_exact = spread <= 0.0
             spread = jnp.where(is_exact, 0.0, jnp.sqrt(jnp.where(is_exact, 1.0, spread)))

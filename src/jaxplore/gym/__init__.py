@@ -1,4 +1,4 @@
-"""Registers jaxplore's environment with Gymnasium when it is imported, and does nothing else:
+"""Registration of jaxplore's environment with Gymnasium; importing this package registers it:
 
     gymnasium.make("jaxplore.gym:jaxplore/Exploration-v0")
 

@@ -1,4 +1,4 @@
-"""An environment, from settings or from scenarios."""
+"""Environments from settings or from scenarios."""
 
 import os
 from collections.abc import Mapping, Sequence
@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxplore import _checks
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.settings.defaults import default_of
+from jaxplore.settings.defaults import parameter_default
 from jaxplore.settings.exploration import OFFICE, Settings
 from jaxplore.settings.path import PATH
 from jaxplore.settings.sections import RunSettings
@@ -19,15 +19,15 @@ from jaxplore.simulation.environment.action_modes import (
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario
 
-DRIVE = {name: default_of(waypoint_mppi, name) for name in ("horizon", "num_samples")}
-"""Of the controller that drives to waypoints, where the settings do not say."""
+DRIVE = {name: parameter_default(waypoint_mppi, name) for name in ("horizon", "num_samples")}
+"""Default settings of the controller that drives to waypoints."""
 WAYPOINT_PERIOD = 1.0
 """Time between waypoints [s]."""
 BESIDE_A_SCENARIO = ("controller", "time_limit")
-"""Settings that say something beside a scenario."""
+"""Settings that may be given together with a scenario."""
 
 
-def environment_of(
+def build_environment(
     *,
     scenario: Scenario | Sequence[Scenario] | None = None,
     action: str = "control",
@@ -38,28 +38,28 @@ def environment_of(
     num_floors: int = 1,
     **settings: Any,
 ) -> Environment:
-    """Return an environment.
+    """Build an environment from a scenario or from settings.
 
     Args:
-        scenario: where and how, or several of one size; from the settings when absent.
-        action: "control", an action is a control of the robot; or "waypoint", a place (x, y) in its
-            frame, to which MPPI drives it: see `WaypointMode`.
+        scenario: scenario, or several of one size; built from the settings when absent.
+        action: "control", an action is a control of the robot; or "waypoint", an action is a
+            position (x, y) in the robot's frame, to which MPPI drives: see `WaypointMode`.
         action_period: time between actions [s]; rounded to control periods. When absent, a sensing
             period for controls and a second for waypoints.
         reach: greatest x and y of a waypoint [m].
-        view: side of the square around the robot that is observed of the belief [m]; all of the
-            map when absent.
-        collision_penalty: taken off the reward for contact [1/s].
-        num_floors: generated offices, of which each episode draws one: those of the seeds from
-            `office.seed` on.
-        settings: settings of a run, as in a settings file. With a `path` the task is to follow it,
-            else to explore; the map is the office unless another is given. `time_limit` ends an
-            episode, `controller` is the MPPI of waypoints.
+        view: side of the observed square of the belief around the robot [m]; the whole map when
+            absent.
+        collision_penalty: reduction of the reward by contact [1/s].
+        num_floors: number of generated offices, with the seeds from `office.seed` on; each episode
+            draws one of them.
+        settings: settings of a run, as in a settings file. With a `path` the task is path
+            following, otherwise exploration; the map is the office unless another is given.
+            `time_limit` ends an episode, `controller` is the MPPI of waypoints.
 
     Raises:
-        ValueError: an action that there is not, settings that are not accepted,
-            settings beside a scenario that says the same, floors of another map than the office,
-            and what `Environment` refuses.
+        ValueError: an unknown action, settings that are not accepted, settings that a given
+            scenario already determines, several floors of a map other than the office, or a value
+            that `Environment` rejects.
     """
     given = _checked(scenario, settings)
     if scenario is None:
@@ -90,7 +90,7 @@ def environment_of(
 
 
 def _checked(scenario: object, settings: dict[str, Any]) -> RunSettings:
-    """Return the settings, checked, over the defaults of an environment."""
+    """Check the settings, and merge them over the defaults of an environment."""
     if "seed" in settings:
         raise ValueError(
             f"seed is {settings['seed']!r} among the settings of an environment; accepted: a seed "
@@ -114,7 +114,7 @@ def _checked(scenario: object, settings: dict[str, Any]) -> RunSettings:
 
 
 def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:
-    """Return the scenarios of some settings, one for each floor."""
+    """Build the scenarios of settings, one for each floor."""
     number = _checks.positive_int("num_floors", num_floors)
     if number == 1:
         return [build(settings).scenario]

@@ -1,4 +1,4 @@
-"""The environment of Gymnasium's interface. Importing it needs Gymnasium."""
+"""The environment with Gymnasium's interface. Importing this module needs Gymnasium."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore.belief.belief import Belief
-from jaxplore.gym.build import environment_of
+from jaxplore.gym.build import build_environment
 from jaxplore.gym.spaces import (
     Observed,
     action_space,
@@ -22,18 +22,20 @@ from jaxplore.gym.spaces import (
     positions,
     step,
 )
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 
 class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
-    """A scenario as an environment: `jaxplore/Exploration-v0` and `jaxplore/PathFollowing-v0`.
+    """A scenario as a Gymnasium environment.
 
-    `reset(seed=s)` begins the run of `simulate` with the key `jax.random.key(s)`; without a seed
-    one is drawn. `reset(options={"scenario": k})` picks one of several scenarios, else one is
-    drawn. Spaces, reward and end of an episode are those of `Environment`; an episode whose time is
-    up is truncated. `info` has, by name:
+    It is registered as `jaxplore/Exploration-v0` and `jaxplore/PathFollowing-v0`.
 
-    | name | is |
+    `reset(seed=s)` begins the run of `simulate` with the key `jax.random.key(s)`; without a seed,
+    one is drawn. `reset(options={"scenario": k})` selects one of several scenarios; without it, one
+    is drawn. Spaces, reward and end of an episode are those of `Environment`; an episode is
+    truncated at the time limit. `info` contains:
+
+    | name | value |
     | --- | --- |
     | time | time since the start [s] |
     | coverage | of exploration: share of the reachable cells known to be free |
@@ -46,23 +48,23 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     Args:
         render_mode: "rgb_array" or None.
-        options: those of `environment_of`.
+        options: those of `build_environment`.
 
     Raises:
-        ValueError: another way to render, what `environment_of` refuses.
+        ValueError: an unknown render mode, or arguments that `build_environment` rejects.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012
 
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         self.render_mode = checked_render_mode(render_mode)
-        self.environment = environment_of(**options)
-        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.environment = build_environment(**options)
+        self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.action_space = action_space(self.environment)
         self._observation_space = observation_space(self.environment)
         self.observation_space: gymnasium.Space[Any] = self._observation_space
         self._state: EnvironmentState | None = None
-        self._outcome: Outcome | None = None
+        self._outcome: StepResult | None = None
         self._path: list[np.ndarray] = []
 
     @property
@@ -76,14 +78,14 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
     @property
     def belief(self) -> Belief:
-        """What the robot knows, as jaxplore's controllers take it."""
+        """The robot's belief, as jaxplore's controllers read it."""
         belief: Belief = self.state.belief
         return belief
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observed, dict[str, Any]]:
-        """Begin an episode; return what is observed and the facts."""
+        """Begin an episode; return the observation and the info."""
         super().reset(seed=seed)
         choice = None if options is None else options.get("scenario")
         key, number = draw(self.np_random, self.environment, seed, choice)
@@ -94,9 +96,9 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         return observation, info
 
     def step(self, action: Any) -> tuple[Observed, float, bool, bool, dict[str, Any]]:
-        """Carry an action out; return what is observed, the reward, the ends and the facts.
+        """Carry out an action; return the observation, the reward, the two end flags and the info.
 
-        After the end of an episode nothing moves any more.
+        After the end of an episode the state no longer changes.
 
         Raises:
             ValueError: an action of another shape, or that is not finite.
@@ -109,7 +111,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         return observation, reward, *ends, info
 
     def render(self) -> np.ndarray | None:
-        """Return a picture (rows, columns, 3) of the belief, the path and the robot in it."""
+        """Draw the belief, the path and the robot (rows, columns, 3)."""
         if self.render_mode is None or self._outcome is None:
             return None
         return picture(self.environment, self.state, self._path)
@@ -130,18 +132,18 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
 
 
 def checked_render_mode(render_mode: str | None) -> str | None:
-    """Return a way to render that there is.
+    """Check a render mode, and return it.
 
     Raises:
-        ValueError: another.
+        ValueError: an unknown render mode.
     """
     if render_mode not in (None, "rgb_array"):
         raise ValueError(f"render_mode is {render_mode!r}; accepted: rgb_array, None")
     return render_mode
 
 
-def metadata_of(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
-    """Return metadata with the pictures per simulated second of an environment."""
+def environment_metadata(environment: Environment, general: dict[str, Any]) -> dict[str, Any]:
+    """Return Gymnasium's metadata with the frame rate of an environment."""
     period = environment.control_period * int(environment.steps_per_action)
     return {**general, "render_fps": max(1, round(1.0 / period))}
 
@@ -153,8 +155,8 @@ def picture(
 
     Args:
         environment: the environment.
-        state: its state.
-        trail: (2,) positions of the robot so far [m].
+        state: state of the environment.
+        trail: (2,) arrays, the positions of the robot so far [m].
     """
     scenario = environment.scenario(state.choice)
     return scenario.picture(state.perceived, state.moment, np.stack(trail))

@@ -1,4 +1,4 @@
-"""Makes the environments known to Gymnasium; imports neither it nor them before."""
+"""Registration with Gymnasium, without importing it or the environments in advance."""
 
 ENVIRONMENT, PATH_ENVIRONMENT = "jaxplore/Exploration-v0", "jaxplore/PathFollowing-v0"
 """Names by which Gymnasium makes the environments."""
@@ -11,7 +11,7 @@ def register_environment() -> None:
     call. A second call of this function changes nothing.
 
     Raises:
-        ModuleNotFoundError: without Gymnasium, the extra `gym` of jaxplore.
+        ModuleNotFoundError: Gymnasium is not installed, jaxplore's extra `gym`.
     """
     import gymnasium
 

@@ -1,4 +1,4 @@
-"""What Gymnasium is told of an environment: its spaces, its random draws, its arrays."""
+"""Conversions between an environment and Gymnasium: spaces, random draws, arrays."""
 
 from typing import Any
 
@@ -10,30 +10,30 @@ from gymnasium import error, spaces
 from jax import Array
 
 from jaxplore._types import Count, Key
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 Observed = dict[str, np.ndarray]
 
 
 @eqx.filter_jit
 def begin(environment: Environment, key: Key, choice: Count) -> EnvironmentState:
-    """Return the state of `Environment.init`."""
+    """Compiled `Environment.init`."""
     return environment.init(key, choice)
 
 
 @eqx.filter_jit
 def step(
     environment: Environment, state: EnvironmentState, action: Array, num_steps: Count
-) -> tuple[EnvironmentState, Outcome]:
-    """Return what `Environment.step` does."""
+) -> tuple[EnvironmentState, StepResult]:
+    """Compiled `Environment.step`."""
     return environment.step(state, action, num_steps)
 
 
 def begun(state: EnvironmentState | None) -> EnvironmentState:
-    """Return the state of an environment that was reset.
+    """Return the state of an environment, which must have been reset.
 
     Raises:
-        gymnasium.error.ResetNeeded: it was not.
+        gymnasium.error.ResetNeeded: it was not reset.
     """
     if state is None:
         raise error.ResetNeeded("the environment has no state; accepted: reset first")
@@ -41,13 +41,13 @@ def begun(state: EnvironmentState | None) -> EnvironmentState:
 
 
 def action_space(environment: Environment) -> spaces.Box:
-    """Return the space of actions, in their own units."""
+    """Return the action space, in physical units."""
     low, high = (np.asarray(bound) for bound in (environment.mode.low, environment.mode.high))
     return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_space(environment: Environment) -> spaces.Dict:
-    """Return the space of observations: the bounds of all scenarios together."""
+    """Return the observation space: the common bounds of all scenarios."""
     bounds = [
         environment.scenario(index).observation_bounds(environment.view_cells)
         for index in range(environment.num_scenarios)
@@ -64,7 +64,7 @@ def observation_space(environment: Environment) -> spaces.Dict:
 
 
 def observed(observation: dict[str, Array], space: spaces.Dict) -> Observed:
-    """Return an observation, or rows of them, as new arrays within the bounds of the space."""
+    """Convert one or more observations to new NumPy arrays within the bounds of the space."""
     arrays = jax.device_get(observation)
     boxes = {name: box for name, box in space.items() if isinstance(box, spaces.Box)}
     return {name: np.clip(arrays[name], box.low, box.high) for name, box in boxes.items()}
@@ -73,16 +73,16 @@ def observed(observation: dict[str, Array], space: spaces.Dict) -> Observed:
 def draw(
     generator: np.random.Generator, environment: Environment, seed: int | None, choice: Any
 ) -> tuple[Key, Count]:
-    """Return the key and the scenario of an episode.
+    """Draw the key and the scenario of an episode, unless they are given.
 
     Args:
-        generator: draws what is not given.
-        environment: of the episode.
-        seed: of `jax.random.key`, so that the run is that of `simulate` with this key.
+        generator: random generator for a seed or scenario that is not given.
+        environment: environment of the episode.
+        seed: argument of `jax.random.key`; the run equals that of `simulate` with this key.
         choice: number of the scenario.
 
     Raises:
-        ValueError: a scenario that there is not.
+        ValueError: a scenario number out of range.
     """
     number = int(generator.integers(2**32)) if seed is None else seed % 2**32
     if choice is None:
@@ -97,10 +97,10 @@ def draw(
 
 
 def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
-    """Return an action, or rows of them, as an array.
+    """Check one or more actions, and convert them to an array.
 
     Raises:
-        ValueError: another shape, or numbers that are not finite.
+        ValueError: a wrong shape, or numbers that are not finite.
     """
     given = np.asarray(action, np.float32)
     if given.shape != shape or not np.isfinite(given).all():
@@ -108,8 +108,8 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
     return jnp.asarray(given)
 
 
-def facts(environment: Environment, outcome: Outcome, state: EnvironmentState) -> dict[str, Any]:
-    """Return what came of an action by name, in NumPy: numbers, or rows of them."""
+def facts(environment: Environment, outcome: StepResult, state: EnvironmentState) -> dict[str, Any]:
+    """Return the entries of Gymnasium's `info`, for one or more environments."""
     tally = outcome.tally
     arrays = jax.device_get(
         {
@@ -126,7 +126,7 @@ def facts(environment: Environment, outcome: Outcome, state: EnvironmentState) -
 
 
 def positions(environment: Environment, state: EnvironmentState) -> np.ndarray:
-    """Return where the robot takes itself to be (2,) [m], or rows of that."""
+    """Return the robot's observed position (2,), or one row per environment [m]."""
     names = environment.scenario(0).robot.state_names
     columns = [names.index("x"), names.index("y")]
     return np.asarray(state.moment.observed)[..., columns]

@@ -1,4 +1,4 @@
-"""Many environments at once, of Gymnasium's interface. Importing it needs Gymnasium."""
+"""Vector environments with Gymnasium's interface. Importing this module needs Gymnasium."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -16,8 +16,8 @@ from jax import Array
 from jaxplore import _checks
 from jaxplore._trees import stack_trees
 from jaxplore._types import Count
-from jaxplore.gym.build import environment_of
-from jaxplore.gym.environment import checked_render_mode, metadata_of, picture
+from jaxplore.gym.build import build_environment
+from jaxplore.gym.environment import checked_render_mode, environment_metadata, picture
 from jaxplore.gym.spaces import (
     Observed,
     action_space,
@@ -30,27 +30,28 @@ from jaxplore.gym.spaces import (
     observed,
     positions,
 )
-from jaxplore.simulation.environment.environment import Environment, EnvironmentState, Outcome
+from jaxplore.simulation.environment.environment import Environment, EnvironmentState, StepResult
 
 
 class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
-    """N environments as one, whose step is one compiled call.
+    """N environments in one, whose step is a single compiled call.
 
-    Each is an `ScenarioEnvironment`: with the same seeds and actions it is observed as in
+    Each is a `ScenarioEnvironment`: the same seeds and actions give the same observations as
     Gymnasium's `SyncVectorEnv`. `reset(seed=s)` gives environment i the seed s + i; a list gives
-    each its own. An environment whose episode has ended begins the next one at the next step,
-    whose action it leaves out and whose reward is 0 (`AutoresetMode.NEXT_STEP`).
+    one seed to each. An environment whose episode has ended begins the next one at the next step,
+    which ignores its action and has reward 0 (`AutoresetMode.NEXT_STEP`).
 
     Args:
-        num_envs: N.
-        is_vmapped: whether all of them are mapped over by `jax.vmap`, else one after the other
-            within the call. When absent, they are not on a CPU: there a batch must do whatever one
-            of its environments does, and takes several times as long.
+        num_envs: number of environments, N.
+        is_vmapped: whether the environments run in one `jax.vmap`, or one after the other within
+            the call. When absent, not on a CPU: there a batch does every branch that any of its
+            environments takes, and is several times slower.
         render_mode: "rgb_array" or None.
-        options: those of `environment_of`.
+        options: those of `build_environment`.
 
     Raises:
-        ValueError: less than one environment, another way to render, what `environment_of` refuses.
+        ValueError: fewer than one environment, an unknown render mode, or arguments that
+            `build_environment` rejects.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -70,8 +71,8 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self.num_envs = _checks.positive_int("num_envs", num_envs)
         self.is_vmapped = jax.default_backend() != "cpu" if is_vmapped is None else is_vmapped
         self.render_mode = checked_render_mode(render_mode)
-        self.environment = environment_of(**options)
-        self.metadata = metadata_of(self.environment, type(self).metadata)
+        self.environment = build_environment(**options)
+        self.metadata = environment_metadata(self.environment, type(self).metadata)
         self.single_action_space = action_space(self.environment)
         self._single_observation_space = observation_space(self.environment)
         self.single_observation_space = self._single_observation_space
@@ -79,13 +80,13 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self._generators: list[np.random.Generator | None] = [None] * num_envs
         self._states: EnvironmentState | None = None
-        self._outcomes: Outcome | None = None
+        self._outcomes: StepResult | None = None
         self._has_ended = np.zeros(num_envs, bool)
         self._paths: list[list[np.ndarray]] = [[] for _ in range(num_envs)]
 
     @property
     def states(self) -> EnvironmentState:
-        """The states of the environments, in rows.
+        """States of the environments, with a leading axis of environments.
 
         Raises:
             gymnasium.error.ResetNeeded: before the first reset.
@@ -98,15 +99,15 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Observed, dict[str, Any]]:
-        """Begin an episode in each environment; return what is observed and the facts.
+        """Begin an episode in each environment; return the observations and the info.
 
         Args:
-            seed: of the first environment, the others' follow; or one for each.
-            options: "scenario" picks one of several for all of them; "reset_mask" (N,) says which
-                environments begin anew, all unless it is given.
+            seed: seed of the first environment, from which the others count up; or one for each.
+            options: "scenario" selects one of several scenarios for all environments; "reset_mask"
+                (N,) selects the environments to reset, by default all.
 
         Raises:
-            ValueError: another number of seeds, a scenario that there is not, a mask of another
+            ValueError: a wrong number of seeds, a scenario number out of range, a mask of a wrong
                 shape.
         """
         seeds = self._seeds(seed)
@@ -124,13 +125,13 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
     def step(
         self, actions: Any
     ) -> tuple[Observed, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Carry an action (N, A) out in each environment that has not ended; begin those anew.
+        """Carry out an action (N, A) in each environment; reset those whose episode has ended.
 
         Returns:
-            What is observed, the rewards, what is terminated and what truncated (N,), the facts.
+            The observations, rewards, terminated and truncated flags (N,), and the info.
 
         Raises:
-            ValueError: actions of another shape, or that are not finite.
+            ValueError: actions of a wrong shape, or that are not finite.
             gymnasium.error.ResetNeeded: before the first reset.
         """
         given = checked_action(actions, self.action_space.shape or ())
@@ -141,7 +142,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         return observation, rewards, *ends, info
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Return a picture (rows, columns, 3) of each environment."""
+        """Draw each environment (rows, columns, 3)."""
         if self.render_mode is None or self._outcomes is None:
             return None
         rows = [jax.tree.map(lambda leaf, i=i: leaf[i], self.states) for i in range(self.num_envs)]
@@ -160,7 +161,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         return list(seed)
 
     def _begin(self, mask: np.ndarray, seeds: list[int | None], choice: Any) -> None:
-        """Put some environments at the start of an episode."""
+        """Reset the environments that a mask selects."""
         fresh: list[EnvironmentState] = []
         places = [int(index) for index in np.flatnonzero(mask)]
         for place in places:
@@ -179,7 +180,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
     def _advance(
         self, actions: Array, is_new: np.ndarray
     ) -> tuple[Observed, np.ndarray, tuple[np.ndarray, np.ndarray], dict[str, Any]]:
-        """Step all environments; those that are new only look."""
+        """Step all environments; those that were just reset only perceive."""
         num_steps = jnp.where(jnp.asarray(is_new), 0, self.environment.steps_per_action)
         self._states, outcomes = _step_each(
             self.environment, self.states, actions, num_steps, self.is_vmapped
@@ -206,13 +207,13 @@ def _step_each(
     actions: Array,
     num_steps: Array,
     is_vmapped: bool,
-) -> tuple[EnvironmentState, Outcome]:
+) -> tuple[EnvironmentState, StepResult]:
     if is_vmapped:
-        together: tuple[EnvironmentState, Outcome] = jax.vmap(environment.step)(
+        together: tuple[EnvironmentState, StepResult] = jax.vmap(environment.step)(
             states, actions, num_steps
         )
         return together
-    in_turn: tuple[EnvironmentState, Outcome] = jax.lax.map(
+    in_turn: tuple[EnvironmentState, StepResult] = jax.lax.map(
         lambda row: environment.step(*row), (states, actions, num_steps)
     )
     return in_turn

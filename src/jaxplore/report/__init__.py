@@ -1,4 +1,4 @@
-"""Recordings of runs: metrics, figures, animation, and the run folder."""
+"""Metrics, figures and animation of a run, and the run folder that holds them."""
 
 from jaxplore.report.exploration.metrics import ExplorationMetrics as ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording

@@ -1,4 +1,4 @@
-"""Numbers that may not be there."""
+"""Formatting of optional numbers."""
 
 import math
 from typing import SupportsFloat
@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 
 
 def finite(value: SupportsFloat, *, digits: int | None = None) -> float | None:
-    """Return a number, rounded if asked to; None if it is not finite."""
+    """Return a number, optionally rounded; None if it is not finite."""
     number = float(value)
     if not math.isfinite(number):
         return None
@@ -16,17 +16,17 @@ def finite(value: SupportsFloat, *, digits: int | None = None) -> float | None:
 
 
 def finite_mean(values: ArrayLike) -> float | None:
-    """Return the mean of what is finite; None if nothing is."""
+    """Return the mean of the finite values; None without any."""
     numbers = np.asarray(values, np.float64)
     numbers = numbers[np.isfinite(numbers)]
     return float(numbers.mean()) if numbers.size else None
 
 
 def text(value: float | None, digits: int) -> str:
-    """Return a number with so many digits behind the point, or a dash."""
+    """Format a number with a number of decimals; None becomes a dash."""
     return "-" if value is None else f"{value:.{digits}f}"
 
 
 def percent(share: float | None) -> str:
-    """Return a share in percent, or a dash."""
+    """Format a share in percent; None becomes a dash."""
     return "-" if share is None else f"{100.0 * share:.1f} %"

@@ -1,4 +1,4 @@
-"""What a run costs in wall-clock time, and what it was made with."""
+"""Wall-clock cost of a run, and versions of the software."""
 
 import dataclasses
 import os
@@ -19,11 +19,11 @@ class Timing:
     """Wall-clock times of a run.
 
     Args:
-        compile_seconds: time until the loop is ready for its first step; near 0 if it was compiled
-            before.
-        loop_seconds: time spent in the chunks of the loop, without compilation.
+        compile_seconds: time until the loop is ready for its first step [s]; near 0 if it was
+            compiled before.
+        loop_seconds: time spent in the chunks of the loop, without compilation [s].
         loop_steps: number of steps in those chunks.
-        step_seconds: (N,) times of single steps, spread over the run and timed one at a time.
+        step_seconds: (N,) times of single steps, spread over the run and timed one at a time [s].
     """
 
     compile_seconds: float
@@ -34,15 +34,15 @@ class Timing:
 
 @dataclasses.dataclass(frozen=True)
 class Compute:
-    """Wall-clock cost; None where nothing was timed.
+    """Wall-clock cost of a run; None where nothing was timed.
 
     Args:
         step_ms_p50: median of the steps timed one at a time [ms].
-        step_ms_p99: their 99th percentile [ms].
+        step_ms_p99: 99th percentile of these steps [ms].
         loop_step_ms: mean per step of the uninterrupted loop [ms].
-        steps_per_second: of that loop.
+        steps_per_second: steps per second of that loop.
         real_time_factor: control period over the mean step; above 1 is faster than real time.
-        compile_seconds: of the loop [s].
+        compile_seconds: time to compile the loop [s].
     """
 
     step_ms_p50: float | None
@@ -53,7 +53,7 @@ class Compute:
     compile_seconds: float | None
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what matters as (name, text), for tables."""
+        """Return the main numbers as (name, text), for tables."""
         single = f"{text(self.step_ms_p50, 2)} ms p50, {text(self.step_ms_p99, 2)} ms p99"
         return [
             ("step", single),
@@ -64,10 +64,10 @@ class Compute:
 
 
 def compute_cost(timing: Timing, period: float) -> Compute:
-    """Return what the steps of a run cost.
+    """Compute the wall-clock cost of a run's steps.
 
     Args:
-        timing: of the run.
+        timing: wall-clock times of the run.
         period: control period [s].
     """
     measured = timing.loop_steps > 0 and timing.loop_seconds > 0.0
@@ -84,7 +84,7 @@ def compute_cost(timing: Timing, period: float) -> Compute:
 
 
 def software() -> dict[str, str | int | None]:
-    """Return the versions of what a run was made with, and the machine."""
+    """Return the versions of the software, and the machine."""
     return {
         "jaxplore": __version__,
         "jax": jax.__version__,

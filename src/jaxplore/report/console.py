@@ -1,4 +1,4 @@
-"""Progress on a terminal."""
+"""Progress bars on a terminal."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -6,11 +6,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
-    """Yield a function that shows the share that is done, and a text; as a bar on a terminal.
+    """Show a progress bar on a terminal; yield a function that updates its share and text.
 
     Args:
-        label: name of what is done.
-        enabled: without it the function shows nothing.
+        label: name of the activity.
+        enabled: whether anything is shown.
     """
     # Slow to import, and few need it.
     from rich.console import Console

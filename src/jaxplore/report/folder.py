@@ -1,4 +1,4 @@
-"""The folder of a run: it appears complete or not at all."""
+"""Run folders that are written completely or not at all."""
 
 import os
 import secrets
@@ -10,22 +10,21 @@ from pathlib import Path
 from typing import BinaryIO
 
 MARK = "metrics.json"
-"""The file by which a former run is recognised."""
+"""File by which a former run is recognised."""
 
 
 def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Find out, before a long run, whether its folder can be written.
+    """Check before a long run whether its folder can be written.
 
-    A folder of that name is made beside the place where it will be, and removed again; nothing is
-    left, missing parents neither.
+    A test folder is made beside the later one and removed again, with any missing parents.
 
     Args:
-        path: of the run folder.
-        overwrite: a former run at `path` is accepted.
+        path: path of the run folder.
+        overwrite: whether a former run at `path` is accepted.
 
     Raises:
-        ValueError: an empty path, something there already (unless it is a former run and
-            `overwrite`), a place that cannot be written to.
+        ValueError: an empty path, an existing file or folder (unless it is a former run and
+            `overwrite`), a parent that cannot be written to.
     """
     target = _target(path)
     _check_vacant(target, overwrite)
@@ -41,14 +40,14 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
 
 @contextmanager
 def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a hidden folder beside `path` that takes its place at the end.
+    """Yield a hidden folder that is moved to `path` at the end.
 
-    After an exception, Ctrl-C included, the hidden folder is removed, and what was at `path` is
-    as before. A former run is replaced once the new one is complete.
+    After an exception, Ctrl-C included, the hidden folder is removed and `path` is unchanged. A
+    former run is replaced once the new one is complete.
 
     Args:
-        path: of the run folder; missing parents are made.
-        overwrite: replace a former run.
+        path: path of the run folder; missing parents are made.
+        overwrite: whether to replace a former run.
 
     Raises:
         ValueError: as in `check_folder`; any `OSError` while the folder is filled, such as a full
@@ -74,7 +73,7 @@ def _target(path: str | PathLike[str]) -> Path:
     text = os.fspath(path)
     if not text or "\0" in text:
         raise ValueError(f"run folder is {text!r}; accepted: the path of a new folder")
-    # Resolved, so that a link keeps pointing to the run and only its target is replaced.
+    # Resolved: if the path is a link, its target is replaced and the link stays.
     return Path(os.path.realpath(text))
 
 
@@ -124,14 +123,17 @@ def _hidden(target: Path) -> Path:
 
 
 def _make(folder: Path, target: Path) -> None:
-    """Make the hidden folder, and find out whether the disk takes the name it will have."""
+    """Make the hidden folder, and check that the file system accepts its final name."""
     folder.mkdir()
     (folder / target.name).mkdir()
     (folder / target.name).rmdir()
 
 
 def _put(folder: Path, target: Path) -> None:
-    """Move the complete folder to its place; a former run goes last, or returns on failure."""
+    """Move the complete folder to its path.
+
+    A former run is removed last, and restored on failure.
+    """
     if not os.path.lexists(target):
         folder.rename(target)
         return
@@ -146,12 +148,12 @@ def _put(folder: Path, target: Path) -> None:
 
 
 def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) -> None:
-    """Write a file: it is there complete or not at all, also after a power cut.
+    """Write a file completely or not at all, also after a power cut.
 
     Args:
-        target: the file, in a folder that is there.
-        write: writes it.
-        what: it belongs to, for the message.
+        target: path of the file, in an existing folder.
+        write: function that writes the content to a binary stream.
+        what: name of the object that the file belongs to, for the message.
 
     Raises:
         ValueError: it cannot be written.
@@ -170,14 +172,14 @@ def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) ->
 
 @contextmanager
 def in_one_line(what: str, target: Path) -> Iterator[None]:
-    """Turn what the operating system says about a place into one line.
+    """Convert errors of the operating system into a `ValueError` of one line.
 
     Args:
-        what: is to be written.
-        target: where.
+        what: name of the object to write, for the message.
+        target: path of the file.
 
     Raises:
-        ValueError: an error of the operating system in the body.
+        ValueError: an `OSError` in the body.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""The numbers by which runs are judged and compared: the protocol, and what all tasks share."""
+"""The protocol of a task's metrics, and the metrics that all tasks share."""
 
 import abc
 import dataclasses
@@ -20,12 +20,12 @@ class Column(NamedTuple):
     """A column of a comparison: one statistic over the runs of a variant.
 
     Args:
-        name: its key in `metrics.json`.
-        header: its heading, with the unit.
-        value: computes the statistic from the metrics of the runs.
-        text: formats it.
-        applies: whether the statistic says anything; a column that applies to no variant is left
-            out.
+        name: key of the statistic in `metrics.json`.
+        header: heading of the column, with the unit.
+        value: function that computes the statistic from the metrics of the runs.
+        text: function that formats the statistic.
+        applies: function that says whether a statistic is meaningful; a column without a meaningful
+            value is left out.
     """
 
     name: str
@@ -47,18 +47,18 @@ class Column(NamedTuple):
         number: Callable[[Any], float | None] | None = None,
         separator: str = " ",
     ) -> "Column":
-        """Return a column with the median and the quartiles of a number.
+        """Make a column with the median and the quartiles of a number.
 
         Args:
-            name: the attribute of the metrics, unless `number` is given.
+            name: name of the attribute of the metrics, unless `number` is given.
             header: heading, with the unit.
             digits: decimals.
-            scale: factor of what is shown.
-            missing: counts for a run without the number. A run that never finished is infinitely
-                late, so that no variant gains by failing where it is slow.
+            scale: factor of the displayed values.
+            missing: value for a run without the number. By default a run that never finished is
+                infinitely late, so that a variant does not gain by failing in its slow runs.
             applies: see `Column`.
-            number: reads the number from the metrics of a run.
-            separator: between the median and the quartiles.
+            number: function that reads the number from the metrics of a run.
+            separator: text between the median and the quartiles.
         """
         read = number or (lambda each: getattr(each, name))
 
@@ -78,7 +78,7 @@ class Column(NamedTuple):
     def total(
         cls, name: str, header: str, *, applies: Callable[[Any], bool] = lambda _: True
     ) -> "Column":
-        """Return a column with the sum of a count over the runs."""
+        """Make a column with the sum of a count over the runs."""
         return cls(
             name, header, lambda runs: sum(getattr(each, name) for each in runs), str, applies
         )
@@ -92,7 +92,7 @@ class Column(NamedTuple):
         digits: int = 2,
         applies: Callable[[Any], bool] = lambda _: True,
     ) -> "Column":
-        """Return a column with the least value of all runs, infinite without any."""
+        """Make a column with the least value of all runs, infinite without any."""
 
         def value(runs: Sequence[Any]) -> float:
             numbers = [getattr(each, name) for each in runs]
@@ -111,9 +111,9 @@ class Curve(NamedTuple):
     """A quantity over time that a comparison plots.
 
     Args:
-        name: its key in `Metrics.series`.
-        label: of the axis, with the unit.
-        scale: factor of what is shown.
+        name: key of the curve in `Metrics.series`.
+        label: label of the axis, with the unit.
+        scale: factor of the displayed values.
         limit: upper end of the axis; by the data when absent.
     """
 
@@ -125,13 +125,13 @@ class Curve(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Metrics(abc.ABC):
-    """What a run achieved, and at what cost. `print` shows it as a table.
+    """Metrics of a run. `print` shows them as a table.
 
     Args:
         duration: simulated time [s].
         num_steps: number of control periods.
         is_finished: whether the task was finished.
-        finished_at: when it was [s]; None if it was not.
+        finished_at: time at which the task was finished [s]; None if it was not.
         is_interrupted: whether the user stopped the run.
         compute: wall-clock cost.
         seed: seed of the run, if known.
@@ -148,7 +148,7 @@ class Metrics(abc.ABC):
     versions: dict[str, str | int | None]
 
     columns: ClassVar[tuple[Column, ...]] = ()
-    """Columns of a comparison, after the name of the variant."""
+    """Columns of a comparison's table, after the name of the variant."""
     plotted: ClassVar[tuple[Curve, ...]] = ()
     """Curves of a comparison, each a key of `series`."""
     levels: ClassVar[tuple[int, ...]] = ()
@@ -159,11 +159,11 @@ class Metrics(abc.ABC):
         return {}
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain Python values that JSON can hold."""
+        """Return all metrics as plain Python values for JSON."""
         return dataclasses.asdict(self)
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what matters as (name, text), for tables: by default every number."""
+        """Return the main metrics as (name, text), for tables: by default every number."""
         common = {field.name for field in dataclasses.fields(Metrics)}
         own = [field.name for field in dataclasses.fields(self) if field.name not in common]
         end = (
@@ -180,7 +180,7 @@ class Metrics(abc.ABC):
         return rows + self.closing_rows()
 
     def closing_rows(self) -> list[tuple[str, str]]:
-        """Return the rows with which every table ends: time, seed and software."""
+        """Return the last rows of every table: time, seed and software."""
         versions = self.versions
         return [
             *self.compute.rows(),
@@ -201,7 +201,7 @@ def sampled_series(
     """Thin series (N + 1,) to one point per `CURVE_PERIOD`, the end included.
 
     Args:
-        series: by name.
+        series: series by name.
         period: control period [s].
     """
     steps = len(next(iter(series.values()))) - 1

@@ -1,4 +1,4 @@
-"""How smoothly a robot was driven, and how often something happened."""
+"""Smoothness of commands, and counts of events."""
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -7,15 +7,16 @@ from jaxplore.report._numbers import finite
 
 
 def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> float | None:
-    """Return the root mean square of the commands' second differences [1/s^2]; None of fewer than
-    three.
+    """Compute the root mean square of the commands' second differences [1/s^2].
+
+    None for fewer than three commands.
 
         (u_{t+1} - 2 u_t + u_{t-1}) / period^2, in halves of the range between their bounds
 
     Args:
-        controls: (N, nu).
-        half_range: (nu,).
-        period: between commands [s].
+        controls: (N, nu) commands.
+        half_range: (nu,) half the range between the bounds of each control.
+        period: time between commands [s].
     """
     commands = np.asarray(controls, np.float64)
     if len(commands) < 3:
@@ -25,6 +26,6 @@ def command_jerk(controls: ArrayLike, half_range: np.ndarray, period: float) -> 
 
 
 def episodes(flags: ArrayLike) -> int:
-    """Return how often something happened: successive steps (N,) in which it did are once."""
+    """Count events; successive steps (N,) with the flag set are one event."""
     happens = np.asarray(flags, bool)
     return int((happens & ~np.concatenate([[False], happens[:-1]])).sum())

@@ -1,7 +1,7 @@
-"""The recording of a run: NumPy arrays on the host that know how to show themselves.
+"""The protocol of a recording: the data of a run in NumPy, its metrics, figures and animation.
 
-A recording is filled by a scenario (`jaxplore.simulation`). Whoever saves, compares, searches or
-draws runs uses this protocol and never asks what kind of task it was.
+A scenario (`jaxplore.simulation`) makes the recording. Saving, comparison, tuning and drawing use
+this protocol only and do not depend on the kind of task.
 """
 
 import abc
@@ -38,14 +38,14 @@ class Frame:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunData:
-    """What every run leaves behind.
+    """Data that the recordings of all tasks share.
 
     Args:
         records: the scenario's record of a step, a NamedTuple, with a leading axis of N steps.
         frames: snapshots of the run, evenly spaced, the last one at its end.
-        timing: wall-clock times.
+        timing: wall-clock times of the run.
         control_period: time between controls [s].
-        is_interrupted: whether the user stopped the run; the data are those up to then.
+        is_interrupted: whether the user stopped the run; the data end there.
     """
 
     records: Any
@@ -61,14 +61,14 @@ class RunData:
 
     @property
     def time(self) -> np.ndarray:
-        """(N + 1,) times of the start and of the end of each step [s]."""
+        """Times (N + 1,) of the start and of the end of each step [s]."""
         return np.arange(self.num_steps + 1) * self.control_period
 
     def common_metrics(self, *, finished_at: float | None, seed: int | None) -> dict[str, Any]:
-        """Return the fields that all `Metrics` share.
+        """Compute the fields that all `Metrics` share.
 
         Args:
-            finished_at: when the task was finished [s]; None if it was not.
+            finished_at: time at which the task was finished [s]; None if it was not.
             seed: seed of the run.
         """
         return {
@@ -84,15 +84,17 @@ class RunData:
 
 
 class Recording(RunData, abc.ABC):
-    """A finished run. A new kind of task implements `metrics` and `frame_image`; the rest has a
-    default."""
+    """The recording of a run.
+
+    A new kind of task implements `metrics` and `frame_image`; the other methods have defaults.
+    """
 
     animation: ClassVar[str] = "animation.gif"
     """File name of the animation in a run folder."""
 
     @abc.abstractmethod
     def metrics(self, *, seed: int | None = None) -> Metrics:
-        """Compute the numbers by which the run is judged.
+        """Compute the metrics of the run.
 
         Args:
             seed: seed of the run, to be noted.
@@ -126,7 +128,8 @@ class Recording(RunData, abc.ABC):
 
         Args:
             path: file to write.
-            max_frames: most frames, evenly chosen, the first and the last one among them.
+            max_frames: greatest number of frames, evenly chosen, the first and the last one among
+                them.
             on_progress: called with the share that is done, from 0 to 1.
 
         Raises:

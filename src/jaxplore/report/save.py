@@ -1,4 +1,4 @@
-"""Writes a run into its folder."""
+"""Writing of run folders."""
 
 import contextlib
 import json
@@ -14,7 +14,7 @@ from jaxplore.report.recording import Recording
 
 DOTS_PER_INCH = 150
 BEFORE_ANIMATION = 0.2
-"""Share of the progress that stands for everything but the animation."""
+"""Share of the progress bar for everything but the animation."""
 
 
 def save_run(
@@ -27,7 +27,7 @@ def save_run(
     overwrite: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Write a run folder: it appears complete or not at all.
+    """Write a run folder, completely or not at all.
 
     It holds `metrics.json`, `arrays.npz`, the figures of the recording, its animation, and
     `settings.yaml` if there are settings.
@@ -58,7 +58,7 @@ def save_run(
         if animation:
             on_progress(BEFORE_ANIMATION)
             rest = 1.0 - BEFORE_ANIMATION
-            # Drawing takes longest and can be done without: Ctrl-C leaves out the animation, not
+            # The animation takes longest and is optional: Ctrl-C leaves it out and still saves
             # the run.
             with contextlib.suppress(KeyboardInterrupt):
                 recording.write_animation(
@@ -69,10 +69,10 @@ def save_run(
 
 
 def settings_document(settings: Mapping[str, object]) -> str:
-    """Return settings as YAML.
+    """Format settings as YAML.
 
     Raises:
-        ValueError: what YAML cannot hold.
+        ValueError: a value that YAML cannot hold.
     """
     try:
         return str(yaml.safe_dump(dict(settings), sort_keys=False, allow_unicode=True))

@@ -37,10 +37,10 @@ class Ratio(NamedTuple):
 
 
 def quartiles(values: Sequence[float | None]) -> Quartiles:
-    """Return the quartiles of a quantity over runs.
+    """Compute the quartiles of a quantity over runs.
 
-    A run without a value never got there. It counts as infinitely late, and nothing is interpolated
-    between a value and infinity.
+    A run without a value counts as infinite, such as the time of a run that was never finished.
+    Quartiles are not interpolated between a value and infinity.
 
     Args:
         values: one for each run; None for a run without a value.
@@ -64,17 +64,18 @@ def paired_ratio(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Ratio | None:
-    """Return the ratio of two medians over the seeds that both have; None if there are none.
+    """Compute the ratio of two medians over the common seeds; None without any.
 
     The interval is that of the paired percentile bootstrap: seeds are drawn with replacement, the
     same for both, and the middle 95 % of the ratios are kept. A resample without a ratio (both
     medians infinite, or the reference zero) counts at both ends.
 
     Args:
-        values: by seed; None for a run that never got there, infinitely late.
-        reference: the same, of what it is compared with.
-        resamples: their number.
-        seed: of the resamples; the same seed gives the same interval.
+        values: values by seed; None counts as infinite, such as the time of a run that was never
+            finished.
+        reference: values of the reference variant, likewise.
+        resamples: number of resamples.
+        seed: seed of the resamples; the same seed gives the same interval.
 
     Source: Efron & Tibshirani, An Introduction to the Bootstrap, 1993, chapter 13.
     """
@@ -112,16 +113,16 @@ def paired_difference(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Difference:
-    """Return the mean of `after - before`, run by run, with a 95 % interval.
+    """Compute the mean of `after - before`, run by run, with a 95 % interval.
 
-    The interval is that of the paired percentile bootstrap. For a single run, or differences that
-    are all the same, both ends are the mean.
+    The interval is that of the paired percentile bootstrap. For a single run, or equal differences,
+    both ends are the mean.
 
     Args:
         before: finite values, one for each run; at least one.
-        after: of the same runs.
-        resamples: their number.
-        seed: of the resamples; the same seed gives the same interval.
+        after: the values of the same runs after the change.
+        resamples: number of resamples.
+        seed: seed of the resamples; the same seed gives the same interval.
 
     Raises:
         ValueError: no values, or not as many in both.
@@ -147,9 +148,9 @@ def _draws(number: int, resamples: int, seed: int) -> np.ndarray:
 
 
 def _interval(least: np.ndarray, most: np.ndarray) -> tuple[float, float]:
-    """Return the ends of the middle 95 %: the lower one of `least`, the upper one of `most`."""
+    """Return the lower end of the middle 95 % of `least`, and the upper end of that of `most`."""
     tail = 50.0 * (1.0 - CONFIDENCE)
-    # Nothing is interpolated: next to infinity that would be infinite, or no number.
+    # No interpolation: beside an infinite value it would give infinity or NaN.
     return (
         float(np.percentile(least, tail, method="lower")),
         float(np.percentile(most, 100.0 - tail, method="higher")),
@@ -161,7 +162,7 @@ def _number(value: float | None) -> float:
 
 
 def _ratio(medians: np.ndarray) -> np.ndarray:
-    """Return the first (..., 2) over the second, NaN where there is no ratio."""
+    """Divide the first of two medians (..., 2) by the second; NaN where there is no ratio."""
     ours, theirs = medians[..., 0], medians[..., 1]
     has_none = (np.isinf(ours) & np.isinf(theirs)) | (theirs == 0.0)
     return np.asarray(np.where(has_none, np.nan, ours / np.where(has_none, 1.0, theirs)))

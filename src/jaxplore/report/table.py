@@ -1,4 +1,4 @@
-"""Tables of text, header first, as Markdown, HTML or for a terminal."""
+"""Text tables, as Markdown, HTML or on a terminal."""
 
 import html
 from collections.abc import Sequence
@@ -8,11 +8,11 @@ from rich.table import Table
 from rich.text import Text
 
 Rows = Sequence[Sequence[str]]
-"""A table: the header, then the rows. A cell may have several lines."""
+"""Rows of a table, the header first. A cell may have several lines."""
 
 
 def to_markdown(rows: Rows) -> str:
-    """Return a table in Markdown, with columns of even width."""
+    """Format a table as Markdown, with aligned columns."""
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
 
     def line(cells: Sequence[str]) -> str:
@@ -24,7 +24,7 @@ def to_markdown(rows: Rows) -> str:
 
 
 def to_html(rows: Rows) -> str:
-    """Return a table in HTML."""
+    """Format a table as HTML."""
 
     def line(cells: Sequence[str], kind: str) -> str:
         return "<tr>" + "".join(f"<{kind}>{html.escape(cell)}</{kind}>" for cell in cells) + "</tr>"
@@ -37,29 +37,29 @@ def to_html(rows: Rows) -> str:
 def print_table(
     rows: Rows, *, title: str | None = None, has_header: bool = True, has_lines: bool = False
 ) -> None:
-    """Print a table on the terminal. In a file its lines are not broken.
+    """Print a table on the terminal; lines are not wrapped in a file.
 
     Args:
-        rows: header first.
-        title: above it.
+        rows: rows of the table, the header first.
+        title: title above the table; none when absent.
         has_header: whether the first row is a header.
-        has_lines: draw lines between rows.
+        has_lines: whether to draw lines between rows.
     """
     heading = None if title is None else Text(title)
     table = Table(title=heading, show_lines=has_lines, show_header=has_header)
     header, others = (rows[0], rows[1:]) if has_header else ([""] * len(rows[0]), rows)
-    # As plain text: square brackets are units and quartiles here, not markup.
+    # As plain text: square brackets are units and quartiles here, not Rich's markup.
     for cell in header:
         table.add_column(Text(cell))
     for row in others:
         table.add_row(*map(Text, row))
     console = Console()
     if not console.is_terminal:
-        # A file has no width.
+        # A file has no width to wrap at.
         console = Console(width=Console(width=1000).measure(table).maximum)
     console.print(table)
 
 
 def transposed(rows: Rows) -> list[tuple[str, ...]]:
-    """Return a table with rows and columns exchanged."""
+    """Transpose a table."""
     return list(zip(*rows, strict=True))

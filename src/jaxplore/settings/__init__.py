@@ -1,1 +1,1 @@
-"""Settings: every number of a run, checked."""
+"""Settings of a run: sections of checked values, from YAML or the command line."""

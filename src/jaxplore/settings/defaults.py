@@ -1,7 +1,8 @@
-"""Defaults of settings: read from the callable whose parameter the setting is, its owner.
+"""Defaults and descriptions of settings, read from their owners.
 
-A number stands in the owner's signature and nowhere else. `DIFFERENCES` lists the settings whose
-default is another one, with the reason.
+The owner of a setting is the function or class that has it as a parameter. The default stands in
+the owner's signature and nowhere else. `DIFFERENCES` lists the settings with another default, and
+the reason.
 """
 
 import inspect
@@ -21,24 +22,24 @@ _ARGUMENT = re.compile(r"    (\w+): (.*)")
 _UNIT = re.compile(r"\[([^\]]+)\]")
 
 
-class Difference(NamedTuple):
-    """A default that is not the owner's.
+class DefaultDifference(NamedTuple):
+    """A default of a setting that differs from its owner's.
 
     Args:
         value: the default of the setting.
-        reason: why it differs.
+        reason: reason for the difference.
     """
 
     value: Any
     reason: str
 
 
-def default_of(owner: Owner, name: str) -> Any:
-    """Return the default of a parameter.
+def parameter_default(owner: Owner, name: str) -> Any:
+    """Return the default of an owner's parameter.
 
     Args:
         owner: a function or a class.
-        name: of the parameter.
+        name: name of the parameter.
 
     Raises:
         ValueError: the owner has no such parameter, or it has no default.
@@ -53,40 +54,55 @@ def default_of(owner: Owner, name: str) -> Any:
 
 
 def in_degrees(angle: float) -> float:
-    """Return an angle in degrees, without the last digits of pi."""
+    """Convert an angle to degrees, rounded so that the digits of pi do not show."""
     return round(math.degrees(angle), 9)
 
 
-DIFFERENCES: dict[str, Difference] = {
-    "exploration.robot.max_speed": Difference(1.0, "a walking pace, for a robot in a building"),
-    "exploration.lidar.max_range": Difference(
+DIFFERENCES: dict[str, DefaultDifference] = {
+    "exploration.robot.max_speed": DefaultDifference(
+        1.0, "a walking pace, for a robot in a building"
+    ),
+    "exploration.lidar.max_range": DefaultDifference(
         5.0, "a short-range lidar, as small indoor robots have"
     ),
-    "exploration.lidar.range_noise": Difference(0.02, "the noise of a short-range lidar"),
-    "path.robot.max_acceleration": Difference(6.0, "a race car of F1TENTH's size"),
-    "path.robot.wheelbase": Difference(0.33, "a race car of F1TENTH's size"),
-    "path.robot.max_steering": Difference(0.42, "a race car of F1TENTH's size"),
-    "path.robot.max_steering_rate": Difference(3.2, "a race car of F1TENTH's size"),
-    "quadrotor.robot.model": Difference("quadrotor", "what its architectures control"),
-    "quadrotor.robot.radius": Difference(default_of(Quadrotor, "radius"), "that of `Quadrotor`"),
-    "quadrotor.robot.max_speed": Difference(default_of(Flight, "max_speed"), "that of `Flight`"),
-    "quadrotor.lidar.num_beams": Difference(24, "a depth camera, from the design notes"),
-    "quadrotor.lidar.max_range": Difference(4.0, "a depth camera, from the design notes"),
-    "quadrotor.lidar.field_of_view_degrees": Difference(
-        in_degrees(default_of(FieldNumbers, "field_of_view")), "that of `FieldNumbers`"
+    "exploration.lidar.range_noise": DefaultDifference(0.02, "the noise of a short-range lidar"),
+    "path.robot.max_acceleration": DefaultDifference(6.0, "a race car of F1TENTH's size"),
+    "path.robot.wheelbase": DefaultDifference(0.33, "a race car of F1TENTH's size"),
+    "path.robot.max_steering": DefaultDifference(0.42, "a race car of F1TENTH's size"),
+    "path.robot.max_steering_rate": DefaultDifference(3.2, "a race car of F1TENTH's size"),
+    "quadrotor.robot.model": DefaultDifference("quadrotor", "what its architectures control"),
+    "quadrotor.robot.radius": DefaultDifference(
+        parameter_default(Quadrotor, "radius"), "that of `Quadrotor`"
     ),
-    "quadrotor.lidar.range_noise": Difference(0.0, "the design notes have no range noise"),
-    "quadrotor.sensor_model.kind": Difference("line_of_sight", "the model of `informative_mppi`"),
-    "quadrotor.fields.min_information": Difference(3.0, "a camera of 24 beams sees less at a time"),
-    "quadrotor.fields.occupancy_prior": Difference(0.5, "the design notes have no other prior"),
-    "quadrotor.rates.sensing": Difference(50.0, "a scan at every command, as in the design notes"),
+    "quadrotor.robot.max_speed": DefaultDifference(
+        parameter_default(Flight, "max_speed"), "that of `Flight`"
+    ),
+    "quadrotor.lidar.num_beams": DefaultDifference(24, "a depth camera, from the design notes"),
+    "quadrotor.lidar.max_range": DefaultDifference(4.0, "a depth camera, from the design notes"),
+    "quadrotor.lidar.field_of_view_degrees": DefaultDifference(
+        in_degrees(parameter_default(FieldNumbers, "field_of_view")), "that of `FieldNumbers`"
+    ),
+    "quadrotor.lidar.range_noise": DefaultDifference(0.0, "the design notes have no range noise"),
+    "quadrotor.sensor_model.kind": DefaultDifference(
+        "line_of_sight", "the model of `informative_mppi`"
+    ),
+    "quadrotor.fields.min_information": DefaultDifference(
+        3.0, "a camera of 24 beams sees less at a time"
+    ),
+    "quadrotor.fields.occupancy_prior": DefaultDifference(
+        0.5, "the design notes have no other prior"
+    ),
+    "quadrotor.rates.sensing": DefaultDifference(
+        50.0, "a scan at every command, as in the design notes"
+    ),
 }
-"""Settings whose default is not their owner's, by the kind of run and their name. Those of a
-`quadrotor` hold for architectures that are not a ground vehicle's."""
+"""Settings whose default is not their owner's, by kind of run and name.
+
+Those of `quadrotor` hold for the quadrotor architectures."""
 
 
 def descriptions(owner: Owner) -> dict[str, str]:
-    """Return what the "Args:" of a docstring say of each parameter, by name."""
+    """Return the descriptions of an owner's parameters from its docstring, by name."""
     found: dict[str, str] = {}
     _, _, arguments = (inspect.getdoc(owner) or "").partition("\nArgs:\n")
     for line in arguments.splitlines():
@@ -101,7 +117,7 @@ def descriptions(owner: Owner) -> dict[str, str]:
 
 
 def unit(description: str) -> str | None:
-    """Return the unit in a description, what it has in square brackets; None without one."""
+    """Return the unit in a description, its text in square brackets; None without one."""
     found = _UNIT.search(description)
     return None if found is None else found[1]
 
@@ -113,18 +129,18 @@ def setting(
     *,
     differs: str | None = None,
 ) -> Any:
-    """Return a field of a section: default and description of an owner's parameter.
+    """Make a field of a section with the default and the description of an owner's parameter.
 
     Args:
-        owner: the function or class that the setting goes to.
-        name: of its parameter.
-        convert: from the unit of the parameter to that of the setting.
+        owner: function or class that has the setting as a parameter.
+        name: name of the owner's parameter.
+        convert: conversion from the unit of the parameter to the unit of the setting.
         differs: key of `DIFFERENCES`, if the default is not the owner's.
 
     Raises:
         ValueError: the owner has no such parameter, or it has no default.
     """
-    default = convert(default_of(owner, name))
+    default = convert(parameter_default(owner, name))
     if differs is not None:
         default = DIFFERENCES[differs].value
     return Field(
@@ -134,8 +150,8 @@ def setting(
     )
 
 
-def differences_of(kind: str) -> dict[str, Any]:
-    """Return the `DIFFERENCES` of a kind of run as entries of settings."""
+def difference_entries(kind: str) -> dict[str, Any]:
+    """Return the `DIFFERENCES` of a kind of run as settings entries."""
     entries: dict[str, Any] = {}
     for name, difference in DIFFERENCES.items():
         first, *sections, last = name.split(".")
@@ -148,13 +164,13 @@ def differences_of(kind: str) -> dict[str, Any]:
 
 
 def arguments(section: BaseModel, owner: Owner) -> dict[str, Any]:
-    """Return the settings of a section that an owner takes, by the names of its parameters.
+    """Return the settings of a section as keyword arguments of an owner.
 
-    They are in the units of the settings: angles in degrees.
+    The values keep the units of the settings: angles are in degrees.
 
     Args:
         section: checked settings.
-        owner: a function or a class that some of them were declared with, see `setting`.
+        owner: function or class with which some of the settings were declared, see `setting`.
     """
     taken = {}
     for name, field in type(section).model_fields.items():

@@ -1,4 +1,4 @@
-"""Every setting of a run, from a YAML file or the command line."""
+"""Settings of an exploration run."""
 
 import importlib.resources
 import os
@@ -29,7 +29,7 @@ from jaxplore.planning.presets.quadrotor import (
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
-from jaxplore.settings.defaults import differences_of, in_degrees, setting
+from jaxplore.settings.defaults import difference_entries, in_degrees, setting
 from jaxplore.settings.sections import (
     Count,
     Fraction,
@@ -72,17 +72,17 @@ BASELINES = (
     "discounted-information",
     "distance-advantage",
 )
-"""Explorers that go from target to target by a rule: see `jaxplore.planning.TargetRule`."""
+"""Rule-based explorers, which drive from target to target: see `jaxplore.planning.TargetRule`."""
 GROUND = ("explorer", "portfolio", *BASELINES)
-"""Architectures of ground vehicles; the others are a quadrotor's unless another robot is named."""
+"""Architectures of ground vehicles; the others default to a quadrotor."""
 
 OFFICE = "office"
-"""The map that is generated instead of read."""
+"""Name of the generated map."""
 ZONES = "zones"
-"""The world with three unknown zones of the quadrotor design notes."""
+"""Name of the world with three unknown zones, for a quadrotor."""
 
 SCENARIOS = ("warehouse", "search-rescue", "perimeter")
-"""Scenarios of the ground vehicles' design notes: settings with a world, in `scenarios/`."""
+"""Scenarios for ground vehicles: settings with a world, in `scenarios/`."""
 
 ParameterisationName = Literal["direct", "smooth", "knots"]
 ViewDegrees = Annotated[float, Field(gt=0, lt=180)]
@@ -99,13 +99,13 @@ class OfficeSettings(Section):
 class RobotSettings(Section):
     """The robot: a model and its bounds.
 
-    Each model takes the settings that it knows. The defaults are those of `DifferentialDrive` where
-    several models take one. The limit of a quadrotor's speed is a cost.
+    Each model uses the settings among its parameters. Where several models share a setting, the
+    default is that of `DifferentialDrive`. A quadrotor's speed is limited by a cost.
 
     Args:
-        model: of the robot.
-        length: of a car, which has no radius [m].
-        width: of a car [m].
+        model: name of the robot's model.
+        length: length of a car, which has no radius [m].
+        width: width of a car [m].
     """
 
     model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
@@ -179,7 +179,8 @@ class SensorModelSettings(Section):
     """The inverse sensor model: see `jaxplore.InverseSensorModel`.
 
     Args:
-        kind: `log_odds` has the numbers of this section; `line_of_sight` settles a cell at once.
+        kind: `log_odds` uses the numbers of this section; with `line_of_sight` one measurement
+            makes a cell certain.
     """
 
     kind: Literal["log_odds", "line_of_sight"] = "log_odds"
@@ -222,10 +223,10 @@ class PortfolioSettings(Section):
     """A portfolio for a ground vehicle and its fusion: see `jaxplore.ground_portfolio`.
 
     Args:
-        members: names of members of the decomposition; all of them when absent.
-        weights: by member and objective, in place of `members`.
-        fusion: how plans become one.
-        is_safe: whether the fusion is within a `SafeFusion`.
+        members: names of members of the decomposition; all when absent.
+        weights: weights by member and objective, in place of `members`.
+        fusion: rule that fuses the members' plans.
+        is_safe: whether the fusion is wrapped in a `SafeFusion`.
     """
 
     decomposition: Literal["roles", "temporal", "regional"] = setting(
@@ -298,7 +299,7 @@ class InformativeSettings(Section):
 
 
 class RatesSettings(Section):
-    """How often things happen: see `jaxplore.ExplorationScenario`."""
+    """Rates of control, sensing and fields: see `jaxplore.ExplorationScenario`."""
 
     control: Positive = setting(ExplorationScenario, "control_rate")
     sensing: Positive = setting(ExplorationScenario, "sensing_rate")
@@ -306,31 +307,31 @@ class RatesSettings(Section):
 
 
 class Settings(RunSettings):
-    """A run that explores; what is not given has its default.
+    """Settings of an exploration run; a setting that is not given has its default.
 
     Args:
-        map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; with a
-            `world`, a name for it.
+        map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; beside a
+            `world`, its name.
         world: the entries of a world, instead of its file.
-        architecture: of the controller. Of ground robots `explorer` or `portfolio`, or an explorer
-            to compare with, by its rule for the next target, such as `nearest-frontier`. Of
-            quadrotors informative MPPI, `two-layer`, `parallel` or `sequential`, which is two-layer
-            from zone to zone of a world; or a baseline, `random-walk`, or `goal`, which only goes
-            to the goal.
-        goal: (x, y) or (x, y, z) to be at in the end [m]; worlds may have one of their own.
+        architecture: architecture of the controller. Ground robots: `explorer`, `portfolio`, or a
+            rule-based explorer by the name of its rule, such as `nearest-frontier`. Quadrotors:
+            informative MPPI, which is `two-layer`, `parallel` or `sequential` (two-layer from zone
+            to zone of a world), or a baseline, `random-walk` or `goal`, which drives straight to
+            the goal.
+        goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.
-        robot: its model.
-        lidar: its lidar.
-        camera: leads if there is one; none when absent.
-        watch: the idleness map, for search and patrol; none when absent.
+        robot: the robot.
+        lidar: the lidar of the robot.
+        camera: the camera, which becomes the primary sensor; no camera when absent.
+        watch: settings of the idleness map, for search and patrol; none when absent.
         terrain: the ground.
-        sensor_model: what a measurement does to a cell.
+        sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
-        controller: for the architecture `explorer` and the explorers by a rule.
-        portfolio: for the architecture `portfolio`.
-        informative: for the architectures of quadrotors.
-        rates: how often things happen.
+        controller: MPPI of the architecture `explorer` and of the rule-based explorers.
+        portfolio: settings of the architecture `portfolio`.
+        informative: settings of the quadrotor architectures.
+        rates: rates of control, sensing and fields.
     """
 
     map: str
@@ -364,7 +365,7 @@ def scenario_path(name: str) -> Path:
 
 
 def is_scenario_file(path: str | os.PathLike[str]) -> bool:
-    """Say whether a YAML file is a scenario: settings that hold a world."""
+    """Check whether a YAML file is a scenario: settings that contain a world."""
     try:
         entries = read_settings(path)
     except ValueError:
@@ -373,7 +374,7 @@ def is_scenario_file(path: str | os.PathLike[str]) -> bool:
 
 
 def make_exploration_settings(entries: dict[str, Any]) -> Settings:
-    """Return checked settings of a run that explores.
+    """Check settings entries of an exploration run, and fill in defaults.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
@@ -382,18 +383,18 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries over the defaults of their architecture and map."""
+    """Merge the entries over the defaults of their architecture and map."""
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
-        entries = merged(read_settings(scenario_path(entries["map"])), entries)
+        entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     if entries.get("architecture", "explorer") in GROUND:
         return entries
-    return merged(differences_of("quadrotor"), entries)
+    return merge_entries(difference_entries("quadrotor"), entries)
 
 
-def merged(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
-    """Return the entries over defaults, section by section."""
+def merge_entries(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str, Any]:
+    """Merge entries over defaults, section by section."""
     merged = {**defaults, **entries}
     for name, section in defaults.items():
         given = merged[name]

@@ -1,4 +1,4 @@
-"""Every setting of a run along a path, from a YAML file or the command line."""
+"""Settings of a path-following run."""
 
 from typing import Annotated, Any, Literal
 
@@ -24,9 +24,9 @@ from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
 
 PATH = "path"
-"""In place of a map: the run is along a path."""
+"""Name that selects path following in place of a map."""
 TRACK = "track"
-"""The path that is generated instead of read."""
+"""Name of the generated path."""
 
 Point = tuple[float, float]
 PathRobot = Literal["ackermann", "bicycle", "differential_drive", "unicycle"]
@@ -46,9 +46,9 @@ class PathRobotSettings(RobotSettings):
     """The robot, by default a race car of F1TENTH's size.
 
     Args:
-        model: of the robot; a `bicycle` has a radius and steers at once.
-        length: of a car [m].
-        width: of a car [m].
+        model: name of the robot's model; a `bicycle` has a radius and no steering dynamics.
+        length: length of a car [m].
+        width: width of a car [m].
     """
 
     model: PathRobot = "ackermann"  # type: ignore[assignment]
@@ -67,14 +67,14 @@ class PathRobotSettings(RobotSettings):
 
 
 class PathObstacleSettings(Section):
-    """Obstacles on the path, what the robot knows of them, and how it keeps clear: see
+    """Obstacles on the path, their prediction by the robot, and the cost of avoiding them: see
     `jaxplore.Traffic`, `jaxplore.PathScenario` and `jaxplore.planning.avoidance_cost`.
 
     Args:
-        number: of discs that move along the path.
-        seed: of where they are; the run's when absent.
-        discs: (x, y, radius) of discs that stand [m].
-        polygons: lists of corners of polygons that stand [m].
+        number: number of discs that move along the path.
+        seed: seed of the obstacles' positions; the run's when absent.
+        discs: (x, y, radius) of static discs [m].
+        polygons: lists of corners of static polygons [m].
     """
 
     number: Number = 0
@@ -96,8 +96,9 @@ class ContouringSettings(Section):
     """Contouring control: see `jaxplore.mpcc`.
 
     Args:
-        risk_level: of the conditional value at risk, by which obstacles are weighed over
-            `num_outcomes` of where they may go; the mean, with `caution`, when absent.
+        risk_level: level of the conditional value at risk of the obstacle cost over `num_outcomes`
+            sampled motions of the obstacles; the cost of the mean motion, with `caution`, when
+            absent.
     """
 
     horizon: Count = setting(mpcc, "horizon")
@@ -118,16 +119,16 @@ class ContouringSettings(Section):
 
 
 class PathSettings(RunSettings):
-    """A run along a path; what is not given has its default.
+    """Settings of a path-following run; a setting that is not given has its default.
 
     Args:
         path: a file, see `jaxplore.maps.read_path`, or `track`.
-        half_width: room on either side of a path that says nothing about it [m].
+        half_width: half width of the corridor if the path file does not define one [m].
         time_limit: simulated time [s].
         track: the generated track, for the path `track`.
-        robot: its model.
-        obstacles: what is in the way.
-        controller: contouring control.
+        robot: the robot.
+        obstacles: obstacles on the path.
+        controller: settings of contouring control.
     """
 
     path: str = TRACK
@@ -144,7 +145,7 @@ class PathSettings(RunSettings):
 
 
 def make_path_settings(entries: dict[str, Any]) -> PathSettings:
-    """Return checked settings of a run along a path.
+    """Check settings entries of a path-following run, and fill in defaults.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.

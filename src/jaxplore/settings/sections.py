@@ -1,4 +1,4 @@
-"""Sections of settings: how they are read and checked."""
+"""Base classes of settings, and how they are read and checked."""
 
 import os
 from pathlib import Path
@@ -18,24 +18,24 @@ Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Steering = Annotated[float, Field(gt=0, lt=1.57)]
 Parameters = dict[str, float | list[float]]
-"""Numbers of a controller by path; a list for an array."""
+"""Controller parameters by path; a list for an array."""
 
 
 class Section(BaseModel):
-    """Settings that belong together: no unknown names, no infinities."""
+    """A section of settings. It rejects unknown names and values that are not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class RunSettings(Section):
-    """Settings of any kind of run.
+    """Settings that all kinds of runs share.
 
     Args:
-        start: pose (x, y, yaw) [m, m, rad]; some places have one of their own.
+        start: start pose (x, y, yaw) [m, m, rad]; some maps and worlds define their own.
         time_limit: simulated time after which the run ends [s].
-        seed: of everything random in the run.
-        parameters: numbers of the controller by path, in place of what the settings come to: see
-            `jaxplore.get_parameters`. A list has a number for each element.
+        seed: seed of all random numbers of the run.
+        parameters: controller parameters by path, which override those that follow from the other
+            settings: see `jaxplore.get_parameters`. A list sets each element of an array.
     """
 
     start: tuple[float, float, float] | None = None
@@ -65,7 +65,7 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def validated[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
-    """Return settings of any kind, checked.
+    """Check settings entries against a section.
 
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
@@ -89,7 +89,7 @@ def _one_line(
     if kind == "extra_forbidden":
         section = settings
         for part in where[:-1]:
-            inner = section_of(section.model_fields[str(part)].annotation)
+            inner = section_class(section.model_fields[str(part)].annotation)
             assert inner is not None
             section = inner
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
@@ -99,8 +99,8 @@ def _one_line(
     return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
 
 
-def section_of(annotation: Any) -> type[BaseModel] | None:
-    """Return the section that a field holds, also one that may be absent; None of other fields."""
+def section_class(annotation: Any) -> type[BaseModel] | None:
+    """Return the section class of a field, optional ones included; None for other fields."""
     for each in (annotation, *get_args(annotation)):
         if isinstance(each, type) and issubclass(each, BaseModel):
             return each

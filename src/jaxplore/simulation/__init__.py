@@ -8,7 +8,7 @@ from jaxplore.simulation.environment.action_modes import WaypointMode as Waypoin
 from jaxplore.simulation.environment.action_modes import waypoint_mppi as waypoint_mppi
 from jaxplore.simulation.environment.environment import Environment as Environment
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
-from jaxplore.simulation.environment.environment import Outcome as Outcome
+from jaxplore.simulation.environment.environment import StepResult as StepResult
 from jaxplore.simulation.experiment import Experiment as Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
 from jaxplore.simulation.exploration.moving_obstacles import (

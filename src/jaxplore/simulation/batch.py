@@ -1,4 +1,4 @@
-"""Runs side by side in one compiled loop: with other keys, other numbers, or both."""
+"""Batches of runs in one compiled loop, with different keys, parameters, or both."""
 
 import functools
 import time
@@ -26,19 +26,19 @@ from jaxplore.simulation.loop import (
 )
 from jaxplore.simulation.run import make_frame
 from jaxplore.simulation.scenario import Scenario
-from jaxplore.simulation.stacking import Places, Stacked
+from jaxplore.simulation.stacking import LeafMask, Stacked
 
 Keys = KeyArray[Array, "..."]
-"""(B,) random keys of the runs, or one key for all."""
+"""Random keys (B,) of the runs, or one key for all."""
 
 
-class Batch(NamedTuple):
-    """Runs side by side.
+class RunBatch(NamedTuple):
+    """Loop states of a batch of runs.
 
     Args:
         states: states of the loops, with a leading axis of runs; each counts its own steps.
-        clock: number of steps of the unfinished runs. It is one number for all, so that the batch
-            senses and derives fields no more often than one run does.
+        clock: number of steps of the unfinished runs. It is one number for all runs, so that a
+            batch senses and derives fields only as often as a single run.
     """
 
     states: LoopState
@@ -52,19 +52,19 @@ def record_runs(
     *,
     keys: Keys,
 ) -> tuple[Recording, ...]:
-    """Simulate several runs by `jax.vmap`, each until it is finished or the steps are done.
+    """Simulate a batch of runs by `jax.vmap`, each until it is finished or the steps are done.
 
-    Made for accelerators. A processor is busy with one run: there a batch takes longer than its
-    runs one after the other. Each run is that of `record_run` with the same key but for rounding,
-    which in time makes it another one; the same keys give the same runs. The frames show no plans,
-    and the times are those of the steps of all runs together.
+    Batches are for accelerators. One run keeps a CPU busy: there a batch takes longer than its runs
+    one after the other. Each run equals that of `record_run` with the same key up to rounding,
+    whose effect grows with time; the same keys give the same runs. The frames show no plans, and
+    the times are those of the steps of all runs together.
 
-    Ctrl-C ends all runs after the current chunk; what was done is returned.
+    Ctrl-C ends all runs after the current chunk and returns them.
 
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         keys: (B,) random keys, one for each run.
 
     Raises:
@@ -82,18 +82,19 @@ def record_experiments(
     num_steps: int,
     *,
     with_frames: bool = True,
-    differs: Places | None = None,
-) -> tuple[tuple[Recording, ...], Places]:
-    """Simulate runs that differ in keys and in numbers of their controllers and scenarios.
+    differs: LeafMask | None = None,
+) -> tuple[tuple[Recording, ...], LeafMask]:
+    """Simulate a batch of runs that differ in keys and in parameters of controllers and scenarios.
 
-    See `record_runs`. What all runs share, maps and noise of the same key, is computed once.
+    See `record_runs`. Values that all runs share, maps and noise of the same key, are computed
+    once.
 
     Args:
-        experiments: at least one; their own numbers of steps are ignored.
-        num_steps: most control periods.
+        experiments: at least one experiment; their own numbers of steps are ignored.
+        num_steps: greatest number of control periods.
         with_frames: whether to keep frames of the runs.
-        differs: arrays to treat as different although they may be equal here, as returned by a
-            former call: then the same compiled program serves.
+        differs: arrays to treat as different even if they are equal here, as returned by a former
+            call, so that both calls share a compiled program.
 
     Returns:
         The recordings, and which arrays differed.
@@ -109,20 +110,20 @@ def record_experiments(
         (one.controller.at_period(one.scenario.control_period), one.scenario.for_batches())
         for one in experiments
     ]
-    stacked = Stacked.of(pairs, differs, name="experiments")
+    stacked = Stacked.from_trees(pairs, differs, name="experiments")
     keys = jnp.stack([one.key for one in experiments])
     data = jax.random.key_data(keys)
     if len(experiments) > 1 and bool(jnp.all(data == data[:1])):
-        # One key for all: what is drawn from it is drawn once.
+        # With a single key for all runs, vmap draws the random numbers once.
         keys = keys[0]
     scenario = experiments[0].scenario
     chunk = max(1, round(CHUNK_SECONDS / scenario.period))
     before = _begin(stacked, keys, len(experiments))
 
-    def run(batch: Batch, steps: Count) -> tuple[Batch, Any, Count]:
+    def run(batch: RunBatch, steps: Count) -> tuple[RunBatch, Any, Count]:
         return _run_chunk(stacked, batch, keys, steps, chunk)
 
-    def frames(batch: Batch, step: int) -> tuple[Frame, ...]:
+    def frames(batch: RunBatch, step: int) -> tuple[Frame, ...]:
         if not with_frames:
             return ()
         arrays = jax.tree.map(np.asarray, _frames(stacked, batch.states, keys))
@@ -147,18 +148,18 @@ def record_experiments(
 
 
 def _run_at[T](together: T, i: int) -> T:
-    """Return one run's part of arrays with a leading axis of runs."""
+    """Return one run's entry of arrays with a leading axis of runs."""
     alone: T = jax.tree.map(lambda leaf: leaf[i], together)
     return alone
 
 
 def _alone(
-    together: ChunkedRun[Batch, Any, tuple[Frame, ...]], i: int
+    together: ChunkedRun[RunBatch, Any, tuple[Frame, ...]], i: int
 ) -> ChunkedRun[LoopState, Any, Frame]:
-    """Return one of the runs as if it had been alone."""
+    """Extract one of the runs, as if it had been simulated alone."""
     state = _run_at(together.state.states, i)
     num_steps = int(state.step)
-    # The frames after its end are all the same.
+    # The frames after its end are all equal.
     frames = {frames[i].step: frames[i] for frames in together.frames if frames}
     return ChunkedRun(
         state,
@@ -175,14 +176,14 @@ def _key_axis(keys: Keys) -> int | None:
 
 
 @eqx.filter_jit
-def _begin(stacked: Stacked, keys: Keys, size: int) -> Batch:
+def _begin(stacked: Stacked, keys: Keys, size: int) -> RunBatch:
     def one(arrays: tuple[Array, ...], key: Key) -> LoopState:
         controller, scenario = stacked.tree(arrays)
         return initial_loop_state(controller, scenario, key)
 
     axes = (stacked.axes, _key_axis(keys))
     states = jax.vmap(one, in_axes=axes, axis_size=size)(stacked.arrays, keys)
-    return Batch(states, jnp.zeros((), jnp.int32))
+    return RunBatch(states, jnp.zeros((), jnp.int32))
 
 
 @eqx.filter_jit
@@ -197,15 +198,15 @@ def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
 @eqx.filter_jit
 def _run_chunk(
     stacked: Stacked,
-    batch: Batch,
+    batch: RunBatch,
     keys: Keys,
     num_steps: Count,
     capacity: int,
-) -> tuple[Batch, Any, Count]:
+) -> tuple[RunBatch, Any, Count]:
     """Run up to `num_steps` steps, fewer if all runs are finished; see `run_chunk`."""
     axes = (stacked.axes, 0, _key_axis(keys))
 
-    def step(batch: Batch) -> tuple[Batch, Any]:
+    def step(batch: RunBatch) -> tuple[RunBatch, Any]:
         states, clock = batch
 
         def one(arrays: tuple[Array, ...], state: LoopState, key: Key) -> tuple[LoopState, Any]:
@@ -214,7 +215,7 @@ def _run_chunk(
 
         after, record = jax.vmap(one, in_axes=axes)(stacked.arrays, states, keys)
         choose = functools.partial(jax.vmap(jnp.where), _unfinished(stacked, states))
-        return Batch(jax.tree.map(choose, after, states), clock + 1), record
+        return RunBatch(jax.tree.map(choose, after, states), clock + 1), record
 
     size = batch.states.step.shape[0]
     controller, scenario = stacked.at(0)

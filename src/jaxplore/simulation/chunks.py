@@ -18,11 +18,11 @@ from jaxplore._types import Count, Flag
 from jaxplore.report.compute import Timing
 
 CHUNK_SECONDS = 0.5
-"""Simulated time between returns to Python."""
+"""Simulated time of a chunk [s]."""
 STEPWISE_CHUNKS = 10
-"""One chunk in so many is run one step at a time, by the same compiled program, to time steps."""
+"""One chunk in this many is run step by step, by the same compiled program, to time steps."""
 MAX_FRAMES = 240
-"""Frames kept of a run; when there are more, every second one is dropped."""
+"""Greatest number of frames of a run; beyond it, every second one is dropped."""
 
 
 def loop[S, R](
@@ -32,20 +32,20 @@ def loop[S, R](
     blank: R,
     num_steps: Count,
 ) -> tuple[S, R, Count]:
-    """Step up to `num_steps` times, fewer if it is finished; a scan whose length is data.
+    """Step up to `num_steps` times, fewer if the task is finished; a scan of traced length.
 
-    So the same compiled program runs a chunk, a single step that is to be timed, and ends the
-    moment it is finished.
+    The same compiled program runs a whole chunk or a single step that is timed, and it stops as
+    soon as the task is finished.
 
     Args:
-        step: from a state to the next one, and its record.
-        is_unfinished: whether a state is to be stepped on from.
-        state: to go on from.
-        blank: records to be filled, with a leading axis for at least as many steps.
-        num_steps: at most.
+        step: function from a state to the next state and the step's record.
+        is_unfinished: function that says whether to continue from a state.
+        state: state to continue from.
+        blank: buffer of records, with a leading axis of at least `num_steps` steps.
+        num_steps: greatest number of steps.
 
     Returns:
-        The state, the records and how many of them are filled.
+        The state, the records and the number of filled records.
     """
 
     def unfinished(carry: tuple[S, R, Array]) -> Array:
@@ -63,15 +63,15 @@ def loop[S, R](
 
 @dataclasses.dataclass(frozen=True)
 class ChunkedRun[S, R, F]:
-    """A loop that was run in chunks.
+    """The result of a loop that was run in chunks.
 
     Args:
-        state: the last one.
-        records: of all steps, in NumPy.
-        frames: snapshots, evenly spaced, the last one at its end.
+        state: last state of the loop.
+        records: records of all steps, in NumPy.
+        frames: evenly spaced frames, the last one at the end of the run.
         timing: wall-clock times.
-        num_steps: done.
-        is_interrupted: Ctrl-C ended it.
+        num_steps: number of steps done.
+        is_interrupted: whether Ctrl-C ended the run.
     """
 
     state: S
@@ -82,7 +82,7 @@ class ChunkedRun[S, R, F]:
     is_interrupted: bool
 
     def common(self, period: float) -> dict[str, Any]:
-        """Return the arguments that every recording takes.
+        """Return the constructor arguments that all recordings share.
 
         Args:
             period: control period [s].
@@ -107,19 +107,19 @@ def run_in_chunks[S, R, F](
     chunk: int,
     on_chunk: Callable[[S, int, float], None],
 ) -> ChunkedRun[S, R, F]:
-    """Run a loop chunk by chunk until it is finished or the steps are done.
+    """Run a loop chunk by chunk until the task is finished or the steps are done.
 
     Ctrl-C ends it after the current chunk, a second one at once.
 
     Args:
-        run: runs up to so many steps from a state: the compiled loop.
-        is_unfinished: whether a state is to be stepped on from.
-        frame: makes a frame of a state after so many steps.
-        state: to begin with.
-        began: when preparations began, of `time.perf_counter`.
-        limit: steps at most.
-        chunk: steps in a chunk.
-        on_chunk: told the state, the steps done and the seconds since the first.
+        run: the compiled loop, which runs up to a number of steps from a state.
+        is_unfinished: function that says whether to continue from a state.
+        frame: function that makes a frame of a state after a number of steps.
+        state: state to begin with.
+        began: `time.perf_counter()` at the beginning of the preparations [s].
+        limit: greatest number of steps.
+        chunk: number of steps in a chunk.
+        on_chunk: called with the state, the steps done and the seconds since the first step.
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:
@@ -172,7 +172,7 @@ def run_in_chunks[S, R, F](
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed; a second press interrupts at once."""
+    """Yield a function that tells whether Ctrl-C was pressed; a second press interrupts at once."""
     requested = threading.Event()
 
     def request(_: int, __: FrameType | None) -> None:

@@ -1,4 +1,4 @@
-"""A run that is ready to start, of any kind."""
+"""Experiments: all that a run of any task needs."""
 
 from typing import NamedTuple
 
@@ -13,7 +13,7 @@ class Experiment(NamedTuple):
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key.
     """
 

@@ -1,4 +1,4 @@
-"""What goes wrong in a run on purpose: sensors that fail, commands that come late, new walls."""
+"""Fault injection: sensor dropouts, lost odometry, delayed commands, walls that appear."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,19 +15,19 @@ NEVER = (0.0, 0.0)
 
 
 class Faults(eqx.Module):
-    """Faults of a run; each lasts from a beginning up to an end [s], both from the start.
+    """Faults to inject into a run; each lasts from a start to an end time [s].
 
     Args:
-        scan_dropout: no scans arrive.
-        lost_odometry: the controller is told that its state is not a number.
-        frozen_odometry: the controller is told the state at which the fault began.
-        control_delay: control periods between a command and its effect, 0 for none; static.
+        scan_dropout: interval without scans.
+        lost_odometry: interval in which the observed state is NaN.
+        frozen_odometry: interval in which the observed state stays that at the start of the fault.
+        control_delay: number of control periods between a command and its effect; static.
         walls: (H, W) cells that become solid.
-        walls_from: when they do [s].
+        walls_from: time at which they do [s].
 
     Raises:
-        ValueError: a time that is negative or not finite, an end before its beginning, a delay that
-            is not a whole number >= 0, walls that are not a map's cells.
+        ValueError: a time that is negative or not finite, an end before its start, a delay that
+                is not a whole number >= 0, walls that are not an (H, W) array of booleans.
     """
 
     scan_dropout: Float[Array, "2"]
@@ -62,7 +62,7 @@ class Faults(eqx.Module):
             self.walls = jnp.asarray(mask)
 
     def world(self, world: OccupancyGrid, time: Scalar) -> OccupancyGrid:
-        """Return the world as it is by now."""
+        """Return the world at a time since the start, with the walls that have appeared."""
         if self.walls is None:
             return world
         is_solid = self.walls & (time >= self.walls_from)
@@ -70,19 +70,19 @@ class Faults(eqx.Module):
         return OccupancyGrid(probability, world.resolution, world.frame.origin)
 
     def is_blind(self, time: Scalar) -> Flag:
-        """Say whether no scan arrives."""
+        """Check whether a dropout of scans is active."""
         return _during(self.scan_dropout, time)
 
     def observe(
         self, state: StateVector, last: StateVector, time: Scalar, period: Scalar
     ) -> StateVector:
-        """Return the state (nx,) that the controller is told.
+        """Return the state (nx,) that the controller observes.
 
         Args:
-            state: of the robot.
-            last: what the controller was told before.
+            state: state of the robot.
+            last: the state that the controller observed before.
             time: since the start [s].
-            period: since it was told that [s].
+            period: time since that observation [s].
         """
         frozen = self.frozen_odometry
         is_stuck = _during(frozen, time) & _during(frozen, time - period)
@@ -90,14 +90,15 @@ class Faults(eqx.Module):
         return jnp.where(_during(self.lost_odometry, time), jnp.nan, told)
 
     def is_active(self, time: Scalar) -> Flag:
-        """Say whether scans or odometry fail."""
+        """Check whether a fault of scans or odometry is active."""
         intervals = (self.scan_dropout, self.lost_odometry, self.frozen_odometry)
         return jnp.stack([_during(interval, time) for interval in intervals]).any()
 
     def delay(
         self, pending: Float[Array, "D nu"], control: ControlVector
     ) -> tuple[Float[Array, "D nu"], ControlVector]:
-        """Return the commands under way (D, nu), oldest first, and the one that takes effect."""
+        """Delay a command: return the pending commands (D, nu), oldest first, and the effective
+        one."""
         queue = jnp.concatenate([pending, control[None]])
         return queue[1:], queue[0]
 
@@ -112,5 +113,5 @@ def _interval(name: str, value: Vector) -> Array:
 
 
 def _during(interval: Array, time: Scalar) -> Flag:
-    # Times are multiples of a rounded period: a millisecond early is in time.
+    # A tolerance of a millisecond: times are multiples of a rounded period.
     return (time >= interval[0] - 1e-3) & (time < interval[1] - 1e-3)

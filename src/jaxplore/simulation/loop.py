@@ -1,6 +1,6 @@
-"""The closed loop of every task: perceive, control, advance; one compiled program.
+"""The closed loop of every task as one compiled program: perceive, control, advance.
 
-Between steps nothing returns to Python: see `jaxplore.simulation.chunks`.
+Steps do not return to Python; only chunks of steps do, see `jaxplore.simulation.chunks`.
 """
 
 from typing import Any, NamedTuple
@@ -17,13 +17,13 @@ from jaxplore.simulation.scenario import Moment, Scenario
 
 
 class LoopState(NamedTuple):
-    """Everything that changes from step to step.
+    """State of the closed loop.
 
     Args:
         task: state of the task, see `Scenario`.
         controller: state of the controller.
         step: number of steps done.
-        observed: (nx,) state that the controller was told last.
+        observed: (nx,) state that the controller observed last.
         pending: (D, nu) commands that have not taken effect yet, oldest first.
     """
 
@@ -35,16 +35,17 @@ class LoopState(NamedTuple):
 
 
 def step_keys(key: Key, step: Count) -> tuple[Key, Key]:
-    """Return the keys of a step's measurements and of its controller.
+    """Derive the keys of a step's measurements and of its controller.
 
-    They depend on the key of the run and the number of the step only.
+    They depend only on the key of the run and the number of the step, so a run is reproducible from
+    any step.
     """
     measure, control = jax.random.split(jax.random.fold_in(key, step))
     return measure, control
 
 
 def moment_at(scenario: Scenario, state: LoopState) -> Moment:
-    """Return when the next step takes place, and what the robot is told about itself."""
+    """Return the time of the next step, and the state that the controller observes."""
     period, faults = scenario.control_period, scenario.faults
     time = period * state.step.astype(jnp.float32)
     truth = state.task.robot
@@ -60,11 +61,11 @@ def initial_loop_state(
     """Return the state before the first step.
 
     Args:
-        controller: makes its own state.
-        scenario: makes the state of the task.
-        key: key of the run; without it nothing is drawn at the start.
+        controller: controller, which makes its own state.
+        scenario: task, which makes its own state.
+        key: random key of the run; without it nothing is random at the start.
     """
-    # Two programs: the task's state is compiled once for all controllers.
+    # Two programs, so that the task's part is compiled once for all controllers.
     state = _initial_task(scenario, key)
     return state._replace(controller=_initial_memory(controller))
 
@@ -90,7 +91,7 @@ def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
 def closed_loop_step(
     controller: Controller, scenario: Scenario, state: LoopState, key: Key
 ) -> tuple[LoopState, Any]:
-    """Perceive, compute the control and apply it; return the next state and the step's record."""
+    """Perceive, compute the control and apply it; return the next state and the record."""
     measure_key, _ = step_keys(key, state.step)
     moment = moment_at(scenario, state)
     task, belief = scenario.perceive(state.task, moment, measure_key)
@@ -105,14 +106,14 @@ def control_step(
     belief: Any,
     key: Key,
 ) -> tuple[LoopState, Any]:
-    """Compute the control and apply it: a step after the robot has perceived.
+    """Compute the control and apply it: the part of a step after perception.
 
     Args:
         controller: computes the control.
         scenario: the task.
         state: state of the loop, with the task's state as `perceive` returned it.
-        moment: as it was for `perceive`.
-        belief: what `perceive` returned.
+        moment: the moment that was passed to `perceive`.
+        belief: the belief that `perceive` returned.
         key: key of the whole run.
     """
     _, control_key = step_keys(key, state.step)
@@ -123,7 +124,7 @@ def control_step(
     if scenario.faults is not None:
         pending, control = scenario.faults.delay(pending, control)
     task, record = scenario.advance(state.task, control, moment, info)
-    # A frozen odometry repeats what was told last, unless that was lost.
+    # The last finite observation is kept: a frozen odometry repeats it, even after a loss.
     is_told = jnp.isfinite(moment.observed).all()
     observed = jnp.where(is_told, moment.observed, state.observed)
     return LoopState(task, memory, state.step + 1, observed, pending), record
@@ -145,11 +146,12 @@ def run_chunk(
         scenario: the task.
         state: state to continue from.
         key: key of the whole run.
-        num_steps: at most `capacity`.
+        num_steps: greatest number of steps, at most `capacity`.
         capacity: length of the buffer of records; static.
 
     Returns:
-        The state, the records (the first axis has `capacity` entries), and how many are filled.
+        The state, the records (the first axis has `capacity` entries), and the number of filled
+        records.
     """
     return loop(
         lambda current: closed_loop_step(controller, scenario, current, key),
@@ -167,11 +169,12 @@ def frame_arrays(
     """Return the arrays of a frame, see `Scenario.frame`.
 
     Args:
-        controller: whose plan is shown.
+        controller: controller whose plan is shown.
         scenario: the task.
         state: state of the loop.
         key: key of the whole run.
-        num_trajectories: number of rollouts in it; with 0 the controller is not compiled again.
+        num_trajectories: number of rollouts in the frame; with 0 the controller is not compiled
+            again.
     """
     measure_key, control_key = step_keys(key, state.step)
 

@@ -1,12 +1,12 @@
-"""The outline of a robot, as recordings keep it."""
+"""Corners of a robot's footprint for recordings."""
 
 import numpy as np
 
 from jaxplore.geometry.footprint import Footprint, Rectangle
 
 
-def outline_of(footprint: Footprint) -> np.ndarray:
-    """Return the corners (4, 2) of a rectangle in the robot's frame [m]; none of another robot."""
+def footprint_corners(footprint: Footprint) -> np.ndarray:
+    """Return the corners (4, 2) of a rectangle in the robot's frame [m]; (0, 2) otherwise."""
     if not isinstance(footprint, Rectangle):
         return np.zeros((0, 2))
     front, rear, half = (

@@ -1,4 +1,4 @@
-"""Runs a scenario with a controller; one function for every kind of task."""
+"""Simulation of a scenario with a controller, for every kind of task."""
 
 import dataclasses
 import os
@@ -21,17 +21,17 @@ from jaxplore.simulation.loop import LoopState, frame_arrays, initial_loop_state
 from jaxplore.simulation.scenario import Scenario
 
 NUM_TRAJECTORIES = 60
-"""Rollouts in each frame."""
+"""Number of rollouts in each frame."""
 
 
 class RunProgress(NamedTuple):
-    """How far a run is.
+    """Progress of a run.
 
     Args:
         time: simulated time [s].
         time_limit: simulated time at which it ends [s].
         share: share of the task that is done, from 0 to 1.
-        text: what is done of the task, in words.
+        text: progress of the task in words.
         seconds: wall-clock time since the loop was compiled [s].
     """
 
@@ -48,7 +48,7 @@ class Run:
 
     Args:
         recording: every step, and frames of the run.
-        metrics: numbers by which it is judged.
+        metrics: metrics of the run.
     """
 
     recording: Recording
@@ -65,14 +65,15 @@ class Run:
     ) -> None:
         """Write a run folder: metrics.json, arrays.npz, figures and an animation.
 
-        The folder appears complete or not at all.
+        The folder is written completely or not at all.
 
         Args:
             path: the folder.
-            overwrite: replace a run folder that is there.
-            animation: draw the animation.
-            settings: written to settings.yaml, from which the command line repeats the run.
-            progress: show how far the drawing is.
+            overwrite: whether to replace a former run folder.
+            animation: whether to draw the animation.
+            settings: settings of the run, written to settings.yaml; the command line repeats the
+                run from them.
+            progress: whether to show a progress bar of the drawing.
 
         Raises:
             ValueError: the folder exists, or cannot be written.
@@ -104,13 +105,13 @@ def simulate(
     ends the run after the current chunk and returns what was done.
 
     Args:
-        controller: computes the controls; it is told the scenario's control period.
+        controller: controller; it is adapted to the scenario's control period.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key; the same key gives the same run.
-        progress: show how far the run is, its speed and the time left.
+        progress: whether to show a progress bar with the speed and the time left.
         num_trajectories: rollouts in each frame, for the animation; with 0 the frames show no plan,
-            and the controller is not compiled a second time to look into it.
+            and the controller is not compiled a second time for inspection.
 
     Raises:
         ValueError: fewer than one step, or fewer than 0 rollouts.
@@ -153,7 +154,7 @@ def record_run(
     Args:
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
         key: random key; the same key gives the same run.
         on_progress: called after each chunk.
         num_trajectories: rollouts in each frame.
@@ -194,7 +195,7 @@ def record_run(
 
 
 def make_frame(scenario: Scenario, step: int, arrays: Mapping[str, Any]) -> Frame:
-    """Make a frame on the host, after so many steps, from the arrays of `Scenario.frame`.
+    """Make a frame on the host from the arrays of `Scenario.frame` after a number of steps.
 
     Scalars become Python numbers, all other arrays NumPy arrays.
     """

@@ -1,4 +1,4 @@
-"""The protocol of a task: what the closed loop, batches, studies, Gymnasium and reports know."""
+"""The protocol of a task, on which the loop, batches, studies, Gymnasium and reports rely."""
 
 import abc
 from collections.abc import Callable
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from jaxplore.simulation.chunks import ChunkedRun
 
 type Inspect = Callable[[StateVector, Any], SampledPlan]
-"""Looks into a step of the controller, from an observed state and a belief."""
+"""Function from an observed state and a belief to the sampled plan of the controller's step."""
 
 
 class Moment(NamedTuple):
-    """When a step takes place, and what the robot is told about its own state.
+    """Time of a step, and the state that the controller observes.
 
     Args:
-        step: number of steps done before.
+        step: number of steps before it.
         time: time since the start [s].
-        observed: (nx,) state that the controller is told.
-        is_blind: whether no measurement arrives.
-        is_faulty: whether measurements or odometry fail, by the scenario's faults.
+        observed: (nx,) state that the controller observes.
+        is_blind: whether a dropout of measurements is active.
+        is_faulty: whether a fault of measurements or odometry is active.
     """
 
     step: Count
@@ -43,74 +43,75 @@ class Moment(NamedTuple):
 
 
 class Scenario(eqx.Module):
-    """A task in a world: what the robot perceives, what its controls do, when it is finished.
+    """A task in a world: measurements, dynamics, and the condition for the end.
 
     The closed loop (`jaxplore.simulation.loop`) is the same for all tasks. In each step it calls
-    `perceive`, the controller, and `advance`. A task's own state is a NamedTuple, or any pytree,
-    whose `robot` (nx,) is the true state of the plant.
+    `perceive`, the controller, and `advance`. The state of a task is a NamedTuple, or any pytree,
+    with the true state of the robot in `robot` (nx,).
 
     To add a kind of task, implement the abstract methods here, and the recording that `recording`
-    returns. Nothing else needs to know of it.
+    returns. No other code needs a change.
     """
 
     robot: eqx.AbstractVar[Dynamics]
-    """The plant."""
+    """True model of the robot, the plant."""
     start: eqx.AbstractVar[StateVector]
-    """(nx,) state of the robot at the start."""
+    """State (nx,) of the robot at the start."""
     control_period: eqx.AbstractVar[Scalar]
     """Time between controls [s]."""
     faults: eqx.AbstractVar[Faults | None]
-    """Faults of the run; None without any."""
+    """Injected faults; None without any."""
 
     frame_type: ClassVar[type[Frame]] = Frame
-    """Class of the frames, whose fields `frame` returns."""
+    """Class of the frames; `frame` returns its fields."""
     metrics_type: ClassVar[type[Metrics]] = Metrics
     """Class of the metrics that its recordings compute."""
 
     @property
     def period(self) -> float:
-        """Time between controls [s]: 0.02, not the nearest float32."""
+        """Time between controls [s], without the rounding of float32: 0.02, not
+        0.019999999552965164."""
         return round(float(self.control_period), 7)
 
     @property
     def objective(self) -> str:
-        """What a search makes small by default: a sum of metrics, see `jaxplore.study`."""
+        """Default objective of tuning, to minimize: a sum of metrics, see `jaxplore.study`."""
         return "finished_at"
 
     @abc.abstractmethod
     def init(self, key: Key | None) -> tuple[Any, Any]:
-        """Return the task's state before the first step, and the belief before any measurement.
+        """Return the initial state of the task, and the belief before any measurement.
 
         Args:
-            key: key of the run, for what is drawn at the start; nothing is drawn when absent.
+            key: random key of the run, for a random start; nothing is random when absent.
         """
 
     @abc.abstractmethod
     def perceive(self, state: Any, moment: Moment, key: Key) -> tuple[Any, Any]:
-        """Measure, and return the task's state and the belief that the controller reads.
+        """Simulate the measurements; return the task's state and the controller's belief.
 
         Args:
             state: the task's state.
-            moment: when, and what the robot knows about itself.
-            key: of this step's measurements.
+            moment: time of the step, and the observed state.
+            key: random key of this step's measurements.
         """
 
     @abc.abstractmethod
     def advance(
         self, state: Any, control: ControlVector, moment: Moment, info: Info
     ) -> tuple[Any, Any]:
-        """Apply a control for one period, and return the task's state and the record of the step.
+        """Apply a control for one period; return the task's state and the record of the step.
 
         Args:
             state: the task's state, as `perceive` returned it.
             control: (nu,) control that takes effect.
-            moment: as for `perceive`.
-            info: what the controller reported.
+            moment: the moment that was passed to `perceive`.
+            info: diagnostics of the controller's step.
         """
 
     @abc.abstractmethod
     def is_unfinished(self, state: Any) -> Flag:
-        """Say whether the loop goes on."""
+        """Check whether the loop continues."""
 
     @abc.abstractmethod
     def recording(
@@ -119,10 +120,10 @@ class Scenario(eqx.Module):
         """Make the recording of a run.
 
         Args:
-            controller: that controlled it; None if nobody did.
+            controller: controller of the run; None if an agent chose the actions.
             before: the task's state before the first step.
-            run: records, frames and times of the loop; `run.state.task` is the last state. Its
-                `common(period)` are the arguments that every recording takes.
+            run: records, frames and times of the loop; `run.state.task` is the last state.
+                `run.common(period)` are the arguments that all recordings share.
         """
 
     def frame(
@@ -132,22 +133,23 @@ class Scenario(eqx.Module):
 
         Args:
             state: the task's state before `perceive`.
-            moment: when.
-            inspect: looks into the controller's step; None if no plan is to be shown.
-            key: of this step's measurements.
+            moment: time of the frame, and the observed state.
+            inspect: function that returns the sampled plan of the controller; None to show no plan.
+            key: random key of this step's measurements.
         """
         return {}
 
     def progress(self, state: Any) -> tuple[float, str]:
-        """Return the share of the task that is done, from 0 to 1, and a text that says it."""
+        """Return the share of the task that is done, from 0 to 1, and a text for the progress
+        bar."""
         return 0.0, ""
 
     def for_batches(self) -> "Scenario":
-        """Return the scenario in the form that suits many runs side by side."""
+        """Return the scenario in a form that is efficient under `jax.vmap`."""
         return self
 
     def blank_records(self, state: Any, controller: Controller | None, capacity: int) -> Any:
-        """Return records of zeros to be filled, with a leading axis of `capacity` steps."""
+        """Allocate a buffer of zero records, with a leading axis of `capacity` steps."""
         nothing = jnp.zeros(())
         members = None
         if controller is not None and controller.member_names:
@@ -163,7 +165,8 @@ class Scenario(eqx.Module):
         moment = Moment(
             jnp.zeros((), jnp.int32), nothing, self.start, info.is_finite, info.is_finite
         )
-        # Only the shapes are wanted: neither the measurements nor the controller are traced.
+        # Only the shapes are needed, so a constant control and blank diagnostics stand in for the
+        # controller, which would be slow to trace.
         _, record = eqx.filter_eval_shape(
             self.advance, state, self.robot.default_control, moment, info
         )
@@ -179,19 +182,18 @@ class Scenario(eqx.Module):
         """Side of a cell of the belief's map [m]; 1 without a map."""
         return 1.0
 
-    # What an environment for reinforcement learning needs beside the loop. The defaults suit any
-    # task; a task that is made for learning says more.
+    # The methods below serve reinforcement-learning environments. The defaults suit any task.
 
     def observation(
         self, state: Any, moment: Moment, belief: Any, view_cells: int | None
     ) -> dict[str, Array]:
-        """Return what an agent observes, by name: by default the state that the robot is told.
+        """Return the arrays that an agent observes, by name: by default the observed state.
 
         Args:
             state: the task's state, as `perceive` returned it.
-            moment: as for `perceive`.
-            belief: what `perceive` returned.
-            view_cells: side of the square of a map around the robot to observe [cells]; all of the
+            moment: the moment that was passed to `perceive`.
+            belief: the belief that `perceive` returned.
+            view_cells: side of the observed square of the map around the robot [cells]; the whole
                 map when absent.
         """
         return {"state": moment.observed}
@@ -199,22 +201,22 @@ class Scenario(eqx.Module):
     def observation_bounds(
         self, view_cells: int | None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the least and the greatest values of `observation`, by name."""
+        """Return the lower and upper bounds of `observation`, by name."""
         return {"state": state_bounds(self.robot)}
 
     def reward(self, before: Any, after: Any) -> Scalar:
-        """Return the reward for getting from one state, as `perceive` returned it, to another.
+        """Return the reward of a transition between two states, both as `perceive` returned them.
 
-        By default minus the time [s], so that it is best to finish early.
+        By default minus the elapsed time [s], so that finishing early is best.
         """
         return -self.control_period * jnp.ones(())
 
     def is_contact(self, record: Any) -> Flag:
-        """Say whether the robot touched something in a step; by default it never does."""
+        """Check whether the robot was in contact in a step; by default never."""
         return jnp.array(False)
 
     def has_ended(self, state: Any, ahead: Any) -> Flag:
-        """Say whether an episode is over where the robot is.
+        """Check whether an episode is finished at the present state.
 
         Args:
             state: the task's state now, before `perceive`.
@@ -227,25 +229,25 @@ class Scenario(eqx.Module):
         return {}
 
     def picture(self, state: Any, moment: Moment, trail: np.ndarray) -> np.ndarray:
-        """Draw the task (rows, columns, 3) in 256 levels, for `render`.
+        """Draw the present state (rows, columns, 3) in 256 levels, for `render`.
 
         Args:
             state: the task's state, as `perceive` returned it.
-            moment: as for `perceive`.
+            moment: the moment that was passed to `perceive`.
             trail: (N, 2) positions of the robot so far [m].
 
         Raises:
-            NotImplementedError: by default.
+            NotImplementedError: the task draws no pictures, the default.
         """
         raise NotImplementedError(f"{type(self).__name__} draws no pictures of its state")
 
 
 FAR = 1e6
-"""A state component that a model does not bring back from there has no bound."""
+"""Large value to find bounds: a component that the model does not project back is unbounded."""
 
 
 def state_bounds(robot: Dynamics) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds (nx,) to which the model projects each component; infinite without."""
+    """Find the bounds (nx,) to which a model projects its state; infinite where it has none."""
     size = robot.state_size
     low, high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
     if isinstance(robot, ContinuousDynamics):

@@ -1,4 +1,4 @@
-"""Several pytrees of one structure as one, for `jax.vmap` and for a choice by index."""
+"""Stacked pytrees of one structure, for `jax.vmap` and for selection by index."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,37 +11,37 @@ from jaxtyping import Array
 
 from jaxplore._types import Count
 
-type Places = tuple[bool, ...]
-"""Which arrays of the controller and scenario, in the order of their leaves, differ."""
+type LeafMask = tuple[bool, ...]
+"""Whether each array leaf of the controller and the scenario differs between the runs."""
 
 
 class Stacked(eqx.Module):
-    """Several pytrees of one structure: arrays that are equal in all of them are stored once.
+    """Several pytrees of one structure; arrays that are equal in all of them are stored once.
 
-    So costs with different weights read the same map, and not a copy of it each.
+    So costs with different weights share one map.
 
     Args:
         arrays: leaves, with a leading axis where `differs`.
-        differs: which do; static.
-        rest: what is no array; static.
+        differs: whether each leaf differs; static.
+        rest: leaves that are not arrays; static.
     """
 
     arrays: tuple[Array, ...]
-    differs: Places = eqx.field(static=True)
+    differs: LeafMask = eqx.field(static=True)
     structure: Any = eqx.field(static=True)
     rest: Any
 
     @classmethod
-    def of(
-        cls, trees: Sequence[Any], differs: Places | None = None, *, name: str = "members"
+    def from_trees(
+        cls, trees: Sequence[Any], differs: LeafMask | None = None, *, name: str = "members"
     ) -> "Stacked":
-        """Return pytrees as one.
+        """Stack pytrees.
 
         Args:
-            trees: at least one.
-            differs: leaves to stack although they may be equal here, so that one compiled program
-                serves several calls.
-            name: name of the argument, for the error.
+            trees: pytrees of one structure, at least one.
+            differs: leaves to stack even if they are equal here, so that several calls share a
+                compiled program.
+            name: name of the argument, for the error message.
 
         Raises:
             ValueError: pytrees that differ in more than the values of their arrays.
@@ -72,11 +72,11 @@ class Stacked(eqx.Module):
 
     @property
     def axes(self) -> tuple[int | None, ...]:
-        """Of `arrays`, for `jax.vmap`."""
+        """Axes of `arrays` for `jax.vmap`: 0 or None."""
         return tuple(0 if is_stacked else None for is_stacked in self.differs)
 
     def tree(self, arrays: Sequence[Array]) -> Any:
-        """Return one of the pytrees from its arrays."""
+        """Rebuild one of the pytrees from its arrays."""
         return eqx.combine(jax.tree.unflatten(self.structure, arrays), self.rest)
 
     def at(self, i: int | Count) -> Any:

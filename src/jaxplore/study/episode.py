@@ -1,4 +1,4 @@
-"""Episodes as workers run them: a variant in a scenario, with one seed or a batch of seeds."""
+"""Tasks that run episodes: a variant in a scenario, with one seed or a batch of seeds."""
 
 import abc
 import dataclasses
@@ -12,11 +12,11 @@ from jaxplore.study.workers.task import Files, Read, Task
 
 @dataclasses.dataclass(frozen=True)
 class InputFile:
-    """A map or a path that the settings of an episode name.
+    """A map or path file that the settings of an episode name.
 
     Args:
         setting: "map" or "path".
-        path: of the file on the user's machine.
+        path: path of the file on the user's machine.
         content: hash of its content, with that of a map's image.
     """
 
@@ -25,26 +25,26 @@ class InputFile:
     content: str
 
     def read(self) -> Files:
-        """Read the file, and of a map its image, into memory."""
+        """Read the file, and the image of a map, into memory."""
         if self.setting == "map":
             return pack_map(self.path)
         return {Path(self.path).name: Path(self.path).read_bytes()}
 
     def in_folder(self, folder: Path) -> str:
-        """Return the path of a copy, made of what `read` returns."""
+        """Return the path of the copy in a folder with the files of `read`."""
         return str(folder / (PACKED if self.setting == "map" else Path(self.path).name))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class EpisodeTask(Task, abc.ABC):
-    """Episodes of the same scenario that run together: one, or several side by side.
+    """Episodes of one scenario that run together.
 
     Args:
-        name: of the task.
+        name: name of the task.
         variant: name of the variant: an architecture or any other settings.
-        scenario: name of where.
-        file: map or path of the scenario; None if there is none.
-        copy: path of the file on this machine, if it is a copy.
+        scenario: name of the scenario.
+        file: map or path file of the scenario; None without one.
+        copy: path of a copy of the file on this machine; None without a copy.
     """
 
     name: str
@@ -55,7 +55,7 @@ class EpisodeTask(Task, abc.ABC):
 
     @property
     def id(self) -> str:
-        """Its name."""
+        """Name of the task."""
         return self.name
 
     @property
@@ -65,15 +65,15 @@ class EpisodeTask(Task, abc.ABC):
 
     @property
     def kind(self) -> str:
-        """The variant: in a scenario of the same shape its program is the same."""
+        """The variant: in scenarios of the same shape its compiled program is the same."""
         return self.variant
 
     def files(self) -> Mapping[str, Read]:
-        """Return what reads the map or path."""
+        """Return the function that reads the map or path."""
         return {} if self.file is None else {self.file.content: self.file.read}
 
     def located(self, folders: Mapping[str, Path]) -> Task:
-        """Return the same task with a copy of its map or path."""
+        """Return the task with the path of the copy of its map or path."""
         if self.file is None:
             return self
         copy = self.file.in_folder(folders[self.file.content])
@@ -81,13 +81,13 @@ class EpisodeTask(Task, abc.ABC):
 
     @property
     def location(self) -> dict[str, Any]:
-        """Setting that says where the map or path is on this machine; empty without one."""
+        """Setting with the path of the map or path file on this machine; empty without one."""
         if self.file is None:
             return {}
         return {self.file.setting: self.copy or self.file.path}
 
     def run(self) -> Any:
-        """Run the episodes and return their results; failed ones if they cannot be run.
+        """Run the episodes and return their results, or failed results after an error.
 
         Raises:
             KeyboardInterrupt: the user stopped it.
@@ -107,13 +107,13 @@ class EpisodeTask(Task, abc.ABC):
         """
 
     def _told(self, reason: str) -> str:
-        """Return a reason with the name of the user's own file in place of its copy's."""
+        """Replace the path of the copy in an error message by that of the user's file."""
         if self.copy is None or self.file is None:
             return reason
         return reason.replace(self.copy, self.file.path)
 
 
 def one_line(error: Exception) -> str:
-    """Return an error in one line. The type is named unless it is bad input."""
+    """Format an error in one line, with its type unless it is a `ValueError`."""
     kind = "" if isinstance(error, ValueError) else f"{type(error).__name__}: "
     return " ".join(f"{kind}{error}".split())

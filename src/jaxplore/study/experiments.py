@@ -1,4 +1,4 @@
-"""Runs experiments: one alone, or several side by side."""
+"""Running of single experiments and of batches."""
 
 from collections.abc import Callable, Sequence
 
@@ -6,7 +6,7 @@ from jaxplore.report.recording import Recording
 from jaxplore.simulation.batch import record_experiments
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.run import record_run
-from jaxplore.simulation.stacking import Places
+from jaxplore.simulation.stacking import LeafMask
 
 
 def record_alone(
@@ -16,7 +16,8 @@ def record_alone(
 
     Args:
         experiment: controller, scenario, number of steps and key.
-        time_limit: simulated at most [s]; the experiment's own number of steps when absent.
+        time_limit: limit of the simulated time [s]; the experiment's own number of steps when
+            absent.
         num_trajectories: rollouts in each frame, for animations.
 
     Raises:
@@ -34,19 +35,19 @@ def record_alone(
 
 
 class SideBySide:
-    """Runs experiments side by side, by `jax.vmap`, always the same number of them.
+    """Runner of batches of experiments by `jax.vmap`, with a fixed batch size.
 
-    It remembers which arrays have differed between the experiments of a kind so far and stacks
-    them in all later batches. So later batches run the same compiled program.
+    It remembers which arrays have differed between the experiments of a kind and stacks them in all
+    later batches, so that these run the same compiled program.
 
     Args:
-        size: experiments in a batch. A smaller batch is filled with copies of its last one: another
-            size would be another program, with other rounding.
+        size: number of experiments in a batch. A smaller batch is filled up with copies of its last
+            experiment: another size would need another program, with other rounding.
     """
 
     def __init__(self, size: int) -> None:
         self._size = size
-        self._differs: dict[str, Places] = {}
+        self._differs: dict[str, LeafMask] = {}
 
     def record(
         self,
@@ -56,16 +57,17 @@ class SideBySide:
         *,
         with_frames: bool = False,
     ) -> list[Recording]:
-        """Run experiments that differ in keys and in numbers only.
+        """Run experiments that differ in keys and in the values of arrays only.
 
         Args:
-            kind: name of what they share, such as the scenario.
-            experiments: at least one and at most `size`.
-            time_limit: simulated at most [s].
+            kind: name of the group of experiments that share a compiled program, such as the
+                scenario.
+            experiments: from one to `size` experiments.
+            time_limit: limit of the simulated time [s].
             with_frames: whether to keep frames of the runs.
 
         Raises:
-            ValueError: experiments that differ in more than numbers.
+            ValueError: experiments that differ in structure or sizes.
             KeyboardInterrupt: the user stopped them.
         """
         padded = [*experiments, *[experiments[-1]] * (self._size - len(experiments))]
@@ -77,7 +79,7 @@ class SideBySide:
 
 
 def in_batches[T](items: Sequence[T], alike: Callable[[T], object], size: int) -> list[list[T]]:
-    """Group items that are alike, in their order, into batches of at most `size`."""
+    """Group similar items into batches of at most `size`, in their order."""
     groups: dict[object, list[T]] = {}
     for item in items:
         groups.setdefault(alike(item), []).append(item)

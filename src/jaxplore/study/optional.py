@@ -1,4 +1,4 @@
-"""Optional dependencies, imported when they are first used."""
+"""Import of optional dependencies at their first use."""
 
 import importlib
 from typing import Any
@@ -8,16 +8,16 @@ def import_optional(name: str, extra: str) -> Any:
     """Import an optional package or one of its modules.
 
     Args:
-        name: of the module.
-        extra: of jaxplore's optional dependencies that installs it.
+        name: name of the module.
+        extra: name of jaxplore's extra that installs the package.
 
     Raises:
-        ValueError: the package is not installed; says how to install it.
+        ValueError: the package is not installed; the message names the command to install it.
     """
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        # A module that an installed package misses is another problem than a missing package.
+        # If an installed package lacks one of its own modules, its error is passed on.
         if error.name is None or error.name.partition(".")[0] != name.partition(".")[0]:
             raise
         raise ValueError(

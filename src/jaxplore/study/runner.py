@@ -1,4 +1,4 @@
-"""The one way to run tasks: in this process, in several, or on a Ray cluster."""
+"""Runner of tasks in this process, in several processes, or on a Ray cluster."""
 
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -12,17 +12,17 @@ from jaxplore.study.workers.task import Task, run_task
 
 
 class Runner:
-    """Runs tasks in this process, in several processes, or on a Ray cluster.
+    """Runner of tasks in this process, in several processes, or on a Ray cluster.
 
-    Workers start with the first task. They live until the runner is closed and keep their compiled
-    programs. When a worker dies, another one repeats its task; a task that killed three workers has
-    failed. Results do not depend on the number of workers, their order does.
+    Workers start with the first task and live until the runner is closed, so they keep their
+    compiled programs. If a worker dies, another one repeats its task; after three deaths the task
+    has failed. The results do not depend on the number of workers, only their order does.
 
     Args:
-        workers: 1 to run tasks in this process, one after the other; N for N processes, or N
-            workers of a cluster; None for as many as there are processors.
-        address: of a Ray cluster to join: HOST:PORT of its head, or auto.
-        on_ray: use Ray; without an address a local cluster is started.
+        workers: number of workers: 1 runs tasks in this process, one after the other; N uses N
+            processes, or N workers of a cluster; None uses as many as there are processors.
+        address: address of the Ray cluster to join: HOST:PORT of its head, or auto.
+        on_ray: whether to use Ray; without an address a local cluster is started.
 
     Raises:
         ValueError: a number of workers < 1.
@@ -44,11 +44,12 @@ class Runner:
         return self._workers == 1 and not self._is_on_ray
 
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
-        """Run tasks, and return when there is a result of each. An exception ends all workers.
+        """Run tasks, and return when all have a result. An exception ends all workers.
 
         Args:
-            tasks: any number.
-            on_result: called in this process with each task and its result, as soon as it is there.
+            tasks: tasks to run, any number.
+            on_result: called in this process with each task and its result, as soon as it is
+                available.
 
         Raises:
             ValueError: the runner is closed; Ray is not installed; a cluster cannot be reached.
@@ -72,7 +73,7 @@ class Runner:
             raise
 
     def close(self) -> None:
-        """End all workers, also in the middle of a task."""
+        """End all workers, even during a task."""
         self._is_closed = True
         if self._scheduler is not None:
             self._scheduler.close()

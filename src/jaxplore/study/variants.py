@@ -1,4 +1,4 @@
-"""Variants: settings that differ, by name. What is compared."""
+"""Variants of a comparison: settings that differ, by name."""
 
 import contextlib
 import itertools
@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from jaxplore.settings.exploration import Settings, merged, read_settings
+from jaxplore.settings.exploration import Settings, merge_entries, read_settings
 from jaxplore.settings.path import PathSettings
 
 Entries = Mapping[str, Any]
@@ -19,21 +19,21 @@ Entries = Mapping[str, Any]
 def make_variants(
     architectures: Sequence[str] = (), files: Sequence[str] = (), varied: Sequence[str] = ()
 ) -> dict[str, dict[str, Any]]:
-    """Return the entries of the settings that differ, by variant.
+    """Make the settings entries of variants from command-line options.
 
     Every architecture is combined with every file and with every value of each varied setting.
 
     Args:
         architectures: values of the setting `architecture`.
         files: YAML files of settings. A variant is named by its file without the ending.
-        varied: texts `NAME=A,B,C`: a setting, or a number of the controller by its path, with its
+        varied: texts `NAME=A,B,C`: a setting, or a controller parameter by its path, with its
             values. A variant is named by the last part of the name and the value.
 
     Returns:
-        Entries by name; empty if nothing varies.
+        Settings entries by variant; empty if nothing varies.
 
     Raises:
-        ValueError: a file that cannot be read, a text that is not accepted, a name twice.
+        ValueError: a file that cannot be read, a text that is not accepted, a repeated name.
     """
     dimensions = [
         [(name, {"architecture": name}) for name in architectures],
@@ -46,7 +46,7 @@ def make_variants(
         name = " ".join(part for part, _ in parts)
         entries: dict[str, Any] = {}
         for _, own in parts:
-            entries = merged(entries, own)
+            entries = merge_entries(entries, own)
         if name in variants:
             raise ValueError(f"variant {name} is there twice; accepted: different ones")
         variants[name] = entries
@@ -54,7 +54,7 @@ def make_variants(
 
 
 def _values(text: str) -> list[tuple[str, dict[str, Any]]]:
-    """Return the name and the entries of each value of a text `NAME=A,B,C`."""
+    """Parse `NAME=A,B,C` into the variant's name and entries for each value."""
     found = re.fullmatch(r"\s*([\w.-]+)\s*=(.+)", text)
     try:
         values = [] if found is None else [_value(part) for part in found[2].split(",")]
@@ -70,7 +70,7 @@ def _values(text: str) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _value(text: str) -> Any:
-    """Read a value. YAML takes 1e2 for a word, which is a number here."""
+    """Parse a value. YAML reads 1e2 as text; here it is a number."""
     value = yaml.safe_load(text)
     with contextlib.suppress(TypeError, ValueError):
         return float(value) if isinstance(value, str) else value
@@ -78,7 +78,7 @@ def _value(text: str) -> Any:
 
 
 def _entry(name: str, value: Any) -> dict[str, Any]:
-    """Return the entries that set a setting, or a number of the controller by its path."""
+    """Return the settings entries that assign a setting or a controller parameter."""
     section, _, rest = name.partition(".")
     if section not in {*Settings.model_fields, *PathSettings.model_fields}:
         return {"parameters": {name: value}}

@@ -1,1 +1,1 @@
-"""Complete controllers for common tasks, with tested numbers."""
+"""Complete controllers for common tasks, with tested parameters."""

@@ -24,7 +24,7 @@ def explorer(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
 ) -> MPPI:
-    """Build MPPI with the costs of an exploring robot, with weights that work on any map.
+    """Build MPPI that explores, with weights that work on any map.
 
     Guidance is a distance to go in metres, summed over the horizon. Of two rollouts, the one that
     is 1 cm nearer on average over 40 steps costs 0.4 less, and at the temperature 0.3 its weight is
@@ -32,17 +32,18 @@ def explorer(
     Being 5 cm too close to an obstacle costs 100 per step.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; half the range between their bounds when absent.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
+            when absent.
         dt: model step [s].
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
-        obstacle_weight: of `ObstacleCost`.
-        information_weight: of `InformationCost`.
-        guidance_weight: of `GuidanceCost`.
-        control_weight: of `ControlCost`.
+        obstacle_weight: weight of `ObstacleCost`.
+        information_weight: weight of `InformationCost`.
+        guidance_weight: weight of `GuidanceCost`.
+        control_weight: weight of `ControlCost`.
 
     Raises:
         ValueError: a value that a part does not accept.

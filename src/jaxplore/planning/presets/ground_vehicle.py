@@ -1,4 +1,4 @@
-"""Portfolios for ground vehicles: the objectives of the design notes, and three decompositions."""
+"""Portfolios for ground vehicles: objectives, and three decompositions into members."""
 
 import math
 from collections.abc import Mapping
@@ -37,7 +37,7 @@ ROLE_WEIGHTS: Weights = {
     "exploiter": {"information": 0.1, "goal": 0.7, "safety": 0.2},
     "cautious": {"information": 0.2, "goal": 0.2, "safety": 0.4, "terrain": 0.2},
 }
-"""Weights of the four roles, from the design notes for ground vehicles."""
+"""Weights of the four roles by objective."""
 HORIZONS = {"short": 0.5, "middle": 1.0, "long": 2.0}
 """Horizons of a temporal decomposition, as multiples of the horizon of the template."""
 REGIONS = {"left": 0.5 * math.pi, "forward": 0.0, "right": -0.5 * math.pi}
@@ -59,17 +59,17 @@ COLLISION = 100.0
 
 
 class Mission(NamedTuple):
-    """The task of a vehicle, which decides on the objectives of the members.
+    """The task of a vehicle, which determines the objectives of the members.
 
     Args:
         goal: goal position (x, y) [m]; None for exploration alone.
         has_terrain: whether the ground has slopes or rough parts.
-        has_movers: whether there are moving obstacles.
+        has_moving_obstacles: whether there are moving obstacles.
     """
 
     goal: Vector | None = None
     has_terrain: bool = False
-    has_movers: bool = False
+    has_moving_obstacles: bool = False
 
 
 def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
@@ -81,13 +81,13 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
     | safety | `ObstacleCost` without its hard part | always |
     | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
-    | movers | `MovingObstacleCost` without its collision term | if something moves |
+    | movers | `MovingObstacleCost` without its collision term | with moving obstacles |
     | effort | `ControlCost` | always |
 
-    Without a goal, the exploiter uses what is known about where information remains.
+    Without a goal, the exploiter is guided to the remaining information that is known.
 
     Args:
-        mission: what the vehicle is out for.
+        mission: task of the vehicle.
         clearance: distance kept from obstacles [m].
     """
     chosen: dict[str, Cost] = {
@@ -97,7 +97,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     }
     if mission.has_terrain:
         chosen["terrain"] = TerrainCost() + TraversabilityCost()
-    if mission.has_movers:
+    if mission.has_moving_obstacles:
         chosen["movers"] = MovingObstacleCost(collision=None)
     chosen["effort"] = ControlCost()
     return chosen
@@ -123,8 +123,8 @@ def ground_portfolio(
 ) -> Portfolio:
     """Build a portfolio for a ground vehicle.
 
-    Objectives are divided by their spread, see `Portfolio`, and the temperature is in the same
-    unit. No member trades a collision for an objective (`CollisionCost`).
+    Objectives are divided by their spread over the rollouts, see `Portfolio`, and the temperature
+    is in the same unit. No member accepts a collision for a better objective (`CollisionCost`).
 
     | decomposition | members | what differs |
     | --- | --- | --- |
@@ -135,30 +135,32 @@ def ground_portfolio(
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model. `Euler()` is integrator enough for the steps of a plan: it is millimetres
-            off and saves a fifth of the time.
-        mission: what it is out for; exploring level ground among what stands still when absent.
-        members: some of the decomposition's by name, or weights of one's own by member and
+        robot: model of the robot. The integrator `Euler()` is accurate enough for planning: its
+            error is millimetres, and it saves a fifth of the time.
+        mission: task of the vehicle; exploration of level ground without moving obstacles when
+            absent.
+        members: names of some members of the decomposition, or custom weights by member and
             objective; all of the decomposition when absent.
-        decomposition: how members divide the work.
-        fusion: how plans become one, or its name; `SafeFusion()` when absent. A `Contextual` given
-            by name has the mission's goal.
-        common: weights of the common objective; those of the exploiter when absent. Its cost to go,
-            to the goal or to remaining information, includes what lies beyond the horizon, which
-            the information along a plan does not. If no member has these objectives, the mean of
+        decomposition: name of the rule by which members differ, see the table.
+        fusion: rule that fuses the members' plans, or its name; `SafeFusion()` when absent. A
+            `Contextual` given by name has the mission's goal.
+        common: weights of the objective by which plans are compared; those of the exploiter when
+            absent. Its cost to go, to the goal or to remaining information, accounts for the route
+            beyond the horizon. If no member has these objectives, the mean of
             the weights of the members.
-        effort: weight of "effort" in every member that does not give one.
+        effort: weight of "effort" in every member that does not set one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
-        temperature: of the softmax.
+        temperature: temperature of the softmax.
         noise_share: standard deviation of the controls, as a share of half their range.
         dt: model step [s].
-        parameterisation: of the controls, or its name: direct, smooth or knots, splines through 8.
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
         clearance: distance kept from obstacles [m].
-        margin: room beyond the robot that is part of it [m].
+        margin: distance by which the robot is enlarged in the collision check [m].
 
     Raises:
-        ValueError: an unknown decomposition, member or objective, and what the parts refuse.
+        ValueError: an unknown decomposition, member or objective, or a value that a part rejects.
     """
     mission = Mission() if mission is None else mission
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
@@ -207,11 +209,11 @@ def _template(
     dt: ArrayLike,
     parameterisation: Parameterisation,
 ) -> MPPI:
-    """Build the MPPI controller that the members are copies of."""
+    """Build the MPPI controller of which the members are copies."""
     share = _checks.scalar("noise_share", noise_share, above=0.0)
     std = share * robot.control_half_range
-    # The sum of the controls over the horizon then varies as with noise on every control, see
-    # `Flight.noise_std`.
+    # Scaled so that the sum of the controls over the horizon has the variance that independent
+    # noise on every control would give it, see `Flight.noise_std`.
     if isinstance(parameterisation, Smooth):
         std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))
     elif isinstance(parameterisation, Knots):
@@ -224,8 +226,8 @@ def _template(
         dt=dt,
         proposal=GaussianProposal(std),
         parameterisation=parameterisation,
-        # Over tens of steps the likelihood ratio alone would reduce the effective sample size to
-        # about one in a thousand.
+        # No likelihood ratio: over tens of steps it would reduce the effective sample size to about
+        # one in a thousand.
         weighting=Softmax(temperature, importance=0.0),
     )
 
@@ -271,8 +273,8 @@ def _fitted(row: Mapping[str, float], mission: Mission) -> dict[str, float]:
     """Adapt the weights of a role to a mission; moving obstacles weigh as much as static ones."""
     fitted = dict(row)
     if not mission.has_terrain:
-        # On level ground the weight of the terrain is spent on keeping clear.
+        # On level ground the weight of the terrain is added to the weight of safety.
         fitted["safety"] = fitted["safety"] + fitted.pop("terrain", 0.0)
-    if mission.has_movers:
+    if mission.has_moving_obstacles:
         fitted["movers"] = row["safety"]
     return fitted

@@ -10,9 +10,9 @@ NUM_KNOTS = 8
 
 
 def parameterisation_by_name(given: Parameterisation | str, horizon: int) -> Parameterisation:
-    """Return the parameterisation of a name; one that is given already is returned as it is.
+    """Return the parameterisation with a name, or the given parameterisation unchanged.
 
-    | name | is |
+    | name | parameterisation |
     | --- | --- |
     | "direct" | `Direct()` |
     | "smooth" | `Smooth()` |

@@ -1,4 +1,4 @@
-"""Path following in one call: contouring control with MPPI."""
+"""Model predictive contouring control with MPPI in one call."""
 
 from typing import NamedTuple
 
@@ -24,17 +24,17 @@ from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
 
 KNOTS = 5
-"""Knots of the control splines: smooth noise turns a car, white noise shakes it."""
+"""Number of knots of the control splines. Smooth noise turns a car; white noise averages out."""
 
 
 class PathFollowing(NamedTuple):
-    """A controller that follows a path, with its model and its measures.
+    """A path-following controller with its model and the cost terms that measure its errors.
 
     Args:
         controller: MPPI over the robot's controls and its progress along the path.
-        model: the robot and its progress along the path.
-        contouring: the contouring cost of the controller, which also measures recorded states.
-        lag: its lag cost, likewise.
+        model: model of the robot and its progress along the path.
+        contouring: contouring cost of the controller, which also measures recorded states.
+        lag: the lag cost of the controller, which also measures recorded states.
     """
 
     controller: MPPI
@@ -59,27 +59,28 @@ def augmented_mppi(
     num_outcomes: int = 1,
     risk: Risk | None = None,
 ) -> MPPI:
-    """Return MPPI for a robot with virtual states beside its own.
+    """Build MPPI for a robot whose state is augmented by virtual states.
 
     Its `dynamics` are `Augmented(physical, virtual)`.
 
     Args:
-        physical: the robot.
-        virtual: what is planned beside it.
-        cost: what to minimise, over states of `Augmented(physical, virtual)`.
-        physical_proposal: of the robot's controls.
-        virtual_proposal: of the virtual ones; its random stream is its own.
+        physical: model of the robot.
+        virtual: model of the virtual states, which are planned together with the robot's.
+        cost: cost of states of `Augmented(physical, virtual)`.
+        physical_proposal: proposal distribution of the robot's controls.
+        virtual_proposal: proposal distribution of the virtual controls, with its own random stream.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax [units of cost].
+        temperature: temperature of the softmax [units of cost].
         dt: model step [s].
-        parameterisation: of the controls; the controls themselves when absent.
-        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
-        num_outcomes: of each control sequence, if there is a disturbance.
-        risk: how the outcomes' costs become one; their mean when absent.
+        parameterisation: parameterisation of the controls; direct when absent.
+        disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
+            absent.
+        num_outcomes: sampled outcomes of each control sequence, if there is a disturbance.
+        risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
-        ValueError: parts that do not fit, and what `MPPI` refuses.
+        ValueError: parts that do not fit together, or a value that `MPPI` rejects.
     """
     model = Augmented(physical, virtual)
     return MPPI(
@@ -103,15 +104,16 @@ def avoidance_cost(
     margin: ArrayLike = 0.05,
     caution: ArrayLike = 1.0,
 ) -> Cost:
-    """Return the cost of obstacles along a path, for `mpcc(..., other=avoidance_cost())`.
+    """Build the obstacle cost along a path, for `mpcc(..., other=avoidance_cost())`.
 
         weight * MovingObstacleCost(clearance, collision=1, margin, caution) of the nearest obstacle
 
     Args:
-        weight: of a step that is 5 cm too close.
-        clearance: distance from the robot's centre below which it costs [m].
-        margin: kept beyond the robot's radius [m].
-        caution: standard deviations of an obstacle's position that are kept free.
+        weight: cost of a step that is 5 cm too close.
+        clearance: distance of the robot's centre from an obstacle below which the cost is positive
+            [m].
+        margin: distance kept beyond the robot's radius [m].
+        caution: number of standard deviations of an obstacle's position to keep clear of.
 
     Raises:
         ValueError: a clearance that is not positive, another value that is negative.
@@ -152,7 +154,7 @@ def mpcc(
     num_outcomes: int = 16,
     risk: Risk | None = None,
 ) -> PathFollowing:
-    """Return model predictive contouring control of a robot along a path.
+    """Build model predictive contouring control (MPCC) of a robot along a path.
 
         J = sum over t of w_c e_c^2 + w_l e_l^2 - w_p dt phi_rate
                           + w_a [(|a_lat| - max_lateral)_+^2 + (|a_lon| - max_longitudinal)_+^2]
@@ -164,35 +166,36 @@ def mpcc(
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model.
-        path: to follow.
+        robot: model of the robot.
+        path: path to follow.
         noise_share: standard deviation of the robot's controls, as a share of half their range.
-        noise_std: (nu,) the same in units of the controls, instead of the share.
+        noise_std: (nu,) standard deviations in units of the controls, instead of `noise_share`.
         progress_noise: standard deviation of the progress [m/s].
         max_speed: bound of the progress along the path [m/s]; the robot's `max_speed` when absent.
-        contouring_weight: w_c [1/m^2].
-        lag_weight: w_l [1/m^2].
-        progress_weight: w_p, gained by each metre of the path [1/m].
-        comfort_weight: w_a, of accelerations beyond those that are free, see `ComfortCost`
-            [s^4/m^2]; None for no such cost, also for a model without a time derivative.
+        contouring_weight: weight of the contouring error, w_c [1/m^2].
+        lag_weight: weight of the lag error, w_l [1/m^2].
+        progress_weight: reward of each metre along the path, w_p [1/m].
+        comfort_weight: weight of accelerations beyond the free ones, w_a, see `ComfortCost`
+            [s^4/m^2]; None for no such cost, which a model without a time derivative requires.
         max_lateral: free acceleration across the heading, such as what the tyres hold [m/s^2].
         max_longitudinal: free acceleration along the heading [m/s^2].
         other: further costs, such as `avoidance_cost()`.
-        corridor: whether to keep within the path's half widths; if it has them, when absent.
-        corridor_margin: kept from their edges [m].
+        corridor: whether to keep within the path's half widths; when absent, if the path has them.
+        corridor_margin: distance kept from the corridor's edges [m].
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax [units of cost].
+        temperature: temperature of the softmax [units of cost].
         dt: model step [s].
-        parameterisation: of the controls; splines through 5 knots when absent.
-        disturbance: what outcomes are uncertain by, such as `UncertainObstacles`; none when absent.
+        parameterisation: parameterisation of the controls; splines through 5 knots when absent.
+        disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
+            absent.
         num_outcomes: outcomes of each control sequence, if there is a disturbance.
-        risk: how the outcomes' costs become one; their mean when absent.
+        risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
         ValueError: a path without half widths beside `corridor`, one that is narrower than the
-            robot, negative weights, a robot without a `max_speed` if none is given, one without a
-            time derivative beside a `comfort_weight`, and what the parts refuse.
+                robot, negative weights, a robot without a `max_speed` if none is given, a robot
+                without a time derivative with a `comfort_weight`, or a value that a part rejects.
     """
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
@@ -239,7 +242,7 @@ def mpcc(
 def _comfort(
     robot: Dynamics, weight: ArrayLike, max_lateral: ArrayLike, max_longitudinal: ArrayLike
 ) -> Cost:
-    """Return the cost of accelerations beyond those that are free."""
+    """Build the cost of accelerations beyond the free ones."""
     if not isinstance(robot, ContinuousDynamics):
         raise ValueError(
             f"comfort_weight is {weight!r} for {type(robot).__name__}, which has no time "

@@ -1,4 +1,4 @@
-"""Informative MPPI for a quadrotor in both architectures, with the numbers of the design notes."""
+"""Informative MPPI for a quadrotor in both architectures, and baselines."""
 
 import math
 from typing import Any, NamedTuple
@@ -54,11 +54,11 @@ from jaxplore.sensing.lidar import Lidar
 
 ARCHITECTURES = ("two-layer", "parallel")
 BASELINE_WEIGHT = 10.0
-"""Of the distance from the target, where nothing else attracts [1/m]: as of guidance."""
+"""Weight of the distance from the target where nothing else attracts [1/m]; that of guidance."""
 
 
 class Flight(NamedTuple):
-    """Parameters that all controllers of a comparison share: sampling and safety.
+    """Sampling and safety parameters that all controllers of a comparison share.
 
     The cost of a rollout is the mean over its steps, so the temperature is in units of the cost of
     one step, for any horizon.
@@ -66,22 +66,23 @@ class Flight(NamedTuple):
     Args:
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; when absent 5 % of the range of the first and 3 % of the
-            range of the others (2 N and 0.6 rad/s for the default quadrotor). With P `Knots`, each
-            of which lasts for T / P steps, `std sqrt(P / T)`, which spreads the sum of the controls
-            as much. With `Smooth`, whose rates add up from command to command,
-            `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; when absent 5 % of the range of the
+            first and 3 % of the range of the others (2 N and 0.6 rad/s for the default quadrotor).
+            With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`, which spreads
+            the sum of the controls as much. With `Smooth`, whose rates add up from command to
+            command, `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
         dt: model step [s].
-        control_period: between commands [s].
-        parameterisation: of the controls, or its name: direct, smooth or knots, splines through 8.
+        control_period: time between commands [s].
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
         altitude: z to keep, for robots that have one [m].
-        max_speed: that costs nothing [m/s].
-        clearance: kept from obstacles [m].
-        obstacle_weight: of `ObstacleCost`.
-        height_weight: of the squared error of z.
-        speed_weight: of `SpeedLimitCost`.
-        control_weight: of the squared controls, from those of a robot left alone.
+        max_speed: greatest speed without a cost [m/s].
+        clearance: distance kept from obstacles [m].
+        obstacle_weight: weight of `ObstacleCost`.
+        height_weight: weight of the squared error of z.
+        speed_weight: weight of `SpeedLimitCost`.
+        control_weight: weight of the squared difference of the controls from the default control.
     """
 
     horizon: int = 40
@@ -151,18 +152,18 @@ class FieldNumbers(NamedTuple):
     """Parameters of the information fields of informative MPPI.
 
     Args:
-        field_of_view: of both sensors [rad].
-        field_beams: beams of the far look that the field around the robot evaluates.
-        field_range: their reach [m].
-        field_noise: standard deviation of their range [m]; banded at 3 of them.
-        field_spacing: between nodes [m].
+        field_of_view: field of view of both sensors [rad].
+        field_beams: beams of the long-range scan that the field around the robot evaluates.
+        field_range: range of these beams [m].
+        field_noise: standard deviation of their range [m]; the noise is cut off at 3 of them.
+        field_spacing: distance between nodes [m].
         field_extent: half the side of the field [m].
-        field_headings: headings evaluated.
-        field_period: between strategies [s].
-        local_beams: beams of the short look (Uniform-FSMI).
-        local_range: their reach [m].
-        local_extent: half the side of the window in which they are known [m]: as far as a rollout
-            gets. Beyond it they are worth nothing.
+        field_headings: number of headings that are evaluated.
+        field_period: time between updates of the strategic layer [s].
+        local_beams: beams of the short-range scan (Uniform-FSMI).
+        local_range: range of these beams [m].
+        local_extent: half the side of the window in which short-range scans are evaluated [m]: the
+            reach of a rollout. Beyond it their information is 0.
     """
 
     field_of_view: float = math.pi / 2.0
@@ -192,7 +193,8 @@ class FieldNumbers(NamedTuple):
     def short_range_field(self, resolution: float) -> ShortRangeField:
         """Build the field of short-range scans."""
         near = Lidar(self.local_beams, self.local_range, self.field_of_view)
-        # The directions have the spacing of the beams, so that each scan is a sum of directions.
+        # The directions have the spacing of the beams, so that the information of each scan is a
+        # plain sum over directions, without interpolation.
         turn = max(1, round(2.0 * math.pi / near.beam_spacing))
         stride = max(1, round(0.2 / resolution))
         nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
@@ -223,40 +225,40 @@ def informative_mppi(
     guidance_weight: ArrayLike = 10.0,
     goal_weight: ArrayLike = 0.2,
 ) -> InformativeMPPI:
-    """Build informative MPPI with the costs and numbers of the quadrotor design notes.
+    """Build informative MPPI with the costs and defaults for a quadrotor.
 
     Two-layer: MPPI tracks a reference that ascends the information field, with half of its samples
     around the controls that follow it. Parallel: MPPI reads the field, without reference and bias.
     Both also have a guidance cost, the cost to go through the whole map to the remaining
-    information, which is an addition to the notes. With a `target_choice`, two-layer goes from zone
-    to zone: the sequential architecture.
+    information. With a `target_choice`, two-layer goes from zone to zone: the sequential
+    architecture.
 
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
         architecture: "two-layer" or "parallel".
         resolution: side of a map cell [m].
-        sensor_model: what a measurement does to the robot's map; `line_of_sight` when absent.
-        goal: (x, y) or (x, y, z) to go to in the end [m]; none when absent.
-        flight: numbers of MPPI and of keeping safe.
-        fields: numbers of the information fields.
+        sensor_model: inverse sensor model; `line_of_sight` when absent.
+        goal: goal position (x, y) or (x, y, z) [m]; none when absent.
+        flight: parameters of MPPI and of safety.
+        fields: parameters of the information fields.
         bias_fraction: share of the samples around the reference's controls.
-        likelihood_ratio: whether these are weighed by their likelihood ratio. Without, the plan
-            leans on the reference, as Biased-MPPI does.
-        reference: where the two-layer architecture sends the robot; when absent to the target of
+        likelihood_ratio: whether these are weighted by their likelihood ratio. Without it, the plan
+            is biased towards the reference, as in Biased-MPPI.
+        reference: reference of the two-layer architecture; when absent it leads to the target of
             `target_choice`.
-        target_choice: which target the reference leads to, see `zone_choice`: the sequential
-            architecture. When absent the reference climbs the field.
-        reference_speed: along it [m/s].
-        reference_steps: of `flight.dt`.
-        by_heading: read the field at the robot's heading instead of its best one.
-        goal_when_explored: whether the goal attracts only when nothing worthwhile is left to see.
-        reference_weight: of the squared distance from the reference [1/m^2].
-        local_weight: of the information of a short look [1/nat].
-        field_weight: of the information field [1/nat].
-        guidance_weight: of the guidance [1/m].
-        goal_weight: of the distance from the goal [1/m].
+        target_choice: rule that chooses the target of the reference, see `zone_choice`: the
+            sequential architecture. When absent the reference climbs the field.
+        reference_speed: speed along the reference [m/s].
+        reference_steps: length of the reference in steps of `flight.dt`.
+        by_heading: whether to read the field at the robot's heading instead of the best heading.
+        goal_when_explored: whether the goal attracts only once the map is explored.
+        reference_weight: weight of the squared distance from the reference [1/m^2].
+        local_weight: weight of the information of a short-range scan [1/nat].
+        field_weight: weight of the information field [1/nat].
+        guidance_weight: weight of the guidance cost [1/m].
+        goal_weight: weight of the distance from the goal [1/m].
 
     Raises:
         ValueError: an unknown architecture, a value that a part does not accept.
@@ -314,26 +316,27 @@ def zone_choice(
     distance_weight: ArrayLike | None = None,
     depleted: ArrayLike = 0.35,
 ) -> TargetChoice:
-    """Return what chooses the next zone for the sequential architecture.
+    """Build the rule that chooses the next zone for the sequential architecture.
 
     Args:
-        zones: to learn about.
-        goal: (x, y) to go to in the end [m].
-        perception: of the scenario, whose clearance the ways keep.
-        lidar: whose scans on the way count, by the methods other than "remaining".
-        method: "remaining", by what remains of a zone, see `RemainingInformation`; or a method of
-            `TrajectoryInformation`, by what the scans on the way there tell.
-        distance_weight: of the length of the way; the default of the method when absent.
-        depleted: what remains of a zone that is done with. It is more than what remains for ever,
-            such as the inside of walls, which no scan reaches.
+        zones: zones to explore.
+        goal: goal position (x, y) after the last zone [m].
+        perception: perception of the scenario, whose clearance the routes keep.
+        lidar: sensor whose scans along the route are predicted by the methods other than
+            "remaining".
+        method: "remaining", the information that remains in a zone, see `RemainingInformation`; or
+            a method of `TrajectoryInformation`, the information of the scans along the route.
+        distance_weight: weight of the length of the route; the default of the method when absent.
+        depleted: share of its information below which a zone counts as explored. It exceeds what
+            can never be seen, such as the inside of walls, which no scan reaches.
 
     Raises:
-        ValueError: an unknown method, and what the parts refuse.
+        ValueError: an unknown method, or a value that a part rejects.
     """
     targets = Targets(
         zones, goal, depleted=depleted, required_clearance=perception.required_clearance
     )
-    # Each method has a unit, and so a default, of its own.
+    # The methods differ in unit, so each has its own default weight.
     weight: dict[str, Any] = {} if distance_weight is None else {"weight": distance_weight}
     if method == "remaining":
         return RemainingInformation(targets, **weight)
@@ -345,9 +348,9 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
     """Build MPPI that drives to a goal and ignores information, as a baseline.
 
     Args:
-        robot: its model.
-        goal: (x, y) or (x, y, z) [m].
-        flight: numbers of MPPI and of keeping safe.
+        robot: model of the robot.
+        goal: goal position (x, y) or (x, y, z) [m].
+        flight: parameters of MPPI and of safety.
     """
     flight = Flight() if flight is None else flight
     cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
@@ -355,13 +358,13 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
 
 
 def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
-    """Build a random walk with the speed and the safety of an explorer, as a baseline.
+    """Build a random walk with the speed and the safety costs of an explorer, as a baseline.
 
     Args:
-        robot: its model.
-        flight: numbers of MPPI and of keeping safe.
+        robot: model of the robot.
+        flight: parameters of MPPI and of safety.
     """
     flight = Flight() if flight is None else flight
     mppi = flight.mppi(robot, flight.cost(robot), flight.noise(robot))
-    # Of the mean over steps, like all other terms.
+    # Scaled to the mean over the steps, like all other terms.
     return RandomWalk(mppi, BASELINE_WEIGHT / flight.horizon)

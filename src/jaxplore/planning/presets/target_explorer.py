@@ -1,4 +1,4 @@
-"""Explorers that choose a target by a rule and drive there as `explorer` does."""
+"""Explorers that choose a target by a rule and drive to it like `explorer`."""
 
 from typing import Any
 
@@ -19,23 +19,23 @@ def target_explorer(
     every: int = 10,
     **driving: Any,
 ) -> TargetExplorer:
-    """Return an explorer that goes from target to target.
+    """Build an explorer that drives from target to target.
 
-    Ways to a target keep the clearance of the perception, on the nodes of its fields; what is worth
-    a look is what it says.
+    Routes to a target run on the nodes of the perception's fields and keep its clearance. Its least
+    information, `min_information`, decides which positions are worth a scan.
 
     Args:
-        robot: its model.
-        rule: chooses the next target; or its name in `RULES`.
-        perception: of the scenario.
-        grid: any map of the scenario's cells.
-        every: commands between choices: 10 for commands at 50 Hz and fields at 5 Hz.
-        driving: numbers of `explorer`, which drives. A robot that sees all around drives with an
-            `information_weight` of 0: what is worth seeing is the rule's alone. One that does not
-            has to turn to what it came for, and stays until it has seen it.
+        robot: model of the robot.
+        rule: rule that chooses the next target, or its name in `RULES`.
+        perception: perception of the scenario.
+        grid: a map with the shape and resolution of the scenario's.
+        every: number of commands between choices: 10 for commands at 50 Hz and fields at 5 Hz.
+        driving: parameters of `explorer`, which drives. A robot with a full-circle sensor drives
+            with an `information_weight` of 0: the rule alone decides where to look. Any other
+            robot must turn its sensor to the target, and stays until it has scanned it.
 
     Raises:
-        ValueError: a rule that is none of `RULES`, and what the parts refuse.
+        ValueError: a rule that is not in `RULES`, or a value that a part rejects.
     """
     if isinstance(rule, str):
         if rule not in RULES:

@@ -1,1 +1,1 @@
-"""Drawing that all reports share."""
+"""Drawing functions that all reports share."""

@@ -1,25 +1,25 @@
-"""Colours that the pictures and the animation share."""
+"""Colours of the figures and animations."""
 
 import numpy as np
 
 FREE, UNKNOWN, OCCUPIED = (252, 252, 250), (190, 195, 203), (43, 48, 58)
-"""Colours of a belief of 0, 1/2 and 1."""
+"""Colours of occupancy probabilities of 0, 1/2 and 1."""
 MISSED = (209, 73, 91)
-"""Colour of a true wall that the belief does not hold."""
+"""Colour of a true wall that is missing in the belief."""
 OUTLINE = "#4f8fc0"
 """Colour of the outline of the true free space."""
 CLOSED, CLOSED_SHARE = (140, 98, 60), 0.5
-"""Colour of ground that may not be entered, and how much of it covers the belief."""
+"""Colour of untraversable ground, and its opacity over the belief."""
 TARGET = (91, 42, 134)
-"""Colour of what is to be seen."""
+"""Colour of targets."""
 MOVER, MOVER_EDGE = (43, 48, 58), (250, 204, 21)
 """Colours of a moving obstacle and of its edge."""
 SERIES = ("#1f6fb2", "#d1495b", "#2a7f5f", "#b5651d", "#7a5195", "#4a4e57")
-"""Of curves side by side, in turn."""
+"""Colours of several curves in a figure, in turn."""
 
 
 def belief_colours() -> np.ndarray:
-    """Return the (256, 3) colours of a belief in 256 levels, free to occupied."""
+    """Return the colours (256, 3) of a belief in 256 levels, from free to occupied."""
     level = np.linspace(0.0, 1.0, 256)
     nodes = np.array([FREE, UNKNOWN, OCCUPIED], np.float64)
     channels = [np.interp(level, [0.0, 0.5, 1.0], nodes[:, channel]) for channel in range(3)]
@@ -27,7 +27,8 @@ def belief_colours() -> np.ndarray:
 
 
 def blend(colour: tuple[int, ...], ground: tuple[int, ...], share: float) -> tuple[int, int, int]:
-    """Return a share of one colour over another; whatever follows red, green and blue is left."""
+    """Blend a share of one colour over another; components after red, green and blue are
+    dropped."""
     red, green, blue = (
         round(share * over + (1.0 - share) * under)
         for over, under in zip(colour[:3], ground, strict=True)
@@ -36,6 +37,6 @@ def blend(colour: tuple[int, ...], ground: tuple[int, ...], share: float) -> tup
 
 
 def shade(colour: tuple[int, int, int]) -> tuple[float, float, float]:
-    """Return a colour in 256 levels as matplotlib takes it, in [0, 1]."""
+    """Convert a colour from 256 levels to matplotlib's range [0, 1]."""
     red, green, blue = (level / 255.0 for level in colour)
     return red, green, blue

@@ -1,4 +1,4 @@
-"""The strip below an animation: fonts, the legend, a curve over time."""
+"""The footer of an animation: fonts, the legend, a curve over time."""
 
 from collections.abc import Sequence
 
@@ -18,7 +18,7 @@ from jaxplore.report.drawing.picture import FOOTER, SUPERSAMPLING, pairs
 Font = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 LEGEND, COLUMN, CURVE, LEAST_CURVE = 190, 108, 190, 120
-"""Where the legend begins, the width of its columns, that of the curve beside it, and the least one
+"""Left end of the legend, width of its columns, width of the curve beside it, and least width
 that leaves room for the legend [pixels]."""
 
 
@@ -28,14 +28,13 @@ def fonts() -> tuple[Font, Font]:
 
 
 def draw_legend(image: Image.Image, entries: Sequence[tuple[str, Colour]]) -> int:
-    """Draw names and their colours into the middle of a strip that is wide enough; return where it
-    ends [pixels].
+    """Draw a legend into the middle of a wide enough footer; return its right end [pixels].
 
     Args:
-        image: of the whole frame.
-        entries: nine at most.
+        image: picture of the whole frame.
+        entries: names and colours, at most nine.
     """
-    # Two lines of three; more entries move together.
+    # Two lines of three; with more entries the lines move closer together.
     lines, above, apart = (2, 20, 30) if len(entries) <= 6 else (3, 11, 23)
     end = LEGEND + COLUMN * -(-len(entries) // lines)
     if image.width - end < LEAST_CURVE:
@@ -58,15 +57,15 @@ def draw_curve(
     left: int,
     level: float | None = None,
 ) -> None:
-    """Draw a curve until now into the lower right corner.
+    """Draw a curve up to the present time into the lower right corner.
 
     Args:
-        image: of the whole frame.
-        time: (N,) of the whole run [s].
-        shares: (N,) of the curve's height, 0 to 1.
-        step: index of now.
-        left: where the strip is free from [pixels].
-        level: a share that a line marks.
+        image: picture of the whole frame.
+        time: (N,) times of the whole run [s].
+        shares: (N,) heights of the curve, from 0 to 1.
+        step: index of the present time.
+        left: column from which the strip is free [pixels].
+        level: share that a horizontal line marks; none when absent.
     """
     width = min(CURVE, image.width - 12 - left)
     height = FOOTER - 24

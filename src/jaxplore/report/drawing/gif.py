@@ -1,4 +1,4 @@
-"""Writes animated GIFs whose frames share their colours."""
+"""Animated GIFs whose frames share one palette."""
 
 import io
 from collections.abc import Callable, Sequence
@@ -9,7 +9,7 @@ from PIL import Image
 
 FRAME_MILLISECONDS, LAST_MILLISECONDS = 90, 3000
 LOOKS = 6
-"""Frames that the shared colours are found from."""
+"""Number of frames from which the shared palette is computed."""
 
 
 def write_gif[F](
@@ -19,13 +19,13 @@ def write_gif[F](
     colours: Callable[[Sequence[Image.Image]], Image.Image],
     on_progress: Callable[[float], None],
 ) -> None:
-    """Write a picture of each frame; it plays for ever and rests on the last one.
+    """Write an animated GIF of frames. It loops, and pauses on the last frame.
 
     Args:
-        path: of the file.
-        frames: at least one.
-        draw: a frame; every picture has the same size.
-        colours: finds a palette from some of the pictures.
+        path: path of the file.
+        frames: frames to draw, at least one.
+        draw: function that draws a frame; all pictures have the same size.
+        colours: function that computes a palette from some of the pictures.
         on_progress: called with the share that is done, 0 to 1.
     """
     palette = colours([draw(frame) for frame in evenly_chosen(frames, LOOKS)])
@@ -37,11 +37,11 @@ def write_gif[F](
 
 
 def save_gif(file: str | PathLike[str] | io.BytesIO, pictures: Sequence[Image.Image]) -> None:
-    """Write pictures of one palette; it plays for ever and rests on the last one.
+    """Write pictures of one palette as an animated GIF. It loops, and pauses on the last picture.
 
     Args:
-        file: its path, or what is written to.
-        pictures: at least one.
+        file: path of the file, or a binary stream.
+        pictures: pictures of one palette, at least one.
     """
     first, *others = pictures
     first.save(
@@ -57,8 +57,10 @@ def save_gif(file: str | PathLike[str] | io.BytesIO, pictures: Sequence[Image.Im
 
 
 def evenly_chosen[F](frames: Sequence[F], most: int) -> list[F]:
-    """Return at most so many frames, evenly spread, the first and the last one among them; a single
-    one is the last."""
+    """Choose at most `most` evenly spaced frames, the first and the last included.
+
+    A single frame is the last one.
+    """
     count = min(most, len(frames))
     # Counted from the end, so that a single frame is the last one.
     back = np.round(np.linspace(0, len(frames) - 1, count)).astype(int)[::-1]

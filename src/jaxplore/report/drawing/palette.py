@@ -1,4 +1,4 @@
-"""Colours of an animation, and the few that all of its frames share."""
+"""Palettes of animations."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ Colour = tuple[int, int, int] | tuple[int, int, int, int]
 
 NUM_COLOURS = 64
 HEAT_LEVELS, MAX_HEAT = 6, 0.75
-"""Steps of the information's colour, few so that small changes cost no bytes; its opacity."""
+"""Number of levels of the information's colour, few for a small file, and its opacity."""
 
 PAPER, INK, PALE = (255, 255, 255), (43, 48, 58), (125, 132, 143)
 HIDDEN_WALL = (172, 178, 188)
@@ -20,18 +20,18 @@ PLAN, ROBOT = (214, 40, 85), (214, 40, 85)
 REFERENCE = (64, 145, 62)
 
 
-def fitted_palette(given: Sequence[Colour], looks: Sequence[Image.Image]) -> Image.Image:
-    """Return so many given colours, and those that some frames need besides.
+def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:
+    """Compute a palette of given colours and the most frequent other colours of some frames.
 
     Args:
-        given: that are kept as they are, opaque.
-        looks: some of the frames, all of one size.
+        given: opaque colours that are kept unchanged.
+        pictures: some of the frames, all of one size.
     """
-    width, height = looks[0].size
-    sheet = Image.new("RGB", (width, height * len(looks)))
-    for index, look in enumerate(looks):
-        sheet.paste(look, (0, index * height))
-    # One entry stays free: it stands for "as before".
+    width, height = pictures[0].size
+    sheet = Image.new("RGB", (width, height * len(pictures)))
+    for index, picture in enumerate(pictures):
+        sheet.paste(picture, (0, index * height))
+    # One of the 256 entries stays free: in a GIF it marks unchanged pixels.
     found = sheet.quantize(NUM_COLOURS - 1 - len(given), dither=Image.Dither.NONE).getpalette()
     palette = Image.new("P", (1, 1))
     palette.putpalette([channel for colour in given for channel in colour] + (found or []))

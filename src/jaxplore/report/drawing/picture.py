@@ -1,22 +1,22 @@
-"""Sizes of pictures, and the geometry that all of them share."""
+"""Sizes and geometry that all pictures share."""
 
 import numpy as np
 
 SUPERSAMPLING = 2
-"""Pixels that are drawn for one that is shown, along each axis."""
+"""Supersampling factor along each axis."""
 MIN_WIDTH, MIN_MAP_SIDE = 320, 24
 """Smallest picture and smallest map [pixels]."""
 FOOTER = 84
-"""Height of the strip with numbers [pixels]."""
+"""Height of the footer [pixels]."""
 
 
 def pairs(points: np.ndarray) -> list[tuple[float, float]]:
-    """Return points (N, 2) as Pillow takes them."""
+    """Convert points (N, 2) to the tuples that Pillow takes."""
     return [(x, y) for x, y in points.tolist()]
 
 
 def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """Turn world points (..., 2) [m] into (x, y) [m] along the axes of a pose [m, m, rad]."""
+    """Transform world points (..., 2) [m] into the frame of a pose [m, m, rad]."""
     yaw = float(pose[2])
     shifted = np.asarray(points, np.float64) - np.asarray(pose[:2], np.float64)
     turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -24,12 +24,12 @@ def to_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
 
 def outline_at(corners: np.ndarray, position: np.ndarray, heading: float) -> np.ndarray:
-    """Return the world points (..., 2) [m] of a robot's corners, given in its own frame.
+    """Transform a robot's corners (..., 2) from its own frame to the world [m].
 
     Args:
-        corners: (..., 2) [m].
-        position: (2,) of the robot [m].
-        heading: [rad].
+        corners: (..., 2) corners in the robot's frame [m].
+        position: (2,) position of the robot [m].
+        heading: heading of the robot [rad].
     """
     cos, sin = np.cos(heading), np.sin(heading)
     turn = np.array([[cos, sin], [-sin, cos]])

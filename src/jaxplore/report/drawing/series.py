@@ -1,4 +1,4 @@
-"""Curves over time that several pictures draw alike."""
+"""Curves over time that several figures share."""
 
 from typing import TYPE_CHECKING
 
@@ -10,13 +10,13 @@ if TYPE_CHECKING:
 
 
 def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
-    """Return (N, ...) means over `width` rows around each, fewer at the ends.
+    """Compute the moving average (N, ...) over `width` rows around each row, fewer at the ends.
 
-    What is not finite counts as nothing; where all of a window is not, the mean is not a number.
+    Values that are not finite are left out; a window without finite values has the mean NaN.
 
     Args:
-        rows: (N, ...).
-        width: whole number >= 1; an even one reaches one row further back.
+        rows: (N, ...) values.
+        width: number of rows, >= 1; an even window reaches one row further back.
     """
     values = np.asarray(rows, np.float64)
     is_finite = np.isfinite(values)
@@ -33,6 +33,6 @@ def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
 
 
 def style_time(axes: "Axes", duration: float) -> None:
-    """Lay out an axis of time from 0 to the duration [s], with a faint grid."""
+    """Format a time axis from 0 to the duration [s], with a faint grid."""
     axes.set(xlim=(0.0, duration), xlabel="time [s]")
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

@@ -1,4 +1,4 @@
-"""What animations of any kind draw on the ground."""
+"""Shapes that all animations draw: lines, rollouts, the robot."""
 
 from typing import Protocol, runtime_checkable
 
@@ -9,18 +9,18 @@ from jaxplore.report.drawing.palette import FAINT, PAPER, ROBOT, STRONG, Colour
 from jaxplore.report.drawing.picture import SUPERSAMPLING, outline_at, pairs
 
 STRONG_SHARE = 0.02
-"""Rollouts of at least this share of the heaviest one's weight are drawn boldly."""
+"""Rollouts with at least this share of the greatest weight are drawn bold."""
 LEAST_RADIUS = 6.5
-"""Smallest robot that is drawn [pixels]."""
+"""Size to which a smaller robot is enlarged [pixels]."""
 
 
 @runtime_checkable
 class Surface(Protocol):
-    """Where things on the ground are in a supersampled picture."""
+    """A transformation from world points to a supersampled picture."""
 
     @property
     def scale(self) -> float:
-        """Pixels that are shown per metre."""
+        """Pixels of the final picture per metre."""
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
@@ -33,14 +33,14 @@ def draw_line(
     colour: Colour,
     thickness: float,
 ) -> None:
-    """Draw a line through world points (N, 2) [m], less those that are not finite.
+    """Draw a line through world points (N, 2) [m]; points that are not finite are left out.
 
     Args:
-        surface: where they are.
-        draw: draws there.
-        points: (N, 2) [m].
-        colour: of the line.
-        thickness: [pixels that are shown].
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
+        points: (N, 2) world points [m].
+        colour: colour of the line.
+        thickness: width of the line [pixels of the final picture].
     """
     whole = points[np.isfinite(points).all(axis=-1)]
     if len(whole) > 1:
@@ -50,13 +50,13 @@ def draw_line(
 def draw_rollouts(
     surface: Surface, draw: ImageDraw.ImageDraw, samples: np.ndarray, weights: np.ndarray
 ) -> None:
-    """Draw rollouts, the heavy ones boldly and last.
+    """Draw rollouts; those with a great weight are bold and on top.
 
     Args:
-        surface: where they are.
-        draw: draws there.
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
         samples: (S, T, 2) positions [m].
-        weights: (S,); one that is not a number is 0.
+        weights: (S,) weights; NaN counts as 0.
     """
     known = np.nan_to_num(weights)
     bold = STRONG_SHARE * known.max(initial=0.0)
@@ -74,17 +74,17 @@ def draw_body(
     position: np.ndarray,
     heading: float,
 ) -> None:
-    """Draw a robot, a rectangle or a disc, with an arrow ahead.
+    """Draw a robot, a rectangle or a disc, with an arrow in its heading.
 
-    One that is small in the picture is drawn larger, in its own shape.
+    A robot that is small in the picture is enlarged, and keeps its shape.
 
     Args:
-        surface: where it is.
-        draw: draws there.
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
         footprint: (4, 2) corners of a rectangle in its own frame [m]; (0, 2) of a disc.
-        radius: of the disc [m].
-        position: (2,) [m].
-        heading: [rad]; without one that is finite it is a disc without an arrow.
+        radius: radius of the disc [m].
+        position: (2,) position of the robot [m].
+        heading: heading of the robot [rad]; if it is not finite, a disc without an arrow is drawn.
     """
     middle, edge = surface.pixels(position), round(1.2 * SUPERSAMPLING)
     reach = max(radius * surface.scale, LEAST_RADIUS) * SUPERSAMPLING

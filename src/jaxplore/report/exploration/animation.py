@@ -1,4 +1,4 @@
-"""An animated GIF of a run: the map grows, the robot looks ahead and drives."""
+"""Animation of an exploration run: the belief, the robot and its rollouts."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -59,10 +59,10 @@ def write_animation(
     """Write a run as an animated GIF that plays in browsers and in a README.
 
     Args:
-        recording: of the run.
-        path: of the file.
-        max_frames: at most; evenly chosen, the first and the last one among them.
-        width: of the picture [pixels]; tall or small maps get less.
+        recording: recording of the run.
+        path: path of the file.
+        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
+        width: width of the picture [pixels]; less for tall or small maps.
         on_progress: called with the share that is done, 0 to 1.
 
     Raises:
@@ -83,12 +83,12 @@ def write_animation(
 def frame_image(
     recording: ExplorationData, frame: ExplorationFrame, *, width: int = 720
 ) -> Image.Image:
-    """Return one look at a run, as it is drawn in the animation.
+    """Draw one frame of a run, as in the animation.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         frame: one of its frames.
-        width: of the picture [pixels]; tall or small maps get less.
+        width: width of the picture [pixels]; less for tall or small maps.
 
     Raises:
         ValueError: a width below 320 pixels.
@@ -110,8 +110,10 @@ def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
 
 
 def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
-    """Return the belief, the true walls yet to be seen, the information and ground that may not be
-    entered, a pixel per cell."""
+    """Draw the belief, unseen true walls, the information and untraversable ground.
+
+    One pixel per cell.
+    """
     drawn = np.ix_(*canvas.sample)
     level = canvas.window.crop(frame.probability, 128.0)[drawn]
     colours = belief_colours()[level // 16 * 16 + (level >= 240) * 15].astype(np.float32)
@@ -125,12 +127,12 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     colours += alpha * (np.asarray(HEAT, np.float32) - colours)
     closed = canvas.closed & (level < 192)
     colours[closed] += CLOSED_SHARE * (np.asarray(CLOSED, np.float32) - colours[closed])
-    # Row 0 is at the bottom.
+    # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
     return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
 
 
 def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
-    """Draw, from the ground up, what it sees, where it was, what it weighs up, and itself."""
+    """Draw the scan, the trail, the rollouts, the plan and the robot, in this order."""
     recording = canvas.recording
     names = recording.state_names
     here = frame.state[[names.index("x"), names.index("y")]]
@@ -143,7 +145,7 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
     _draw_targets(canvas, draw)
-    _draw_movers(canvas, frame, draw)
+    _draw_moving_obstacles(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
         line(frame.reference, REFERENCE, 3.0)
@@ -167,7 +169,9 @@ def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
         draw.polygon(pairs(middle + star), TARGET)
 
 
-def _draw_movers(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+def _draw_moving_obstacles(
+    canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw
+) -> None:
     radii = canvas.recording.mover_radii.tolist()
     for middle, radius in zip(frame.movers, radii, strict=True):
         if np.isfinite(middle).all():
@@ -178,21 +182,21 @@ def _draw_movers(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageD
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
-    """Return means over three by three nodes: the field's finest grain is noise to the eye."""
+    """Average over three by three nodes: finer detail of the field looks like noise."""
     padded = np.pad(values, 1, mode="edge")
     rows = padded[:-2] + padded[1:-1] + padded[2:]
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
 
 
-def _shared_palette(recording: ExplorationData, looks: Sequence[Image.Image]) -> Image.Image:
-    """Return the colours that all frames share.
+def _shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
+    """Compute the palette that all frames share.
 
-    Thin lines are few pixels, which a choice by frequency would sacrifice: their colours are given,
-    pure and as they fade into the ground; the rest is found from a few frames side by side.
+    Thin lines have few pixels, and a palette by frequency would lose their colours. These are
+    fixed, pure and blended with the background; the rest is computed from a few frames.
 
     Args:
-        recording: of the run; what is not in it needs no colour.
-        looks: some of the frames, all of one size.
+        recording: recording of the run; elements that it does not have get no colour.
+        pictures: some of the frames, all of one size.
     """
     lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
     given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
@@ -204,4 +208,4 @@ def _shared_palette(recording: ExplorationData, looks: Sequence[Image.Image]) ->
         given.append(TARGET)
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
-    return fitted_palette(given, looks)
+    return fitted_palette(given, pictures)

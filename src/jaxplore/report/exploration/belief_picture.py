@@ -1,4 +1,4 @@
-"""A picture of what a robot knows, and of the robot in it."""
+"""A picture of the belief with the robot in it."""
 
 import dataclasses
 
@@ -15,11 +15,11 @@ MOST_RAYS = 45
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """Where world points are in a supersampled picture of a whole grid.
+    """The transformation from world points to a supersampled picture of a whole grid.
 
     Args:
         origin: pose of the grid [m, m, rad].
-        height: of the grid [m].
+        height: height of the grid [m].
         scale: pixels that are shown per metre.
     """
 
@@ -46,23 +46,23 @@ def belief_picture(
     scan: np.ndarray,
     width: int = 640,
 ) -> np.ndarray:
-    """Return a picture (rows, columns, 3) in 256 levels.
+    """Draw the belief, the trail, the last scan and the robot (rows, columns, 3) in 256 levels.
 
     Args:
-        probability: (H, W) of the belief.
+        probability: (H, W) occupancy probability of the belief.
         origin: pose of the grid [m, m, rad].
         resolution: side of a cell [m].
-        path: (N, 2) where the robot was, the last row where it is [m].
-        heading: of the robot [rad].
-        radius: of the robot [m].
+        path: (N, 2) past positions of the robot, the last row its present one [m].
+        heading: heading of the robot [rad].
+        radius: radius of the robot [m].
         footprint: (4, 2) corners of a rectangle in the robot's frame [m]; (0, 2) of a disc.
-        scan: (B, 2) where beams ended [m].
-        width: of the picture [pixels]; a multiple of a cell's is taken.
+        scan: (B, 2) end points of the beams [m].
+        width: width of the picture [pixels], rounded to a multiple of the width of a cell.
     """
     rows, columns = probability.shape
     side = max(1, round(width / columns))
     level = np.round(255.0 * probability).astype(np.uint8)
-    # Row 0 is at the bottom.
+    # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
     image = Image.fromarray(belief_colours()[level[::-1]])
     size = (columns * side * SUPERSAMPLING, rows * side * SUPERSAMPLING)
     image = image.resize(size, Image.Resampling.NEAREST)

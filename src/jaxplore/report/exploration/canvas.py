@@ -1,4 +1,4 @@
-"""What is the same in every frame of an animation."""
+"""The parts of an animation that are the same in every frame."""
 
 import dataclasses
 
@@ -12,17 +12,17 @@ from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.window import Window
 
 MAX_RATIO = 1.1
-"""The tallest map, as a multiple of the picture's width."""
+"""Greatest height of the map, as a multiple of the picture's width."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Canvas:
-    """All that is the same in every frame of a recording.
+    """The parts of an animation that are the same in every frame.
 
-    `scale` is in pixels per metre, `left` the map's first column; `corners` (4, R, C) are the
-    nodes of the information field around each drawn cell and `shares` their bilinear weights;
-    `closed` are the drawn cells of open ground that may not be entered;
-    `brightest` [nat] is where the heat saturates.
+    `scale` is in pixels per metre, `left` is the map's first column; `corners` (4, R, C) are the
+    indices of the nodes of the information field around each drawn cell and `shares` their bilinear
+    weights; `closed` are the drawn cells of untraversable open ground; `brightest` [nat] is the
+    information at which the colour saturates.
     """
 
     recording: ExplorationData
@@ -41,7 +41,7 @@ class Canvas:
 
     @property
     def height(self) -> int:
-        """Of the picture, map and strip [pixels]."""
+        """Height of the picture, map and footer [pixels]."""
         return self.map_size[1] + FOOTER
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
@@ -52,11 +52,11 @@ class Canvas:
 
 
 def make_canvas(recording: ExplorationData, width: int) -> Canvas:
-    """Return what all frames of a recording share.
+    """Make the canvas of a recording.
 
     Args:
-        recording: of the run.
-        width: of the picture [pixels]; tall or small maps get less.
+        recording: recording of the run.
+        width: width of the picture [pixels]; less for tall or small maps.
 
     Raises:
         ValueError: a width below 320 pixels.
@@ -68,7 +68,7 @@ def make_canvas(recording: ExplorationData, width: int) -> Canvas:
     scale = min(width / size[0], MAX_RATIO * width / size[1])
     columns, rows = (max(MIN_MAP_SIDE, round(float(side) * scale)) for side in size)
     total = max(MIN_WIDTH, columns)
-    # Cells smaller than the pixels they are drawn with need not all be coloured.
+    # Where cells are smaller than pixels, a subset is enough.
     cells = [
         (np.arange(count) + 0.5) * window.shape[axis] / count
         for axis, count in (
@@ -131,6 +131,6 @@ def _field_stencil(
 
 
 def _brightest(frames: tuple[ExplorationFrame, ...]) -> float:
-    """Return a level of information that few nodes exceed in any frame [nat]."""
+    """Return an information that few nodes exceed in any frame [nat]."""
     highs = [np.percentile(np.nan_to_num(frame.information), 98) for frame in frames]
     return max(float(np.median(highs)), 1e-6)

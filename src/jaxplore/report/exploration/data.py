@@ -1,4 +1,4 @@
-"""The data of an exploration run: the record of each step, the snapshots, the world."""
+"""Data of an exploration run: the record of each step, the frames, the world."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from jaxplore.report.recording import Frame, RunData
 
 
 class MapProgress(NamedTuple):
-    """How much of the map is known, and how long ago it was seen: see `ExplorationRecord`."""
+    """Statistics of the known map and of its idleness: see `ExplorationRecord`."""
 
     coverage: Scalar
     entropy: Scalar
@@ -21,25 +21,25 @@ class MapProgress(NamedTuple):
 
 
 class ExplorationRecord(NamedTuple):
-    """What is kept of each step; in a run every field has a leading axis of steps.
+    """The record of a step; in a recording every field has a leading axis of steps.
 
     Args:
-        state: (nx,) after the step.
-        control: (nu,) that took effect during it.
+        state: (nx,) state after the step.
+        control: (nu,) control that took effect during the step.
         coverage: share of the reachable cells known to be free.
-        entropy: of the belief over the reachable cells [nat].
+        entropy: entropy of the belief over the reachable cells [nat].
         unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
-        clearance: from the robot's edge to the nearest solid cell [m], up to half a metre.
-        is_collision: the step would have led into something; the robot stopped instead.
-        is_untraversable: some of the robot is on ground that may not be entered.
-        effective_sample_size: of the controller's rollouts.
-        is_finite: whether any of them was finite.
-        is_faulty: whether scans or odometry failed, by the scenario's faults.
-        targets_seen: how many targets have been seen.
-        mean_idleness: of the reachable cells, the time since each was seen, or since the start [s];
-            0 if nobody keeps watch.
-        worst_idleness: the longest of them [s].
-        members: of a controller that holds several.
+        clearance: distance from the robot's edge to the nearest solid cell [m], up to half a metre.
+        is_collision: whether the step would have led to a collision; the robot stopped instead.
+        is_untraversable: whether part of the robot is on untraversable ground.
+        effective_sample_size: effective sample size of the controller's rollouts.
+        is_finite: whether any rollout had a finite cost.
+        is_faulty: whether a fault of scans or odometry was active.
+        targets_seen: number of targets seen so far.
+        mean_idleness: mean over the reachable cells of the time since each was last seen, or since
+            the start [s]; 0 without an idleness map.
+        worst_idleness: the greatest of these times [s].
+        members: diagnostics of the members of a controller that holds several.
     """
 
     state: StateVector
@@ -64,17 +64,17 @@ class ExplorationFrame(Frame):
     """A snapshot of an exploration run.
 
     Args:
-        state: (nx,) the robot.
-        probability: (H, W) the belief in 256 levels, 0 free to 255 occupied.
+        state: (nx,) state of the robot.
+        probability: (H, W) belief in 256 levels, from 0, free, to 255, occupied.
         information: (rows, columns) information of a scan at the nodes of the field [nat].
-        scan: (B, 2) world points where the beams end [m].
+        scan: (B, 2) end points of the beams in the world [m].
         samples: (N, T + 1, 2) positions of some rollouts [m].
-        weights: (N,) their weights.
-        plan: (T + 1, 2) positions along the nominal [m].
-        heading: of the robot [rad].
-        reference: (R, 2) positions that the plan is to follow [m]; empty if there are none.
-        movers: (M, 2) where what moves is [m].
-        terms: what the nominal pays for each term of the cost.
+        weights: (N,) weights of these rollouts.
+        plan: (T + 1, 2) positions of the nominal trajectory [m].
+        heading: heading of the robot [rad].
+        reference: (R, 2) reference positions of the plan [m]; empty without a reference.
+        movers: (M, 2) positions of the moving obstacles [m].
+        terms: value of each cost term for the nominal trajectory.
     """
 
     state: np.ndarray
@@ -92,7 +92,7 @@ class ExplorationFrame(Frame):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExplorationData(RunData):
-    """An exploration run: every step, snapshots, and the world in which it took place.
+    """Data of an exploration run: every step, frames, and the true world.
 
     Args:
         world: (H, W) probability of the true map.
@@ -103,24 +103,25 @@ class ExplorationData(RunData):
         field_origin: pose of the lattice of the information field [m, m, rad].
         field_resolution: distance between its nodes [m].
         start: (nx,) state at the start.
-        initial_coverage: before the first step.
-        initial_entropy: of the belief over the reachable cells before the first step [nat].
+        initial_coverage: coverage before the first step.
+        initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
         initial_unknown: share of unknown cells before the first step.
-        goal: (2,) where to be in the end [m]; None if there is no goal.
-        finished_step: steps done when the scenario was finished; None if it was not, or before the
-            first step.
+        goal: (2,) goal position [m]; None if there is no goal.
+        finished_step: number of steps until the scenario was finished; None if it was not, or was
+            finished before the first step.
         control_half_range: (nu,) half the range between the bounds of each control.
-        state_names: of the robot's state.
-        robot_radius: [m].
-        target_coverage: at which exploration is finished; None if it never is.
+        state_names: names of the components of the robot's state.
+        robot_radius: radius of the robot [m].
+        target_coverage: coverage at which exploration is finished; None if it never is.
         footprint: (4, 2) corners of a robot that is a rectangle, in its own frame [m]; (0, 2) of a
             disc.
-        targets: (M, 2) what was to be seen [m].
-        elevation: (H, W) of the ground [m]; None if it is level.
+        targets: (M, 2) positions of the targets [m].
+        elevation: (H, W) elevation of the ground [m]; None if it is level.
         traversable: (H, W) cells of the ground that may be entered; None if it is level.
-        idleness: (H, W) time since each cell was seen, at the end [s]; None if nobody keeps watch.
-        mover_radii: (M,) of what moves [m].
-        member_names: of a controller that holds several.
+        idleness: (H, W) time since each cell was last seen, at the end [s]; None without an
+            idleness map.
+        mover_radii: (M,) radii of the moving obstacles [m].
+        member_names: names of the members of a controller that holds several.
     """
 
     records: ExplorationRecord
@@ -152,6 +153,6 @@ class ExplorationData(RunData):
 
     @property
     def positions(self) -> np.ndarray:
-        """(N + 1, 2) positions of the robot, the start included [m]."""
+        """Positions (N + 1, 2) of the robot, the start included [m]."""
         states = np.concatenate([self.start[None], self.records.state])
         return states[:, [self.state_names.index("x"), self.state_names.index("y")]]

@@ -1,4 +1,4 @@
-"""The strip below an animated map: numbers, the legend and the coverage curve."""
+"""The footer of an exploration animation: numbers, the legend and the coverage curve."""
 
 from PIL import Image, ImageDraw
 
@@ -26,9 +26,9 @@ def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> 
     """Draw time, coverage, distance, targets, the legend and the coverage curve.
 
     Args:
-        canvas: of the animation.
-        frame: what is shown.
-        image: of the whole frame; its lowest rows are drawn into.
+        canvas: canvas of the animation.
+        frame: frame to draw.
+        image: picture of the whole frame, whose lowest rows are drawn into.
     """
     time, coverage, _, path = canvas.progress
     top, step = canvas.map_size[1], min(frame.step, len(time) - 1)

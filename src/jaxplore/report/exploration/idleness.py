@@ -1,4 +1,4 @@
-"""Picture of how long ago each place was seen."""
+"""Figure of the idleness of a patrolled map."""
 
 from typing import TYPE_CHECKING
 
@@ -16,17 +16,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HEIGHT, CURVE_WIDTH = 3.4, 4.2
-"""Height of the panels and width of the one over time [inch]; the map's width follows its shape."""
+"""Height of the panels and width of the time curve [inch]; the map's width follows its shape."""
 
 
 def idleness_figure(recording: ExplorationData) -> "Figure":
-    """Return a map of the time since each reachable cell was seen, and its mean and worst so far.
+    """Draw a map of the time since each reachable cell was seen, and its mean and worst over time.
 
-    What was never seen counts from the start. The shaded first half does not count in the metrics.
-    A map that is turned is drawn along its own axes.
+    Cells that were never seen count from the start. The shaded first half of the run is not part of
+    the metrics.
+    A rotated map is drawn along its own axes. The function has more than 60 lines because both
+    panels share the figure's layout.
 
     Args:
-        recording: of a robot that keeps watch.
+        recording: recording of a robot with an idleness map.
 
     Raises:
         ValueError: a recording without idleness.

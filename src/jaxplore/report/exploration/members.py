@@ -1,4 +1,4 @@
-"""Picture of what the members of a controller contribute."""
+"""Figure of the contributions of a controller's members."""
 
 from typing import TYPE_CHECKING
 
@@ -18,13 +18,13 @@ MAX_POINTS = 2000
 
 
 def members_figure(recording: ExplorationData) -> "Figure":
-    """Return the members' shares in the control, how far apart they are, and their sample sizes.
+    """Draw the members' shares in the control, their diversity and their sample sizes over time.
 
-    Means over a second around each moment. A share is how much of a member is in the control that
-    was applied; the diversity is the mean distance between two members' controls.
+    All are means over a second. A share is the weight of a member in the applied control; the
+    diversity is the mean distance between two members' controls.
 
     Args:
-        recording: of a controller with several members.
+        recording: recording of a controller with several members.
 
     Raises:
         ValueError: a recording of a controller without members.
@@ -60,7 +60,7 @@ def members_figure(recording: ExplorationData) -> "Figure":
     panels[1].plot(time, diversity, color="0.25", linewidth=1.4)
     panels[1].set_ylabel("diversity\n[half ranges]")
     panels[1].set_ylim(bottom=0.0)
-    # Nothing is below 1 but the 0 of a member without a finite rollout, which has no logarithm.
+    # A sample size is at least 1, or 0 without a finite rollout, which has no logarithm.
     drawn = np.where(sizes > 0.0, sizes, np.nan)
     for column, colour in zip(drawn.T, colours, strict=True):
         panels[2].plot(time, column, color=colour, linewidth=1.4)

@@ -1,4 +1,4 @@
-"""The numbers by which a run is judged."""
+"""Metrics of an exploration run."""
 
 import dataclasses
 import math
@@ -23,52 +23,51 @@ LEVELS = (50, 90, 95, 99)
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExplorationMetrics(Metrics):
-    """What an exploration run achieved, and at what cost.
+    """Metrics of an exploration run.
 
     Args:
-        coverage: share of the reachable cells known to be free, at the end.
-        target_coverage: at which exploration is finished; None if it never is.
-        time_to: for each level of coverage ("50", "90", "95", "99" percent) when it was first
+        coverage: share of the reachable cells that are known to be free at the end.
+        target_coverage: coverage at which exploration is finished; None if it never is.
+        time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never. The record of step k holds the coverage measured at the
             beginning of that step, so the time is k control periods.
-        path_to: the distance travelled until then [m].
-        path_length: in all [m].
-        initial_entropy: of the belief over the reachable cells before the first step [nat].
-        final_entropy: the same at the end [nat].
+        path_to: distance travelled until each level was reached [m].
+        path_length: distance travelled in the whole run [m].
+        initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
+        final_entropy: entropy at the end [nat].
         initial_unknown: share of the map's cells with `4 p (1 - p) > 1/2` before the first step.
-        final_unknown: the same at the end.
+        final_unknown: share of unknown cells at the end.
         information_per_metre: entropy lost over the reachable cells for each metre travelled
             [nat/m]; None if the robot did not move.
-        goal_distance: from the goal at the end [m]; None if there is no goal.
+        goal_distance: distance from the goal at the end [m]; None if there is no goal.
         command_jerk: root mean square over steps and controls of the second difference of the
             commands, `(u_{t+1} - 2 u_t + u_{t-1}) / period^2`, in halves of the range between
             their bounds [1/s^2].
         fault_steps: steps during which a fault of the scenario was active.
         collisions: contacts; successive steps in contact are one.
-        collision_steps: steps that would have led into something.
-        minimum_clearance: from the robot's edge to the nearest solid cell [m], as far as the
-            record looks.
-        mean_effective_sample_size: over the steps.
-        minimum_effective_sample_size: over the steps.
-        non_finite_steps: steps without a single finite rollout.
-        untraversable_steps: steps that ended with some of the robot on ground that may not be
-            entered.
-        num_targets: how many places there were to see.
-        targets_seen: how many of them were seen.
-        last_target_at: when the last of all was seen [s]; None if some were not.
-        mean_idleness: of the reachable cells, the time since each was seen, mean over the second
-            half of the run: the first is needed to see everything once [s]. None if nobody keeps
-            watch.
-        worst_idleness: the longest of them in the second half [s].
-        members: of a controller that holds several, by name: mean `share` in the control, and
-            means of its `uncertainty` [half ranges], `effective_sample_size` and `cost` where they
-            were finite. None of any other controller.
+        collision_steps: number of steps that would have led to a collision.
+        minimum_clearance: least distance from the robot's edge to the nearest solid cell [m], up to
+            the reach of the record.
+        mean_effective_sample_size: mean effective sample size over the steps.
+        minimum_effective_sample_size: least effective sample size of the steps.
+        non_finite_steps: number of steps without a single finite rollout.
+        untraversable_steps: number of steps that ended with part of the robot on untraversable
+            ground.
+        num_targets: number of targets.
+        targets_seen: number of targets that were seen.
+        last_target_at: time at which the last target was seen [s]; None if some were not seen.
+        mean_idleness: time since each reachable cell was last seen, mean over the cells and the
+            second half of the run [s]: the first half is needed to see everything once. None
+            without an idleness map.
+        worst_idleness: the greatest of these times in the second half [s].
+        members: statistics of the members of a controller, by name: mean `share` in the control,
+            and means of its `uncertainty` [half ranges], `effective_sample_size` and `cost` where
+            they were finite. None of any other controller.
         diversity: mean distance between two members' controls [half ranges].
         replaced: share of the steps in which a member's plan took the place of the mixture.
-        reachable_area: [m^2].
-        longest_stall: longest time in which the positions fit into a square of side
-            `2 * STALL_RADIUS` along the world's axes while the best coverage so far did not rise
-            [s].
+        reachable_area: area of the reachable cells [m^2].
+        longest_stall: longest time without a rise of the coverage in which the positions fit into a
+            square of side `2 * STALL_RADIUS` along the world's axes [s].
         coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
             half second, the end included.
     """
@@ -121,7 +120,7 @@ class ExplorationMetrics(Metrics):
         Column.quartiles("time_to_90", "90 % after [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("coverage", "coverage [%]", scale=100.0),
         Column.quartiles("path_length", "path [m]"),
-        # A robot that did not move learned nothing on its way.
+        # Without a path there is no information per metre, and it counts as 0.
         Column.quartiles("information_per_metre", "nat/m", missing=0.0),
         Column.quartiles("final_unknown", "unknown [%]", scale=100.0),
         Column.quartiles("targets_seen", "targets seen", applies=lambda spread: spread[2] > 0.0),
@@ -153,7 +152,7 @@ class ExplorationMetrics(Metrics):
         return self.coverage_curve
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what matters as (name, text), for tables."""
+        """Return the main metrics as (name, text), for tables."""
         ends = (
             self.target_coverage is not None or self.num_targets or self.goal_distance is not None
         )
@@ -222,11 +221,12 @@ class ExplorationMetrics(Metrics):
 
 
 def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> ExplorationMetrics:
-    """Return the metrics of a run.
+    """Compute the metrics of a run.
 
     Args:
-        recording: of a run, finished or not; one without a step counts what is known at its start.
-        seed: to note down.
+        recording: recording of a run, finished or not; a run without a step has the metrics of its
+            start.
+        seed: seed of the run, stored with the metrics.
     """
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, coverage, entropy, path = progress(recording)

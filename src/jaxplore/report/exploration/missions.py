@@ -1,4 +1,4 @@
-"""What is judged besides the map: targets, a place that is watched, a controller's members."""
+"""Metrics of targets, of idleness and of a controller's members."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from jaxplore.report.exploration.data import ExplorationData
 
 
 def last_target_at(recording: ExplorationData) -> float | None:
-    """Return when the last of all targets was seen [s]; None if some were not, or there are none.
+    """Return the time at which the last target was seen [s]; None if some were not, or without any.
 
     The record of step k holds what was seen at its beginning, so the time is k control periods.
     """
@@ -23,10 +23,10 @@ def judged_from(recording: ExplorationData) -> int:
 
 
 def idleness(recording: ExplorationData) -> tuple[float | None, float | None]:
-    """Return the mean over time of the mean idleness, and the worst idleness [s].
+    """Compute the mean over time of the mean idleness, and the worst idleness [s].
 
-    Over the second half of the run: the first is needed to see everything once. None if nobody
-    keeps watch, or nothing was done.
+    Both are over the second half of the run: the first is needed to see everything once. None
+    without an idleness map or without a step.
     """
     if recording.idleness is None or recording.num_steps == 0:
         return None, None
@@ -36,7 +36,7 @@ def idleness(recording: ExplorationData) -> tuple[float | None, float | None]:
 
 
 def member_means(recording: ExplorationData) -> dict[str, dict[str, float | None]] | None:
-    """Return for each member its mean share in the control, and what its own plans were like.
+    """Compute the mean share of each member in the control, and means over its own plans.
 
     `share`, `uncertainty` [half ranges], `effective_sample_size` and `cost`: means over the steps
     in which they were finite; None if they never were. None without members or without a step.
@@ -57,8 +57,8 @@ def member_means(recording: ExplorationData) -> dict[str, dict[str, float | None
 
 
 def fusion_means(recording: ExplorationData) -> tuple[float | None, float | None]:
-    """Return the mean diversity of the members' controls [half ranges], and the share of steps in
-    which one member's plan took the place of the mixture; None without members or a step."""
+    """Compute the mean diversity of the members' controls [half ranges], and the share of steps in
+    which one member's plan replaced the mixture; None without members or a step."""
     members = recording.records.members
     if members is None or recording.num_steps == 0:
         return None, None

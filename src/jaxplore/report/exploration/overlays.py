@@ -1,4 +1,4 @@
-"""What is drawn over a map: the ground, targets, moving obstacles, the robot's outline."""
+"""Overlays of a map: the ground, targets, moving obstacles, the robot's outline."""
 
 from typing import TYPE_CHECKING
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 CONTOURS = 8
-"""Contour lines of the elevation, about."""
+"""Approximate number of contour lines of the elevation."""
 LEAST_RELIEF = 0.02
-"""Ground that differs less in height has no contour lines [m]."""
+"""Least range of the elevation for contour lines [m]."""
 MAX_CONTOUR_CELLS = 250
-"""Cells along each axis that contour lines are found from, about."""
+"""Approximate number of cells along each axis from which contour lines are computed."""
 CONTOUR = "#6b7f5e"
 """Colour of contour lines."""
 
 
 def closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
-    """Return the window's cells (R, C) of open ground that may not be entered."""
+    """Return the window's cells (R, C) of untraversable open ground."""
     if recording.traversable is None:
         return np.zeros(window.shape, bool)
     is_open = np.asarray(recording.world) <= OCCUPIED_THRESHOLD
@@ -41,13 +41,13 @@ def closed_cells(recording: ExplorationData, window: Window) -> np.ndarray:
 
 
 def add_ground(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw contour lines with their heights, and hatch what may not be entered."""
+    """Draw contour lines with their heights, and hatch untraversable ground."""
     if recording.elevation is not None:
         _add_contours(axes, np.asarray(recording.elevation), window)
     closed = closed_cells(recording, window)
     if not closed.any():
         return
-    # A row of cells around, so that the hatched area is closed at the picture's edge too.
+    # One more row of cells on each side closes the hatched area at the picture's edge.
     x, y = _middles(window, around=1)
     hatched = axes.contourf(
         x,
@@ -100,7 +100,7 @@ def _add_contours(axes: "Axes", elevation: np.ndarray, window: Window) -> None:
 
 
 def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Return x (C,) and y (R,) of the middles of cells, with so many more on each side [m]."""
+    """Return x (C,) and y (R,) of the cells' centres, with `around` more on each side [m]."""
     rows, columns = (np.arange(-around, count + around) + 0.5 for count in window.shape)
     return (
         window.corner[0] + window.resolution * columns,
@@ -109,7 +109,7 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw what was to be seen."""
+    """Draw the targets."""
     if len(recording.targets):
         x, y = (window.place(recording.targets) + window.corner).T
         axes.plot(
@@ -125,8 +125,9 @@ def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> Non
         )
 
 
-def add_movers(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw moving obstacles where they were last, and the places they were at in the frames."""
+def add_moving_obstacles(axes: "Axes", recording: ExplorationData, window: Window) -> None:
+    """Draw the last positions of the moving obstacles, and faintly their positions in the
+    frames."""
     from matplotlib.patches import Circle
 
     if not len(recording.mover_radii):
@@ -159,7 +160,7 @@ def add_movers(axes: "Axes", recording: ExplorationData, window: Window) -> None
 
 
 def add_footprint(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw the outline of a robot that is a rectangle, at the start and at the end."""
+    """Draw the outline of a rectangular robot at the start and at the end."""
     from matplotlib.patches import Polygon
 
     if not len(recording.footprint) or "yaw" not in recording.state_names:

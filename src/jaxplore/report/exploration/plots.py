@@ -1,4 +1,4 @@
-"""Pictures of a run as a whole."""
+"""Figures of an exploration run: the map and the coverage."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,7 @@ from jaxplore.report.exploration.metrics import LEVELS, compute_metrics
 from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
-    add_movers,
+    add_moving_obstacles,
     add_targets,
     closed_cells,
 )
@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MAX_SEGMENTS = 2000
-"""Pieces of the path that are coloured by time."""
+"""Number of segments of the path that are coloured by time."""
 
 
 def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
-    """Return the edges (N, 2, 2) between solid cells and the free space that reachable cells are
-    part of, in metres from the window's corner along the grid's axes."""
+    """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
+
+    They are in metres from the window's corner, along the grid's axes.
+    """
     import scipy.ndimage  # slow to import, and few need it
 
     labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
@@ -51,14 +53,15 @@ def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
 
 
 def map_figure(recording: ExplorationData) -> "Figure":
-    """Return the final belief with the robot's path and the outline of the true free space.
+    """Draw the final belief with the robot's path and the outline of the true free space.
 
-    In red, the walls that were not seen. Where there are any: the height of the ground as contour
-    lines and, hatched, ground that may not be entered; targets; moving obstacles at their last
-    places, with the places they were at in the frames; a rectangular robot's outline at the
-    start and at the end.
+    Walls that were not seen are red. If present, it also shows the height of the ground as contour
+    lines, untraversable ground hatched, the targets, the last positions of the moving obstacles
+    with their positions in the frames, and a rectangular robot's outline at the start and at the
+    end.
 
-    A map that is turned is drawn along its own axes.
+    A rotated map is drawn along its own axes. The function has more than 60 lines because the
+    order of its layers decides what covers what.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
@@ -116,7 +119,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     axes.plot([], [], "s", color=shade(MISSED), markersize=5.0, label="wall not seen")
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
-    add_movers(axes, recording, window)
+    add_moving_obstacles(axes, recording, window)
     add_footprint(axes, recording, window)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""
@@ -140,26 +143,26 @@ def map_figure(recording: ExplorationData) -> "Figure":
 
 
 def _targets_seen(recording: ExplorationData) -> np.ndarray:
-    """Return (N + 1,) how many targets had been seen at each instant."""
+    """Return the number of targets seen at each instant (N + 1,)."""
     return at_instants(recording.records.targets_seen, 0.0)
 
 
 def _unseen_walls(recording: ExplorationData) -> np.ndarray:
-    """Return the solid cells that face the free space around the reachable cells and that the
-    belief does not hold to be solid."""
+    """Return the solid cells beside the free space around the reachable cells that the belief does
+    not hold to be solid."""
     from scipy.ndimage import binary_dilation, binary_propagation
 
     free = (recording.world < 0.5) | recording.reachable
-    # What lies behind the walls' faces can neither be seen nor missed.
+    # Cells behind the faces of walls cannot be seen, so they are not missed.
     open_space = binary_propagation(recording.reachable, mask=free)
     faces = (recording.world > OCCUPIED_THRESHOLD) & binary_dilation(open_space)
     return np.asarray(faces & (recording.belief < OCCUPIED_THRESHOLD))
 
 
 def coverage_figure(recording: ExplorationData) -> "Figure":
-    """Return coverage and entropy over time, and when each level of coverage was reached.
+    """Draw coverage and entropy over time, and the times at which levels of coverage were reached.
 
-    With targets, below, how many of them had been seen.
+    With targets, a second panel shows how many had been seen.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

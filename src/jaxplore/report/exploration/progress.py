@@ -1,4 +1,4 @@
-"""How a run went on: what was known when and where, and where it stood still."""
+"""Coverage, entropy and path length over a run, and its stalls."""
 
 from collections import deque
 
@@ -8,11 +8,11 @@ from jax.typing import ArrayLike
 from jaxplore.report.exploration.data import ExplorationData
 
 STALL_RADIUS = 0.25
-"""A robot that stays this close to one place [m], along each axis, may be stalled."""
+"""Half the side of the square within which a robot counts as stalled [m]."""
 
 
 def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
+    """Compute time [s], coverage, entropy [nat] and path length [m] at the N + 1 instants of a run.
 
     Instant k is the beginning of step k, the last one the end of the run: nothing is sensed after
     the last step, so coverage and entropy keep their last values there. In a run without a step
@@ -32,25 +32,25 @@ def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def at_instants(values: ArrayLike, initial: float) -> np.ndarray:
-    """Return (N + 1,) what was recorded of N steps, the last one kept to the end of the run.
+    """Extend the values of N steps to N + 1 instants by repeating the last one.
 
     Args:
-        values: (N,) measured at the beginning of each step.
-        initial: of a run without a step.
+        values: (N,) values measured at the beginning of each step.
+        initial: value of a run without a step.
     """
     rows = np.asarray(values)
     return np.append(rows, rows[-1:] if len(rows) else [initial])
 
 
 def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
-    """Return the most steps between two instants of one stall.
+    """Return the number of steps of the longest stall.
 
-    One pass with two ends: the later end advances, the earlier one follows as far as it must.
-    Four queues keep the window's extremes, so the whole pass is O(N).
+    One pass with a sliding window: the later end advances, the earlier one follows as needed.
+    Four monotonic queues keep the window's extremes, so the whole pass is O(N).
 
     Args:
-        positions: (N + 1, 2) of the robot [m].
-        coverage: (N + 1,) at the same instants.
+        positions: (N + 1, 2) positions of the robot [m].
+        coverage: (N + 1,) coverage at the same instants.
     """
     best = np.maximum.accumulate(coverage).tolist()
     axes = [signed.tolist() for axis in positions.T for signed in (axis, -axis)]

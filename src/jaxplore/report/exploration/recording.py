@@ -33,11 +33,11 @@ class ExplorationRecording(ExplorationData, Recording):
     animation = "exploration.gif"
 
     def metrics(self, *, seed: int | None = None) -> ExplorationMetrics:
-        """Compute the numbers by which the run is judged."""
+        """Compute the metrics of the run."""
         return compute_metrics(self, seed=seed)
 
     def frame_image(self, frame: ExplorationFrame) -> Image.Image:
-        """Draw a frame as it is in the animation."""
+        """Draw a frame as in the animation."""
         return frame_image(self, frame)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:

@@ -1,4 +1,4 @@
-"""The part of a map that pictures show, and where things are in it."""
+"""The part of a map that figures show, and its coordinates."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from jaxplore.report.drawing.picture import to_frame
 from jaxplore.report.exploration.data import ExplorationData
 
 MARGIN = 1.0
-"""Drawn around the reachable cells [m]."""
+"""Margin around the reachable cells [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -17,7 +17,7 @@ class Window:
 
     Args:
         first: row and column of its first cell.
-        shape: its rows and columns.
+        shape: number of rows and columns.
         origin: pose of the grid [m, m, rad].
         resolution: side of a cell [m].
     """
@@ -29,7 +29,8 @@ class Window:
 
     @classmethod
     def around_reachable(cls, recording: ExplorationData) -> "Window":
-        """Return the box around the reachable cells and a margin; all of the grid without any."""
+        """Return the bounding box of the reachable cells and a margin; the whole grid without
+        any."""
         cells = recording.reachable
         rows, columns = np.nonzero(cells if cells.any() else np.ones_like(cells, bool))
         margin = round(MARGIN / recording.resolution)
@@ -45,20 +46,20 @@ class Window:
 
     @property
     def is_turned(self) -> bool:
-        """The grid's axes are not the world's."""
+        """Whether the grid is rotated in the world."""
         return bool(self.origin[2] != 0.0)
 
     @property
     def corner(self) -> np.ndarray:
-        """(2,) the window's first corner on the axes that are drawn [m].
+        """First corner (2,) of the window on the drawn axes [m].
 
-        They are the world's, or the grid's own if it is turned.
+        The drawn axes are the world's, or the grid's own if it is rotated.
         """
         corner = np.asarray(self.first[::-1], np.float64) * self.resolution
         return corner if self.is_turned else corner + self.origin[:2]
 
     def crop(self, cells: np.ndarray, fill: float | bool) -> np.ndarray:
-        """Return the window's cells, `fill` where it reaches beyond the grid."""
+        """Cut the window out of a grid; cells beyond the grid are `fill`."""
         rows, columns = (
             np.arange(start, start + count)
             for start, count in zip(self.first, self.shape, strict=True)
@@ -76,5 +77,6 @@ class Window:
         return cropped
 
     def place(self, points: np.ndarray) -> np.ndarray:
-        """Turn world points (..., 2) into metres from the window's corner along the grid's axes."""
+        """Transform world points (..., 2) to metres from the window's corner along the grid's
+        axes."""
         return to_frame(points, self.origin) - np.asarray(self.first[::-1]) * self.resolution

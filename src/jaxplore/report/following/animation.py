@@ -1,4 +1,4 @@
-"""An animated GIF of a run along a path: the robot looks ahead and drives."""
+"""Animation of a path-following run."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -29,24 +29,24 @@ from jaxplore.report.following.laps import lap_starts, num_laps, speeds
 from jaxplore.report.following.plots import course_box, worst_steps
 
 BEYOND = blend(UNKNOWN, FREE, 0.45)
-"""Colour of the ground out of the corridor."""
+"""Colour of the ground outside the corridor."""
 LEAST_ROBOT, CLOSE_ROBOT, MAX_ZOOM = 3.0, 12.0, 10.0
-"""Robots that would be thinner in a view of the whole course are followed [pixels]; how thick they
-are then, and how much closer the view may come."""
+"""Least size of a robot in a view of the whole course, below which the view follows it [pixels];
+its size in that view; greatest magnification."""
 CLOSE_RATIO = 0.625
-"""Height of a view that follows the robot, in its widths."""
+"""Height of a view that follows the robot, as a multiple of its width."""
 DASH = 6.0
-"""Of the path, and between two dashes [pixels]."""
+"""Length of a dash of the path, and of a gap [pixels]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """What a frame shows of the ground.
+    """The part of the ground that a frame shows.
 
     Args:
-        corner: (2,) lower left one [m].
-        scale: pixels that are shown per metre.
-        size: columns and rows that are shown.
+        corner: (2,) lower left corner [m].
+        scale: pixels of the final picture per metre.
+        size: number of columns and rows.
     """
 
     corner: np.ndarray
@@ -54,13 +54,13 @@ class View:
     size: tuple[int, int]
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Turn world points (..., 2) [m] into columns and rows of the supersampled map."""
+        """Transform world points (..., 2) [m] to columns and rows of the supersampled map."""
         placed = (np.asarray(points, np.float64) - self.corner) * self.scale * SUPERSAMPLING
         placed[..., 1] = self.size[1] * SUPERSAMPLING - placed[..., 1]
         return np.asarray(np.clip(placed, -1e5, 1e5))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
-        """Say which points (..., 2) are in the picture or less than a picture away from it."""
+        """Return which points (..., 2) are in the picture or less than its size away from it."""
         extent = np.asarray(self.size) / self.scale
         inside = (points > self.corner - extent) & (points < self.corner + 2.0 * extent)
         return np.asarray(inside.all(axis=-1))
@@ -68,7 +68,7 @@ class View:
 
 @dataclasses.dataclass(frozen=True)
 class PathCanvas:
-    """All that is the same in every frame of a recording.
+    """The parts of an animation that are the same in every frame.
 
     `low` and `high` (2,) are the corners of the whole course [m], `dashes` (D, 3, 2) points of the
     path's [m], `contacts` the steps that were deepest in an obstacle; `course` is the ground, where
@@ -89,11 +89,11 @@ class PathCanvas:
 
     @property
     def width(self) -> int:
-        """Of the picture [pixels]."""
+        """Width of the picture [pixels]."""
         return max(MIN_WIDTH, self.size[0])
 
     def view(self, position: np.ndarray) -> View:
-        """Return the view of a robot there: around it, but not beyond the course."""
+        """Return the view around a robot's position, clipped to the course."""
         extent = np.asarray(self.size) / self.scale
         corner = np.clip(
             position - 0.5 * extent, self.low, np.maximum(self.high - extent, self.low)
@@ -109,14 +109,14 @@ def write_path_animation(
     side: int = 720,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Write a run along a path as an animated GIF that plays in browsers and in a README.
+    """Write a path-following run as an animated GIF that plays in browsers and in a README.
 
-    All of the course is in view; where the robot were too small then, the view follows it.
+    It shows the whole course, or, if the robot would be too small, a view that follows the robot.
 
     Args:
-        recording: of the run.
-        path: of the file.
-        max_frames: at most; evenly chosen, the first and the last one among them.
+        recording: recording of the run.
+        path: path of the file.
+        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
         side: the longer one of the course [pixels].
         on_progress: called with the share that is done, 0 to 1.
 
@@ -136,10 +136,10 @@ def write_path_animation(
 
 
 def path_frame_image(recording: PathData, frame: PathFrame, *, side: int = 720) -> Image.Image:
-    """Return one look at a run along a path, as it is drawn in the animation.
+    """Draw one frame of a path-following run, as in the animation.
 
     Args:
-        recording: of the run.
+        recording: recording of the run.
         frame: one of its frames.
         side: the longer one of the course [pixels].
 
@@ -162,7 +162,7 @@ def _make_canvas(recording: PathData, side: int) -> PathCanvas:
         most = np.array([side, round(CLOSE_RATIO * side)])
     shown = np.clip(np.round((high - low) * scale).astype(int), MIN_MAP_SIDE, most)
     size = (int(shown[0]), int(shown[1]))
-    # Nodes that are less than a pixel apart need not all be drawn.
+    # Where nodes are less than a pixel apart, a subset is enough.
     nodes = len(recording.centre)
     stride = max(1, int(nodes / (scale * recording.length)))
     kept = np.unique(np.append(np.arange(0, nodes, stride), nodes - 1))
@@ -185,7 +185,7 @@ def _make_canvas(recording: PathData, side: int) -> PathCanvas:
 
 
 def _dashes(recording: PathData, length: float) -> np.ndarray:
-    """Return the dashes (D, 3, 2) of the path, each so long [m]."""
+    """Return the dashes (D, 3, 2) of the path, each of a length [m]."""
     nodes = np.linspace(0.0, recording.length, len(recording.centre))
     begins = np.arange(0.0, recording.length, 2.0 * length)
     along = begins[:, None] + length * np.array([0.0, 0.5, 1.0])
@@ -208,7 +208,7 @@ def _draw(canvas: PathCanvas, frame: PathFrame) -> Image.Image:
 def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
     """Draw the corridor and the path."""
     edges = canvas.edges
-    # Where an edge is nowhere the room has no end, and no ground is out of it.
+    # An infinite edge has no ground outside.
     is_bounded = len(edges) > 0 and bool(np.isfinite(edges).all())
     columns, rows = (SUPERSAMPLING * pixels for pixels in view.size)
     ground = Image.new("RGB", (columns, rows), BEYOND if is_bounded else FREE)
@@ -228,14 +228,14 @@ def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
 
 
 def _runs(mask: np.ndarray) -> list[slice]:
-    """Return where a mask (N,) holds without a gap."""
+    """Return the slices of successive true entries of a mask (N,)."""
     padded = np.concatenate([[False], mask, [False]]).astype(int)
     changes = np.flatnonzero(np.diff(padded)).tolist()
     return [slice(begin, end) for begin, end in zip(changes[::2], changes[1::2], strict=True)]
 
 
 def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.ImageDraw) -> None:
-    """Draw, from the ground up, where it was, obstacles, what it weighs up, and itself."""
+    """Draw the trail, the obstacles, the rollouts, the plan and the robot, in this order."""
     recording = canvas.recording
     trail = recording.positions[: frame.step + 1]
     draw_line(view, draw, trail, TRAIL, 1.5)
@@ -260,7 +260,7 @@ def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.
 def _draw_obstacle(
     view: View, draw: ImageDraw.ImageDraw, corners: np.ndarray, radius: float
 ) -> None:
-    """Draw a polygon that is so much thicker [m], or a disc, with a bright edge."""
+    """Draw a polygon inflated by a radius [m], or a disc, with a bright edge."""
     if not np.isfinite(corners).all():
         return
     places = view.pixels(corners)
@@ -311,8 +311,8 @@ def _legend(canvas: PathCanvas) -> list[tuple[str, Colour]]:
     return entries
 
 
-def _palette(looks: Sequence[Image.Image]) -> Image.Image:
+def _palette(pictures: Sequence[Image.Image]) -> Image.Image:
     lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, INK, PALE, MISSED)
     given: list[Colour] = [PAPER, FREE, BEYOND, MOVER_EDGE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
-    return fitted_palette(given, looks)
+    return fitted_palette(given, pictures)

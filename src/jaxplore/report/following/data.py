@@ -1,4 +1,4 @@
-"""The data of a path-following run: the record of each step, the snapshots, the course."""
+"""Data of a path-following run: the record of each step, the frames, the course."""
 
 import dataclasses
 from typing import NamedTuple
@@ -11,24 +11,24 @@ from jaxplore.report.recording import Frame, RunData
 
 
 class PathRecord(NamedTuple):
-    """What is kept of each step; in a run every field has a leading axis of steps.
+    """The record of a step; in a recording every field has a leading axis of steps.
 
     Args:
-        state: (nx,) after the step, with its path parameter phi.
-        control: (nu,) that led to it.
-        contouring: error at phi, by the object that plans [m].
-        lag: error at phi [m].
-        progress: arc length of the point of the path that is nearest to the robot [m]; on laps it
-            goes on growing.
-        deviation: distance across the path there, positive to its right [m].
-        room: from the robot's edge to the edge of the corridor there [m], negative beyond it;
-            infinite without one.
-        gap: from the robot's edge to the nearest obstacle [m]; infinite without any.
-        acceleration: (2,) along the heading and to the left [m/s^2]; not a number of a model that
-            does not say.
-        effective_sample_size: of the controller's rollouts.
-        is_finite: whether any of them was finite.
-        is_faulty: whether tracking or odometry failed, by the scenario's faults.
+        state: (nx,) state after the step, with its path parameter phi.
+        control: (nu,) control that took effect during the step.
+        contouring: contouring error at phi, computed by the controller's own cost [m].
+        lag: lag error at phi, computed likewise [m].
+        progress: arc length of the point of the path nearest to the robot [m]; it keeps growing
+            from lap to lap.
+        deviation: distance from that point across the path, positive to its right [m].
+        room: distance from the robot's edge to the edge of the corridor there [m], negative beyond
+            it; infinite without one.
+        gap: distance from the robot's edge to the nearest obstacle [m]; infinite without any.
+        acceleration: (2,) acceleration along the heading and to the left [m/s^2]; NaN for a model
+            without a time derivative.
+        effective_sample_size: effective sample size of the controller's rollouts.
+        is_finite: whether any rollout had a finite cost.
+        is_faulty: whether a fault of tracking or odometry was active.
     """
 
     state: StateVector
@@ -50,12 +50,12 @@ class PathFrame(Frame):
     """A snapshot of a path-following run.
 
     Args:
-        position: (2,) of the robot [m].
-        heading: of the robot [rad].
+        position: (2,) position of the robot [m].
+        heading: heading of the robot [rad].
         corners: (N, V, 2) of the obstacles' polygons [m].
         samples: (S, T + 1, 2) positions of some rollouts [m].
-        weights: (S,) their weights.
-        plan: (T + 1, 2) positions along the nominal [m].
+        weights: (S,) weights of these rollouts.
+        plan: (T + 1, 2) positions of the nominal trajectory [m].
     """
 
     position: np.ndarray
@@ -68,21 +68,21 @@ class PathFrame(Frame):
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PathData(RunData):
-    """A path-following run: every step, snapshots, and the course that was driven.
+    """Data of a path-following run: every step, frames, and the course.
 
     Args:
         start: (nx,) state at the start.
         start_progress: arc length at the start [m].
         centre: (P, 2) points of the path [m].
         edges: (2, P, 2) the corridor's left and right edge [m]; (0, P, 2) without one.
-        length: of the path, or of a lap [m].
+        length: length of the path, or of a lap [m].
         end: arc length at which the run is finished [m].
         is_closed: whether the path is a lap.
-        state_names: of the robot's state.
+        state_names: names of the components of the robot's state.
         control_half_range: (nu,) half the range between the bounds of each control.
-        robot_radius: of the discs that cover the robot [m].
+        robot_radius: radius of the discs that cover the robot [m].
         footprint: (4, 2) corners of a rectangular robot in its own frame [m]; (0, 2) of a disc.
-        obstacle_radii: (N,) by which the obstacles' polygons are thicker [m].
+        obstacle_radii: (N,) radii by which the obstacles' polygons are inflated [m].
     """
 
     records: PathRecord
@@ -102,11 +102,11 @@ class PathData(RunData):
 
     @property
     def progress(self) -> np.ndarray:
-        """(N + 1,) arc length at the start and after each step [m]."""
+        """Arc length (N + 1,) at the start and after each step [m]."""
         return np.concatenate([[self.start_progress], self.records.progress])
 
     @property
     def positions(self) -> np.ndarray:
-        """(N + 1, 2) positions of the robot, the start included [m]."""
+        """Positions (N + 1, 2) of the robot, the start included [m]."""
         states = np.concatenate([self.start[None], self.records.state])
         return states[:, [self.state_names.index("x"), self.state_names.index("y")]]

@@ -1,4 +1,4 @@
-"""Laps and speeds of a run along a path: what its pictures and its numbers share."""
+"""Laps and speeds of a path-following run."""
 
 import numpy as np
 
@@ -6,12 +6,12 @@ from jaxplore.report.following.data import PathData
 
 
 def num_laps(recording: PathData) -> int:
-    """Return how many laps are to be driven; 0 of an open path."""
+    """Return the number of laps to drive; 0 for an open path."""
     return round(recording.end / recording.length) if recording.is_closed else 0
 
 
 def lap_starts(recording: PathData) -> np.ndarray:
-    """Return when laps begin (L + 1,) [s]: at the start, and whenever a lap is completed.
+    """Return the times at which laps begin (L + 1,) [s]: the start, and the end of each lap.
 
     Lap k, from 0 on, lasts from entry k to entry k + 1, where the progress first reaches k + 1
     lengths of the path; between two steps it grows linearly. A robot that starts behind or beyond
@@ -21,7 +21,7 @@ def lap_starts(recording: PathData) -> np.ndarray:
     time, progress = recording.time, np.asarray(recording.progress, np.float64)
     starts, laps = [0.0], num_laps(recording)
     for number in range(1, laps + 1):
-        # As shares of the end, so that a run that is finished has its last lap to the bit.
+        # As shares of the end: rounding must not lose the last lap of a finished run.
         line = recording.end * (number / laps)
         has_passed = progress >= line
         if not has_passed.any():
@@ -37,16 +37,18 @@ def lap_starts(recording: PathData) -> np.ndarray:
 
 
 def lap_times(recording: PathData) -> list[float]:
-    """Return how long each completed lap took [s], the first one from the start of the run; none of
-    an open path."""
+    """Return the times of the completed laps [s], the first from the start of the run.
+
+    Empty for an open path.
+    """
     return [float(seconds) for seconds in np.diff(lap_starts(recording))]
 
 
 def speeds(recording: PathData) -> np.ndarray:
     """Return the speed (N + 1,) at the start and after each step [m/s], never negative.
 
-    That of the state, v or (vx, vy); of a robot whose state has none, the distance from step to
-    step over the control period, 0 at the start.
+    It is read from the state, v or (vx, vy). If the state has no speed, it is the distance per
+    control period, and 0 at the start.
     """
     names = recording.state_names
     states = np.concatenate([recording.start[None], recording.records.state]).astype(np.float64)

@@ -1,4 +1,4 @@
-"""The numbers by which a run along a path is judged."""
+"""Metrics of a path-following run."""
 
 import dataclasses
 import math
@@ -15,41 +15,43 @@ from jaxplore.report.motion import command_jerk, episodes
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class PathMetrics(Metrics):
-    """How a robot followed a path, and at what cost.
+    """Metrics of a path-following run.
 
-    Errors are absolute values over all steps; of a run without a step they are None.
+    Errors are absolute values over all steps; they are None for a run without a step.
 
     Args:
-        progress: arc length passed since the start, by the nearest point of the path [m].
+        progress: arc length from the start to the nearest point of the path [m].
         to_go: arc length from there to the end [m].
-        lap_times: of the laps that were completed [s]; empty of an open path.
-        mean_contouring: distance across the path at phi, by the object that plans [m].
-        max_contouring: the greatest [m].
-        mean_lag: distance along the path at phi [m].
-        max_lag: the greatest [m].
-        mean_deviation: distance from the nearest point of the path [m].
-        max_deviation: the greatest [m].
-        corridor_violations: times that some of the robot left the corridor; successive steps are
-            one.
-        corridor_violation_steps: steps that ended so.
-        minimum_room: from the robot's edge to the corridor's [m], negative beyond; None without
-            one.
-        collisions: contacts with obstacles; successive steps are one.
-        collision_steps: steps that ended so.
-        minimum_gap: from the robot's edge to the nearest obstacle [m]; None without any.
-        mean_speed: of the robot, over the steps [m/s].
-        max_speed: the greatest [m/s].
-        rms_lateral_acceleration: root mean square [m/s^2]; None of a model that does not say.
-        max_lateral_acceleration: the greatest [m/s^2].
-        rms_longitudinal_acceleration: [m/s^2].
-        rms_jerk: of the change of both accelerations from step to step, over the control period
-            [m/s^3].
+        lap_times: times of the completed laps [s]; empty for an open path.
+        mean_contouring: mean distance across the path at phi, by the controller's own cost [m].
+        max_contouring: the greatest distance across the path at phi [m].
+        mean_lag: mean distance along the path at phi [m].
+        max_lag: the greatest distance along the path at phi [m].
+        mean_deviation: mean distance from the nearest point of the path [m].
+        max_deviation: the greatest distance from the path [m].
+        corridor_violations: number of times that part of the robot left the corridor; successive
+            steps count once.
+        corridor_violation_steps: number of steps that ended outside the corridor.
+        minimum_room: least distance from the robot's edge to the corridor's edge [m], negative
+            beyond it; None without one.
+        collisions: number of contacts with obstacles; successive steps count once.
+        collision_steps: number of steps that ended in contact.
+        minimum_gap: least distance from the robot's edge to the nearest obstacle [m]; None without
+            any.
+        mean_speed: mean speed of the robot over the steps [m/s].
+        max_speed: the greatest speed [m/s].
+        rms_lateral_acceleration: root mean square [m/s^2]; None for a model without a time
+            derivative.
+        max_lateral_acceleration: the greatest lateral acceleration [m/s^2].
+        rms_longitudinal_acceleration: root mean square [m/s^2].
+        rms_jerk: root mean square of the change of both accelerations from step to step, over the
+            control period [m/s^3].
         command_jerk: root mean square of the commands' second differences, in halves of the range
             between their bounds [1/s^2].
-        mean_effective_sample_size: over the steps.
-        minimum_effective_sample_size: over the steps.
-        non_finite_steps: steps without a single finite rollout.
-        fault_steps: steps during which a fault of the scenario was active.
+        mean_effective_sample_size: mean effective sample size over the steps.
+        minimum_effective_sample_size: least effective sample size of the steps.
+        non_finite_steps: number of steps without a single finite rollout.
+        fault_steps: number of steps during which a fault was active.
         curves: "time" [s], "progress", "contouring", "lag", "room" and "gap" [m] every half second,
             the end included.
     """
@@ -118,7 +120,7 @@ class PathMetrics(Metrics):
         return self.curves
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what matters as (name, text), for tables."""
+        """Return the main metrics as (name, text), for tables."""
         end = (
             f"finished after {text(self.finished_at, 2)} s" if self.is_finished else "not finished"
         )
@@ -162,11 +164,11 @@ class PathMetrics(Metrics):
 
 
 def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> PathMetrics:
-    """Return the metrics of a run along a path.
+    """Compute the metrics of a path-following run.
 
     Args:
-        recording: of a run, finished or not; one without a step too.
-        seed: to note down.
+        recording: recording of a run, finished or not, also without a step.
+        seed: seed of the run, stored with the metrics.
     """
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, progress = recording.time, recording.progress
@@ -182,7 +184,7 @@ def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> Pat
         "gap": records.gap,
     }
     curves = {"time": time, "progress": progress} | {
-        # Nothing was measured before the first step.
+        # Contouring, lag, room and gap are measured after each step: the start has no value.
         name: np.concatenate([[np.nan], values])
         for name, values in measured.items()
     }

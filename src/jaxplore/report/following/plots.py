@@ -1,4 +1,4 @@
-"""Pictures of a run along a path as a whole."""
+"""Figures of a path-following run: the course and the errors."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -31,21 +31,22 @@ if TYPE_CHECKING:
     from matplotlib.path import Path
 
 MAX_SEGMENTS = 5000
-"""Pieces of the trail that are coloured by speed."""
+"""Number of segments of the trail that are coloured by speed."""
 NUM_FAINT, FAINT = 8, 0.13
-"""Looks at which obstacles are drawn faintly, before the end; their opacity."""
+"""Number of earlier frames whose obstacles are drawn faintly; their opacity."""
 FLOOR = blend(UNKNOWN, FREE, 0.2)
 """Colour of a corridor on white paper."""
 MARGIN, LEAST_RATIO = 0.03, 0.28
-"""Drawn around everything, and the least side of the picture, in lengths of its longest side."""
+"""Margin around the course, and least side of the picture, as shares of its longest side."""
 NEAR = 8.0
-"""Room and gaps above so many radii of the robot are of little interest."""
+"""Upper end of the axis of room and gap, in radii of the robot."""
 LEAST_LAP = 0.09
-"""Shortest lap whose time is written over it, in lengths of the axis."""
+"""Shortest lap whose time is written over it, as a share of the axis."""
 
 
 def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (2,), (2,) of a box around path, corridor and trail, with a margin [m]."""
+    """Return the corners (2,), (2,) of the bounding box of path, corridor and trail, and a margin
+    [m]."""
     reach = max(recording.robot_radius, float(np.max(np.abs(recording.footprint), initial=0.0)))
     trail = recording.positions.astype(np.float64)
     drawn = [recording.centre, *recording.edges, trail - reach, trail + reach]
@@ -59,10 +60,10 @@ def course_box(recording: PathData) -> tuple[np.ndarray, np.ndarray]:
 
 
 def worst_steps(margins: ArrayLike) -> np.ndarray:
-    """Return the indices of the deepest steps, one of each row of successive steps below 0.
+    """Return the index of the least margin in each interval of successive negative margins.
 
     Args:
-        margins: (N,) after each step [m].
+        margins: (N,) margin after each step [m].
     """
     values = np.asarray(margins, np.float64)
     below = np.concatenate([[False], values < 0.0, [False]]).astype(int)
@@ -72,11 +73,10 @@ def worst_steps(margins: ArrayLike) -> np.ndarray:
 
 
 def path_figure(recording: PathData) -> "Figure":
-    """Return the course, the robot's trail over it by speed, and where obstacles were.
+    """Draw the course, the trail coloured by speed, and the obstacles.
 
-    Obstacles are dark where they are at the end, and faint where they were at some of the frames.
-    In red, where some of the robot was out of the corridor; a cross where it was deepest in an
-    obstacle, one for each contact.
+    Obstacles are dark at their last position, and faint at their positions in some of the frames.
+    Positions out of the corridor are red; a cross marks the deepest point of each contact.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
@@ -145,7 +145,7 @@ def _add_course(axes: "Axes", recording: PathData) -> None:
         quads = np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1)
         floor = shade(FLOOR)
         pieces = quads[np.isfinite(quads).all(axis=(1, 2))].tolist()
-        # Their own edges close the seams between them.
+        # The edges close the seams between the quads.
         ground = PolyCollection(
             pieces, facecolors=floor, edgecolors=floor, linewidths=0.5, zorder=0.5
         )
@@ -174,7 +174,8 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
                 PathPatch(outline, facecolor=dark, alpha=FAINT, linewidth=0.0, zorder=1.5)
             )
     for corners, radius in zip(frames[-1].corners, radii, strict=True):
-        # The edge lies beneath: it would show where the outline's pieces overlap.
+        # The edge is drawn beneath the fill: above it would show where pieces of the outline
+        # overlap.
         rim = [Stroke(linewidth=2.4, foreground=light), Normal()]
         outline = thick_outline(corners, radius)
         patch = PathPatch(outline, facecolor=dark, edgecolor="none", linewidth=0.0, zorder=3.0)
@@ -195,14 +196,14 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
 
 
 def thick_outline(corners: np.ndarray, radius: float) -> "Path":
-    """Return what is within a radius of a polygon, of pieces that all go round to the left.
+    """Return the outline of a polygon inflated by a radius, as counterclockwise pieces.
 
-    So filled by the nonzero rule it is their union: the polygon, a strip along each of its edges
+    Filled by the nonzero rule they give their union: the polygon, a strip along each of its edges
     and a disc around each of its corners.
 
     Args:
-        corners: (V, 2) in order, either way round [m]; one of them is a disc.
-        radius: [m].
+        corners: (V, 2) corners in order, in either direction [m]; a single corner gives a disc.
+        radius: radius of the discs [m].
     """
     from matplotlib.path import Path
 
@@ -223,7 +224,7 @@ def thick_outline(corners: np.ndarray, radius: float) -> "Path":
 
 
 def _add_marks(axes: "Axes", recording: PathData) -> None:
-    """Draw start and end, the robot there, and where it should not have been."""
+    """Draw the start and the end, the robot at both, violations and contacts."""
     from matplotlib.patches import Circle, Polygon
 
     records, positions = recording.records, recording.positions.astype(np.float64)
@@ -269,10 +270,10 @@ def _add_marks(axes: "Axes", recording: PathData) -> None:
 
 
 def errors_figure(recording: PathData) -> "Figure":
-    """Return errors, speed and accelerations over time, or over the progress of an open path.
+    """Draw errors, speed and accelerations over time, or over the progress of an open path.
 
-    Where there are any: the room to the corridor's edge and the gap to the nearest obstacle, both
-    negative where they are violated. Lines across all of them divide laps.
+    If present, it also shows the room to the corridor's edge and the gap to the nearest obstacle;
+    both are negative where violated. Vertical lines separate laps.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -304,7 +305,7 @@ def errors_figure(recording: PathData) -> "Figure":
         lateral, longitudinal = _draw_curves(
             panel, after, {"lateral": felt[:, 1], "longitudinal": felt[:, 0]}
         )
-        # Throttle and brake change fast: beneath, so that both can be read.
+        # The longitudinal acceleration changes fast: it is drawn beneath, so that both can be read.
         longitudinal.set(linewidth=0.8, alpha=0.6, zorder=lateral.get_zorder() - 0.1)
         panel.set_ylabel("acceleration\n[m/s²]")
     for panel in others:
@@ -334,7 +335,7 @@ def _draw_curves(
 def _draw_margins(
     axes: "Axes", along: np.ndarray, margins: dict[str, np.ndarray], radius: float
 ) -> None:
-    """Draw room and gap where they are small, and mark what is below 0."""
+    """Draw room and gap where they are small, and mark negative values."""
     names = {"room": "room to the edge", "gap": "gap to obstacles"}
     _draw_curves(axes, along, {names[name]: values for name, values in margins.items()})
     finite = {name: values[np.isfinite(values)] for name, values in margins.items()}

@@ -27,11 +27,11 @@ class PathRecording(PathData, Recording):
     animation = "following.gif"
 
     def metrics(self, *, seed: int | None = None) -> PathMetrics:
-        """Compute the numbers by which the run is judged."""
+        """Compute the metrics of the run."""
         return compute_path_metrics(self, seed=seed)
 
     def frame_image(self, frame: PathFrame) -> Image.Image:
-        """Draw a frame as it is in the animation."""
+        """Draw a frame as in the animation."""
         return path_frame_image(self, frame)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:

@@ -1,1 +1,1 @@
-"""A scenario as a reinforcement-learning environment."""
+"""Scenarios as reinforcement-learning environments."""

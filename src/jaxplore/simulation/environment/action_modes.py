@@ -1,4 +1,4 @@
-"""What an action of an environment means: a control, or a place to drive to."""
+"""Meanings of an environment's action: a control, or a waypoint."""
 
 import abc
 import dataclasses
@@ -29,37 +29,38 @@ ActionVector = Float[Array, "A"]
 
 
 class ActionMode(eqx.Module):
-    """How an action (A,) from outside becomes a controller that carries it out.
+    """The meaning of an action (A,): a conversion to a controller that carries it out.
 
-    All controllers of a mode have states of the same structure, so that one goes on from another's.
+    All controllers of a mode have states of the same structure, so that one can continue from the
+    state of another.
     """
 
     @property
     @abc.abstractmethod
     def low(self) -> ActionVector:
-        """Least action (A,)."""
+        """Lower bounds (A,) of an action."""
 
     @property
     @abc.abstractmethod
     def high(self) -> ActionVector:
-        """Greatest action (A,)."""
+        """Upper bounds (A,) of an action."""
 
     @property
     @abc.abstractmethod
     def initial_controller(self) -> Controller:
-        """A controller whose initial state is the one to begin with."""
+        """Controller that gives the initial controller state."""
 
     @abc.abstractmethod
     def controller(
         self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
-        """Return the controller that carries an action out.
+        """Make the controller that carries out an action.
 
         Args:
-            action: (A,), clipped to the bounds.
-            moment: when the action begins, and what the robot is told about itself.
-            belief: what the robot knows.
-            scenario: in which it acts.
+            action: (A,) action, clipped to its bounds.
+            moment: time at which the action begins, and the observed state.
+            belief: the robot's belief.
+            scenario: scenario in which the robot acts.
         """
 
     @abc.abstractmethod
@@ -71,46 +72,46 @@ class ControlMode(ActionMode):
     """An action is a control of the robot, held until the next action.
 
     Args:
-        robot: its model.
+        robot: model of the robot.
     """
 
     robot: Dynamics
 
     @property
     def low(self) -> ActionVector:
-        """The robot's least controls (nu,)."""
+        """Lower bounds (nu,) of the robot's controls."""
         return self.robot.control_min
 
     @property
     def high(self) -> ActionVector:
-        """The robot's greatest controls (nu,)."""
+        """Upper bounds (nu,) of the robot's controls."""
         return self.robot.control_max
 
     @property
     def initial_controller(self) -> Controller:
-        """A robot left alone."""
+        """Controller that holds the default control."""
         return Hold(self.robot.default_control)
 
     def controller(
         self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
-        """Return the controller that gives this control."""
+        """Make the controller that holds this control."""
         return Hold(jnp.clip(action, self.low, self.high))
 
     def at_period(self, control_period: ArrayLike) -> "ControlMode":
-        """Return this mode, which depends on no period."""
+        """Return this mode unchanged: it does not depend on the period."""
         return self
 
 
 class WaypointMode(ActionMode):
-    """An action is a place (x, y) in the robot's frame, ahead and to the left [m].
+    """An action is a waypoint (x, y) in the robot's frame, ahead and to the left [m].
 
-    A controller drives there along the shortest way through what is not known to be occupied, as
-    known when the action is given: see `goal_field`. Of a place in a wall, as near to it as the
-    robot gets.
+    A controller drives there along the shortest path through cells that are not known to be
+    occupied, by the map at the time of the action: see `goal_field`. If the waypoint is in a wall,
+    the robot drives as near to it as possible.
 
     Args:
-        drive: the controller; its costs read `Belief.to_goal`, see `waypoint_mppi`.
+        drive: controller that drives; its costs read `Belief.to_goal`, see `waypoint_mppi`.
         reach: greatest x and y of an action [m].
 
     Raises:
@@ -126,23 +127,23 @@ class WaypointMode(ActionMode):
 
     @property
     def low(self) -> ActionVector:
-        """Minus the reach (2,)."""
+        """Lower bounds (2,): minus the reach."""
         return jnp.stack([-self.reach, -self.reach])
 
     @property
     def high(self) -> ActionVector:
-        """The reach (2,)."""
+        """Upper bounds (2,): the reach."""
         return jnp.stack([self.reach, self.reach])
 
     @property
     def initial_controller(self) -> Controller:
-        """The controller that drives."""
+        """Controller that drives."""
         return self.drive
 
     def controller(
         self, action: ActionVector, moment: Moment, belief: Any, scenario: Scenario
     ) -> Controller:
-        """Return the controller that drives to this place."""
+        """Make the controller that drives to this waypoint."""
         if not isinstance(scenario, ExplorationScenario):
             raise ValueError(
                 f"mode is a WaypointMode in a {type(scenario).__name__}; accepted: ControlMode, or "
@@ -163,7 +164,7 @@ class WaypointMode(ActionMode):
             stride=perception.field_sensor.stride,
             num_layers=LAYERS,
         )
-        return AlongWay(self.drive, way)
+        return WaypointController(self.drive, way)
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":
         """Return this mode for commands that are `control_period` seconds apart."""
@@ -171,18 +172,18 @@ class WaypointMode(ActionMode):
 
 
 class Hold(Controller):
-    """Gives one control (nu,), come what may."""
+    """Controller that holds one control (nu,)."""
 
     control: ControlVector
 
     def init(self) -> tuple[()]:
-        """Return nothing: it remembers nothing."""
+        """Return an empty state."""
         return ()
 
     def step(
         self, state: tuple[()], observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, tuple[()], Info]:
-        """Return the control."""
+        """Return the held control."""
         one = jnp.ones(())
         info = Info(self.control[None], one[None], jnp.zeros(1), one, jnp.array(True))
         return self.control, state, info
@@ -196,22 +197,22 @@ class Hold(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return a plan that stands still: without a model there is no other."""
+        """Return a plan that stays at the observed state, because the controller has no model."""
         still = jnp.stack([observation, observation])
         alone = Trajectory(still, self.control[None], {})
         return SampledPlan(alone, alone, still[None], jnp.ones(1))
 
     def at_period(self, control_period: ArrayLike) -> "Hold":
-        """Return this controller, which depends on no period."""
+        """Return this controller unchanged: it does not depend on the period."""
         return self
 
 
-class AlongWay(Controller):
-    """Another controller, to whose belief a way to a goal is added.
+class WaypointController(Controller):
+    """Wrapper of a controller that adds a cost to go to the belief.
 
     Args:
-        drive: the controller.
-        way: cost to go to the goal [m]; in the place of `Belief.to_goal`.
+        drive: wrapped controller.
+        way: cost to go to the waypoint [m], which replaces `Belief.to_goal`.
     """
 
     drive: Controller
@@ -224,7 +225,7 @@ class AlongWay(Controller):
     def step(
         self, state: Any, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, Any, Info]:
-        """Return the control, the controller's new state and what it says about the step."""
+        """Return the control, the controller's new state and its diagnostics."""
         guided = dataclasses.replace(belief, to_goal=self.way)
         return self.drive.step(state, observation, guided, key=key)
 
@@ -237,15 +238,15 @@ class AlongWay(Controller):
         key: Key,
         num_trajectories: int = 50,
     ) -> SampledPlan:
-        """Return what `step` sees with the same arguments."""
+        """Return the sampled plan of `step` with the same arguments."""
         guided = dataclasses.replace(belief, to_goal=self.way)
         return self.drive.inspect(
             state, observation, guided, key=key, num_trajectories=num_trajectories
         )
 
-    def at_period(self, control_period: ArrayLike) -> "AlongWay":
+    def at_period(self, control_period: ArrayLike) -> "WaypointController":
         """Return this controller for commands that are `control_period` seconds apart."""
-        return AlongWay(self.drive.at_period(control_period), self.way)
+        return WaypointController(self.drive.at_period(control_period), self.way)
 
 
 def waypoint_mppi(
@@ -261,19 +262,20 @@ def waypoint_mppi(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
 ) -> MPPI:
-    """Return MPPI that drives along `Belief.to_goal` and keeps clear of what is not known free.
+    """Build MPPI that descends `Belief.to_goal` and avoids cells that are not known to be free.
 
     Args:
-        robot: its model, of a robot on the ground.
+        robot: model of the robot, a ground robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: of the softmax.
-        noise_std: (nu,) of the controls; half the range between their bounds when absent.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
+            when absent.
         dt: model step [s].
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
-        obstacle_weight: of `ObstacleCost`.
-        guidance_weight: of `ToGoalCost`.
-        control_weight: of `ControlCost`.
+        obstacle_weight: weight of `ObstacleCost`.
+        guidance_weight: weight of `ToGoalCost`.
+        control_weight: weight of `ControlCost`.
 
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.

@@ -1,7 +1,7 @@
-"""A scenario seen from outside: an action in, an observation and a reward out.
+"""Scenarios as environments: an action in, an observation and a reward out.
 
-Nothing of the closed loop is written here again. An action becomes a controller (`ActionMode`), and
-the loop of `jaxplore.simulation.loop` perceives, controls and moves as in any run.
+The environment uses the closed loop of `jaxplore.simulation.loop`: an action becomes a controller
+(`ActionMode`), and the loop perceives, controls and moves as in any run.
 """
 
 from collections.abc import Sequence
@@ -27,14 +27,14 @@ from jaxplore.simulation.scenario import Moment, Scenario
 from jaxplore.simulation.stacking import Stacked
 
 
-class Tally(NamedTuple):
-    """What has happened since the start.
+class EpisodeStatistics(NamedTuple):
+    """Statistics of an episode so far.
 
     Args:
         path_length: distance travelled [m].
-        collisions: contacts; successive steps count once.
-        collision_steps: control periods in contact.
-        is_contact: whether the last control period was one.
+        collisions: number of contacts; successive steps count once.
+        collision_steps: number of control periods in contact.
+        is_contact: whether the last control period was in contact.
     """
 
     path_length: Scalar
@@ -44,15 +44,15 @@ class Tally(NamedTuple):
 
 
 class EnvironmentState(NamedTuple):
-    """Everything that changes.
+    """State of an environment.
 
     Args:
-        loop: state of the closed loop, before the robot perceives what was observed.
-        perceived: state of the task after it has perceived.
-        moment: when that was, and what the robot was told about itself.
-        belief: what the robot knows then.
-        tally: what has happened.
-        key: key of the whole run.
+        loop: state of the closed loop before the perception that gave the observation.
+        perceived: state of the task after that perception.
+        moment: time of that perception, and the state that was observed.
+        belief: the robot's belief at that time.
+        tally: statistics of the episode so far.
+        key: random key of the run.
         choice: number of the scenario.
     """
 
@@ -60,23 +60,23 @@ class EnvironmentState(NamedTuple):
     perceived: Any
     moment: Moment
     belief: Any
-    tally: Tally
+    tally: EpisodeStatistics
     key: Key
     choice: Count
 
 
-class Outcome(NamedTuple):
-    """The outcome of an action.
+class StepResult(NamedTuple):
+    """The result of an action: the observation, the reward and the end of the episode.
 
     Args:
-        observation: what the agent observes, by name; see `Scenario.observation`.
+        observation: arrays that the agent observes, by name; see `Scenario.observation`.
         reward: reward for the action.
-        is_terminated: whether the scenario is finished: there is nothing left to do.
-        is_truncated: whether its time is up before.
-        is_collision: whether the robot touched something meanwhile.
+        is_terminated: whether the scenario is finished.
+        is_truncated: whether the time limit was reached before.
+        is_collision: whether the robot was in contact during the action.
         facts: numbers about the task, by name; see `Scenario.facts`.
         num_steps: control periods since the start.
-        tally: what has happened since the start.
+        tally: statistics of the episode so far.
     """
 
     observation: dict[str, Array]
@@ -86,28 +86,29 @@ class Outcome(NamedTuple):
     is_collision: Flag
     facts: dict[str, Scalar]
     num_steps: Count
-    tally: Tally
+    tally: EpisodeStatistics
 
 
 class Environment(eqx.Module):
     """A scenario, or several of one size, as an environment.
 
-    A robot perceives, decides and moves, in this order. An environment stands still where it is to
-    decide: the observation holds the measurement from where the robot is now, as a controller of
-    the closed loop would see it. The same key and the same controls give the states of `simulate`.
+    A robot perceives, decides and moves, in this order. The environment pauses between perception
+    and decision: the observation contains the measurement at the present position, as a controller
+    of the closed loop would see it. The same key and the same controls give the states of
+    `simulate`.
 
         reward = Scenario.reward(before, after) - collision_penalty * (time in contact)
 
     Args:
-        scenarios: one, or several that differ in the values of their arrays only, such as floors
-            of one size.
-        mode: what an action means.
+        scenarios: one scenario, or several that differ in the values of their arrays only, such as
+            floors of one size.
+        mode: meaning of an action.
         action_period: time between actions [s], rounded to control periods; the scenario's sensing
             period when absent, or a control period if it has none.
         time_limit: simulated time after which an episode is truncated [s].
-        collision_penalty: taken off the reward for contact [1/s].
-        view: side of the square around the robot that is observed of the belief [m]; all of the
-            map when absent.
+        collision_penalty: reduction of the reward by contact [1/s].
+        view: side of the observed square of the belief around the robot [m]; the whole map when
+            absent.
 
     Raises:
         ValueError: no scenario, scenarios that differ in size or structure, a value that is out of
@@ -135,7 +136,7 @@ class Environment(eqx.Module):
         given = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
         if not given or not all(isinstance(each, Scenario) for each in given):
             raise ValueError(f"scenarios is {scenarios!r}; accepted: a scenario, or several")
-        self.scenarios = Stacked.of(given, name="scenarios")
+        self.scenarios = Stacked.from_trees(given, name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)
         self.mode = mode.at_period(given[0].control_period)
@@ -166,10 +167,10 @@ class Environment(eqx.Module):
         return chosen
 
     def init(self, key: Key, choice: Count) -> EnvironmentState:
-        """Return the state of a robot that has not perceived anything yet: see `reset`.
+        """Return the state before the first perception; see `reset`.
 
         Args:
-            key: key of the whole run.
+            key: random key of the run.
             choice: number of the scenario, below `num_scenarios`.
         """
         scenario = self.scenario(choice)
@@ -181,37 +182,41 @@ class Environment(eqx.Module):
             perceived=loop.task,
             moment=moment_at(scenario, loop),
             belief=belief,
-            tally=Tally(jnp.zeros(()), zero, zero, jnp.array(False)),
+            tally=EpisodeStatistics(jnp.zeros(()), zero, zero, jnp.array(False)),
             key=key,
             choice=choice,
         )
 
-    def reset(self, key: Key, choice: Count) -> tuple[EnvironmentState, Outcome]:
+    def reset(self, key: Key, choice: Count) -> tuple[EnvironmentState, StepResult]:
         """Return the state at the start of an episode, and the first observation.
 
         Args:
-            key: key of the whole run.
+            key: random key of the run.
             choice: number of the scenario, below `num_scenarios`.
         """
         return self.step(self.init(key, choice), self.mode.low, jnp.zeros((), jnp.int32))
 
     def step(
         self, state: EnvironmentState, action: ActionVector, num_steps: Count | None = None
-    ) -> tuple[EnvironmentState, Outcome]:
+    ) -> tuple[EnvironmentState, StepResult]:
         """Carry out an action.
+
+        The function has more than 60 lines because its three inner functions share the scenario,
+        the controller and the limits of the loop.
 
         Args:
             state: state before.
-            action: (A,); values out of bounds are clipped.
-            num_steps: control periods for which it is carried out, fewer where the episode ends;
-                with 0 the robot only perceives. The periods between actions when absent.
+            action: (A,) action; values out of bounds are clipped.
+            num_steps: number of control periods of the action, fewer if the episode ends; with 0
+                the robot only perceives. The periods between actions when absent.
         """
         scenario, before = self.scenario(state.choice), state.tally
         steps = self.steps_per_action if num_steps is None else num_steps
         controller = self.mode.controller(action, state.moment, state.belief, scenario)
 
-        # A controller that decided where the action ends would perceive first. So the loop makes
-        # one step more, of which only the perception is kept: the next action repeats that step.
+        # The observation after the action needs the perception of the next step, which comes before
+        # the next decision. So the loop makes one step more and keeps its perception only; the next
+        # action repeats that step.
         def advance(course: _Course) -> _Course:
             at, tally = course.ahead, course.tally
             measure_key, _ = step_keys(state.key, at.step)
@@ -231,7 +236,7 @@ class Environment(eqx.Module):
                 moment=moment,
                 belief=belief,
                 is_hit=scenario.is_contact(record),
-                tally=Tally(
+                tally=EpisodeStatistics(
                     path_length=tally.path_length + jnp.sqrt(jnp.sum(moved * moved)),
                     collisions=tally.collisions + is_new.astype(jnp.int32),
                     collision_steps=tally.collision_steps + course.is_hit.astype(jnp.int32),
@@ -273,7 +278,7 @@ class Environment(eqx.Module):
         penalty = self.collision_penalty * scenario.control_period * contact
         earned = scenario.reward(state.perceived, after.perceived)
         is_terminated = has_ended(course)
-        return after, Outcome(
+        return after, StepResult(
             observation=scenario.observation(
                 after.perceived, after.moment, after.belief, self.view_cells
             ),
@@ -288,8 +293,8 @@ class Environment(eqx.Module):
 
 
 class _Course(NamedTuple):
-    """The course of an action: the loop as it is (`at`), what the robot perceives there, and the
-    loop one step `ahead`, which touched something or not, after so many steps."""
+    """Carry of the loop over an action: the number of steps `done`, the loop state `at`, its
+    perception, and the loop state one step `ahead` with its contact."""
 
     done: Count
     at: LoopState
@@ -298,4 +303,4 @@ class _Course(NamedTuple):
     moment: Moment
     belief: Any
     is_hit: Flag
-    tally: Tally
+    tally: EpisodeStatistics

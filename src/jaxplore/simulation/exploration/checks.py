@@ -1,4 +1,4 @@
-"""Checks of what an exploration scenario is made of."""
+"""Checks of the arguments of an exploration scenario."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,17 +15,17 @@ from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 def check_goal(
     goal: Position, world: OccupancyGrid, robot: Dynamics, reachable: GridMask, radius: float
 ) -> None:
-    """Refuse a goal that the robot cannot reach.
+    """Check that the robot can reach a goal.
 
     Args:
-        goal: (x, y) [m].
+        goal: goal position (x, y) [m].
         world: true map.
-        robot: the plant.
-        reachable: (H, W) cells to which its centre can get.
+        robot: true model of the robot.
+        reachable: (H, W) cells that the robot's centre can reach.
         radius: distance at which the goal counts as reached [m].
 
     Raises:
-        ValueError: no reachable cell within the radius.
+        ValueError: no reachable cell is within the radius.
     """
     rows, columns = np.nonzero(np.asarray(reachable))
     centres = world.frame.cell_centre(jnp.asarray(np.stack([rows, columns], axis=-1)))
@@ -39,7 +39,7 @@ def check_goal(
 
 
 def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, "M 2"]:
-    """Return targets (M, 2) in free space; M = 0 when absent.
+    """Check that targets are in free space, and return them (M, 2); M = 0 when absent.
 
     Raises:
         ValueError: another shape; a target that is not in free space.
@@ -58,7 +58,7 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
 
 
 def is_same_ground(ground: Ground | None, other: Ground | None) -> bool:
-    """Say whether two grounds are equal, or both absent."""
+    """Check whether two grounds are equal, or both absent."""
     if ground is None or other is None:
         return ground is other
     layers = ((each.elevation, each.is_traversable) for each in (ground, other))
@@ -67,24 +67,24 @@ def is_same_ground(ground: Ground | None, other: Ground | None) -> bool:
 
 
 def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
-    """Return the world with cells that may not be entered as solid as walls."""
+    """Return the world with untraversable cells as walls."""
     closed = jnp.where(ground.is_traversable, world.probability, 1.0)
     return OccupancyGrid(closed, world.resolution, world.frame.origin)
 
 
 def is_same_frame(grid: OccupancyGrid, other: OccupancyGrid) -> bool:
-    """Say whether two maps have the same origin and resolution."""
+    """Check whether two maps have the same origin and resolution."""
     is_same = np.allclose(grid.frame.origin, other.frame.origin, rtol=1e-6, atol=1e-6)
     return is_same and grid.resolution == other.resolution
 
 
 def whole_steps(name: str, rate: float, control_rate: float) -> Array:
-    """Return the control periods in a period of a slower rate.
+    """Return the number of control periods in a period of a slower rate.
 
     Args:
-        name: name of the slower rate, for the error.
+        name: name of the slower rate, for the error message.
         rate: slower rate [Hz].
-        control_rate: [Hz].
+        control_rate: rate of the controls [Hz].
 
     Raises:
         ValueError: a rate that is not a whole fraction of the control rate.

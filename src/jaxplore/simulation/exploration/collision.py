@@ -1,6 +1,6 @@
-"""How close the robot really is to the world, and to what moves in it.
+"""Distances from the robot's outline to the true world and to moving obstacles.
 
-Distances are from the outline itself, not from the discs that cover it.
+For a disc and a rectangle they are from the outline itself, not from the discs that cover it.
 """
 
 import math
@@ -21,18 +21,18 @@ def footprint_clearance(
     footprint: Footprint,
     reach: int,
 ) -> Scalar:
-    """Return the distance from a robot's edge to the nearest solid square cell [m].
+    """Compute the distance from a robot's edge to the nearest solid square cell [m].
 
-    Exact for a disc and for a rectangle; of another footprint, that of the discs that cover it. See
-    `disc_clearance` and `rectangle_clearance`.
+    Exact for a disc and for a rectangle; for another footprint, the distance from the discs that
+    cover it. See `disc_clearance` and `rectangle_clearance`.
 
     Args:
-        solid: (H, W).
-        frame: where the cells are.
-        position: (x, y) of the robot in the world [m].
-        heading: in the world [rad].
-        footprint: of the robot.
-        reach: cells looked at in each direction, see `clearance_reach`; static.
+        solid: (H, W) solid cells.
+        frame: pose and resolution of the grid.
+        position: position (x, y) of the robot in the world [m].
+        heading: heading of the robot in the world [rad].
+        footprint: footprint of the robot.
+        reach: number of cells that are examined in each direction, see `clearance_reach`; static.
     """
     if isinstance(footprint, Rectangle):
         in_grid, turn = frame.to_grid(position), heading - frame.origin[2]
@@ -47,15 +47,15 @@ def footprint_clearance(
 def disc_clearance(
     solid: GridMask, grid: Array, radius: Scalar, resolution: float, reach: int
 ) -> Scalar:
-    """Return the distance from a disc's edge to the nearest solid square cell [m].
+    """Compute the distance from a disc's edge to the nearest solid square cell [m].
 
-    Exact for cells within `reach` cells of the disc's centre, and at most that far; off the map
-    everything is solid. Negative: they overlap.
+    Exact for cells within `reach` cells of the disc's centre, and limited to that distance.
+    Everything off the map is solid. Negative where they overlap.
 
     Args:
-        solid: (H, W).
-        grid: (row, column) of the centre [cells].
-        radius: of the disc [m].
+        solid: (H, W) solid cells.
+        grid: (row, column) coordinates of the disc's centre [cells].
+        radius: radius of the disc [m].
         resolution: side of a cell [m].
         reach: cells looked at in each direction; static.
     """
@@ -78,21 +78,22 @@ def rectangle_clearance(
     resolution: float,
     reach: int,
 ) -> Scalar:
-    """Return the distance from a rectangle's edge to the nearest solid square cell [m].
+    """Compute the distance from a rectangle's edge to the nearest solid square cell [m].
 
-    Of two convex polygons that are apart it is the least distance of a corner of one from the
-    other. They overlap where no edge's normal separates them (the separating axis theorem); then it
-    is minus the shortest way to push them apart, which is along such a normal.
+    For two disjoint convex polygons it is the least distance of a corner of one from the other.
+    They overlap if no edge normal separates them (separating axis theorem). Then it is minus the
+    penetration depth, the shortest translation that separates them, which is along an edge normal.
 
-    Exact for cells within `reach` cells of the rectangle's origin, and at most what one beyond them
-    could be at; off the map everything is solid.
+    Exact for cells within `reach` cells of the rectangle's origin, and limited to the least
+    distance of a cell beyond them. Everything off the map is solid.
 
     Source: Ericson, "Real-Time Collision Detection", 2005, section 5.2.1 (separating axes).
 
     Args:
-        solid: (H, W).
-        grid: (row, column) of the rectangle's origin [cells].
-        heading: of the rectangle in the grid's axes, from the columns' axis to the rows' [rad].
+        solid: (H, W) solid cells.
+        grid: (row, column) coordinates of the rectangle's origin [cells].
+        heading: heading of the rectangle in the grid's frame, from the column axis to the row axis
+            [rad].
         footprint: the rectangle.
         resolution: side of a cell [m].
         reach: cells looked at in each direction; static.
@@ -101,7 +102,7 @@ def rectangle_clearance(
     front, rear = footprint.front / resolution, footprint.rear / resolution
     beside = 0.5 * footprint.width / resolution
     cos, sin = jnp.cos(heading), jnp.sin(heading)
-    # All in cells from the origin: the lines between cells, and the rectangle's corners (4,).
+    # All lengths are in cells from the origin: the grid lines, and the rectangle's corners (4,).
     y, x = _lines(rows, grid[0]), _lines(columns, grid[1])
     ahead, left = jnp.stack([front, front, -rear, -rear]), jnp.stack([beside, -beside] * 2)
     corner_x, corner_y = cos * ahead - sin * left, sin * ahead + cos * left
@@ -110,7 +111,7 @@ def rectangle_clearance(
     gap_y = _outside(corner_y[:, None], y[:-1], y[1:])
     corners = jnp.min((gap_y * gap_y)[:, :, None] + (gap_x * gap_x)[:, None, :], axis=0)
 
-    # The cells' corners in the rectangle's axes, one more of them than cells along each.
+    # Corners of the cells in the rectangle's frame, one more than cells along each axis.
     ahead, left = cos * x + (sin * y)[:, None], (cos * y)[:, None] - sin * x
     gap_ahead, gap_left = _outside(ahead, -rear, front), _outside(left, -beside, beside)
     squares = gap_ahead * gap_ahead + gap_left * gap_left
@@ -118,7 +119,7 @@ def rectangle_clearance(
     squares = jnp.minimum(squares[:, :-1], squares[:, 1:])
     distance = jnp.sqrt(jnp.minimum(corners, squares))
 
-    # How far apart their shadows are on each of the four normals; negative by how much they share.
+    # Gaps between the projections on the four edge normals; a negative gap is an overlap.
     half = 0.5 * (jnp.abs(cos) + jnp.abs(sin))
     middle_ahead = ahead[:-1, :-1] + 0.5 * (cos + sin)
     middle_left = left[:-1, :-1] + 0.5 * (cos - sin)
@@ -142,17 +143,17 @@ def discs_clearance(
     heading: Scalar,
     footprint: Footprint,
 ) -> Scalar:
-    """Return the distance from a robot's edge to the nearest of M discs [m].
+    """Compute the distance from a robot's edge to the nearest of M discs [m].
 
-    Exact for a disc and for a rectangle, also negative, where they overlap; of another footprint,
-    that of the discs that cover it. Infinite where there are none.
+    Exact for a disc and for a rectangle, negative where they overlap; for another footprint, the
+    distance from the discs that cover it. Infinite without discs.
 
     Args:
-        centres: (M, 2) in the world [m].
-        radii: (M,) [m].
-        position: (x, y) of the robot in the world [m].
-        heading: in the world [rad].
-        footprint: of the robot.
+        centres: (M, 2) centres of the discs in the world [m].
+        radii: (M,) radii of the discs [m].
+        position: position (x, y) of the robot in the world [m].
+        heading: heading of the robot in the world [rad].
+        footprint: footprint of the robot.
     """
     if isinstance(footprint, Rectangle):
         x, y = centres[:, 0] - position[0], centres[:, 1] - position[1]
@@ -170,12 +171,12 @@ def discs_clearance(
 
 
 def clearance_reach(footprint: Footprint | float, resolution: float, margin: float = 0.5) -> int:
-    """Return the cells to look at for a clearance to be exact up to `margin` [m].
+    """Return the number of cells to examine for a clearance that is exact up to `margin` [m].
 
     Args:
-        footprint: of the robot; a number is the radius of a disc [m].
+        footprint: footprint of the robot; a number is the radius of a disc [m].
         resolution: side of a cell [m].
-        margin: [m].
+        margin: distance up to which the clearance is exact [m].
     """
     if isinstance(footprint, Rectangle):
         ends = max(float(footprint.front), float(footprint.rear))
@@ -201,18 +202,18 @@ def _around(
 
 
 def _lines(cells: Int[Array, " n"], origin: Scalar) -> Float[Array, " m"]:
-    """Return the lines before, between and behind the cells along one axis, from the origin."""
+    """Return the grid lines of cells along one axis, relative to the origin."""
     low = cells.astype(jnp.float32)
     return jnp.concatenate([low, low[-1:] + 1.0]) - origin
 
 
 def _outside(value: Array, low: Array, high: Array) -> Array:
-    """Return how far a value is outside an interval, 0 inside."""
+    """Return the distance of a value from an interval, 0 inside."""
     return jnp.maximum(jnp.maximum(low - value, value - high), 0.0)
 
 
 def _centres(position: Position, heading: Scalar, footprint: Footprint) -> list[Position]:
-    """Return the centres in the world of the discs that cover a robot [m]."""
+    """Return the centres of the discs that cover a robot, in the world [m]."""
     if isinstance(footprint, Disc):
         return [position]
     ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])

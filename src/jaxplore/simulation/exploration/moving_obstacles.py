@@ -1,4 +1,4 @@
-"""Obstacles that move: where each of them is at any time."""
+"""True moving obstacles of an exploration scenario."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from jaxplore.maps.world import MovingObstacle
 
 
 class MovingObstacleState(NamedTuple):
-    """Where discs are and how they move: `positions` (M, 2) [m], `velocities` (M, 2) [m/s]."""
+    """Positions (M, 2) [m] and velocities (M, 2) [m/s] of the discs."""
 
     positions: Float[Array, "M 2"]
     velocities: Float[Array, "M 2"]
@@ -26,28 +26,29 @@ class MovingObstacleState(NamedTuple):
 class MovingObstacles(eqx.Module):
     """Discs on closed paths at constant speed.
 
-    A disc goes round the polyline through its corners and back from the last to the first. With L
-    the length of a round, at time t it has come
+    A disc moves along the closed polyline through its corners. With L the length of a lap, at time
+    t it has travelled
 
         s(t) = (phase * L + speed * t) mod L
 
-    along the path, and its velocity is its speed along the segment on which it is; at a corner,
-    the one that begins there. On a path of no length it stands still.
+    along the path. Its velocity has the direction of its segment; at a corner, of the segment that
+    begins there. On a path of length 0 it stands still.
 
-    Everything is an array leaf: other paths with as many corners do not recompile.
+    All fields are array leaves: other paths with the same number of corners do not recompile.
 
     Args:
-        movers: the discs; none is fine.
-        phase: (M,) share of a round at time 0, in [0, 1); 0, the first corner, when absent.
+        movers: the discs; an empty sequence is accepted.
+        phase: (M,) fraction of a lap at time 0, in [0, 1); 0, the first corner, when absent.
 
     Raises:
         ValueError: a phase that is not M numbers in [0, 1).
     """
 
     corners: Float[Array, "M P 2"]
-    """Of the paths [m]; the last is repeated where a path has fewer than the longest."""
+    """Corners of the paths [m]; the last one is repeated where a path has fewer than the
+    longest."""
     arc: Float[Array, "M P+1"]
-    """Length of the path up to each corner, and of the whole round [m]."""
+    """Length of the path up to each corner, and of the whole lap [m]."""
     speed: Float[Array, " M"]
     radius: Float[Array, " M"]
     phase: Float[Array, " M"]
@@ -69,11 +70,11 @@ class MovingObstacles(eqx.Module):
 
     @classmethod
     def none(cls) -> "MovingObstacles":
-        """Return no movers."""
+        """Return an empty set of obstacles."""
         return cls(())
 
     def with_phase(self, phase: ArrayLike | Sequence[float]) -> "MovingObstacles":
-        """Return the same movers from another start: (M,) shares of a round at time 0, in [0, 1).
+        """Return the same obstacles with another phase (M,) in [0, 1).
 
         Raises:
             ValueError: not M numbers in [0, 1).
@@ -83,7 +84,7 @@ class MovingObstacles(eqx.Module):
         return same
 
     def at(self, time: Scalar) -> MovingObstacleState:
-        """Return where the discs truly are at a time since the start [s], and their velocities."""
+        """Return the true positions and velocities of the discs at a time since the start [s]."""
         travelled = self.phase * self.arc[:, -1] + self.speed * time
         positions, directions = jax.vmap(_place)(self.corners, self.arc, travelled)
         return MovingObstacleState(positions, self.speed[:, None] * directions)
@@ -96,11 +97,12 @@ class MovingObstacles(eqx.Module):
 def _place(
     corners: Float[Array, "P 2"], arc: Float[Array, " P+1"], travelled: Scalar
 ) -> tuple[Position, Position]:
-    """Return where a disc is on its path, and the direction in which it goes (0 on a point)."""
+    """Return the position of a disc on its path, and its unit direction (0 on a path of length
+    0)."""
     length = arc[-1]
     rest = jnp.mod(travelled, jnp.where(length > 0.0, length, 1.0))
     rest = jnp.where(rest < length, rest, 0.0)  # rounding may leave a whole round
-    # From the right: a segment of no length, as the padding has, is never the one found.
+    # Searched from the right, so that a segment of length 0, such as padding, is never found.
     found = jnp.searchsorted(arc, rest, side="right") - 1
     index = jnp.clip(found, 0, len(corners) - 1)
     start, end = corners[index], corners[(index + 1) % len(corners)]

@@ -1,4 +1,4 @@
-"""Where the robot could go if it knew the world."""
+"""Cells of the true world that the robot can reach."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -8,15 +8,16 @@ from jaxplore.simulation.exploration.collision import clearance_reach, disc_clea
 
 
 def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> np.ndarray:
-    """Return the cells (H, W) to which the centre of a disc can get from a start.
+    """Compute the cells (H, W) that the centre of a disc can reach from a start.
 
     Free cells whose centres are at least `radius` from the nearest solid cell's face (centre
     distance less half a cell), 8-connected to the start.
 
     Args:
-        world: whatever it does not know to be free is solid, as is everything off the map.
-        start: (x, y, ...) [m].
-        radius: of the disc [m].
+        world: true map; cells that are not known to be free are solid, as is everything off the
+            map.
+        start: start position (x, y, ...) [m].
+        radius: radius of the disc [m].
 
     Raises:
         ValueError: a start where the disc cannot stand.
@@ -46,7 +47,7 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
         )
     distance = _face_distance(free, world.resolution)
     room = free & (distance >= radius - 1e-6)
-    # The robot may stand between the centres of cells: those around it count as well.
+    # The start is between cell centres, so the cells around it are seeds as well.
     near = np.zeros_like(free)
     near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
     labels, _ = scipy.ndimage.label(room, structure=np.ones((3, 3), int))
@@ -75,7 +76,7 @@ def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:
 
 
 def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
-    """Return the position (x, y) [m] with the most room for a disc.
+    """Return the position (x, y) with the greatest clearance for a disc [m].
 
     Raises:
         ValueError: the map has no place for it.
@@ -92,7 +93,7 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
 
 
 def _nearest(world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray) -> str:
-    """Return a hint: the nearest place where the robot has room."""
+    """Return a hint for an error message: the nearest position where the robot fits."""
     cells = np.argwhere(free & (_face_distance(free, world.resolution) >= radius + 0.1))
     if cells.size == 0:
         return f"; this map has no place for a robot of radius {radius:g} m"

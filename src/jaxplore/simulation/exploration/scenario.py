@@ -1,4 +1,4 @@
-"""Exploration of an unknown map: the world, the robot in it, and what is measured and counted."""
+"""The exploration scenario: a robot with sensors in an unknown world."""
 
 import dataclasses
 import functools
@@ -60,26 +60,27 @@ from jaxplore.simulation.exploration.collision import (
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.reachability import reachable_cells
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.outline import outline_of
+from jaxplore.simulation.outline import footprint_corners
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
 
 WHOLE_MAP = 100.0
-"""Reward for making an unknown map certain."""
+"""Total reward for making an unknown map certain."""
 START_OF_MOVING = 2**31 - 1
-"""Folded into the key of a run: the start of moving obstacles is drawn apart from the steps."""
+"""Number folded into the key of a run to draw the start of moving obstacles. It is never a step's
+number, so the draw is independent of the steps."""
 
 
 class ExplorationState(NamedTuple):
-    """Everything of the task that changes.
+    """State of the exploration task.
 
     Args:
         robot: (nx,) true state of the robot.
-        belief: what the robot knows.
-        progress: how much that is, as of the last map update.
-        finished: number of steps since the task was finished, 0 before.
-        is_seen: (M,) which targets have been seen.
+        belief: the robot's belief.
+        progress: statistics of the known map, as of the last map update.
+        finished: number of steps since the task was finished; 0 before.
+        is_seen: (M,) whether each target has been seen.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
-        ranges: (B,) of the last scan, of one sensor after the other [m].
+        ranges: (B,) ranges of the last scan, sensor by sensor [m].
     """
 
     robot: StateVector
@@ -92,45 +93,50 @@ class ExplorationState(NamedTuple):
 
 
 class ExplorationScenario(Scenario):
-    """Exploration: a robot starts somewhere in a world of which it knows little.
+    """Exploration of an unknown world by a robot with sensors.
 
-    It is finished at the target coverage, or, if there is a goal, within `goal_radius` of it with
-    less than `max_unknown` of its map unknown (or at the target coverage). A goal apart (see
-    `Perception`) is for a robot that goes there first and looks around on the way. With `targets`
-    it is finished when the first sensor has seen all of them. Without a target coverage, a goal
-    and targets, as on a patrol, it is not finished before its time is up.
+    When it is finished depends on the task:
 
-    Whatever the world does not know to be free is solid. *Reachable* are the free cells to which
-    the centre of the robot's disc can get from the start; coverage is the share of them that the
+    - By default: at the target coverage.
+    - With a goal: within `goal_radius` of it, with less than `max_unknown` of the map unknown or at
+      the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first
+      and explores on the way.
+    - With `targets`: when the first sensor has seen all of them.
+    - Without target coverage, goal and targets, as on a patrol: never before the time limit.
+
+    Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
+    centre of the robot's disc can reach from the start. Coverage is the share of them that the
     robot's map knows to be free.
 
-    The ground of a terrain map is known to the robot; what stands on it is not. Cells that may not
-    be entered are no walls: the robot can get onto them, which is recorded.
+    The robot knows the ground of a terrain map, but not the obstacles on it. Untraversable cells do
+    not stop the robot: it can enter them, which is recorded.
 
     Args:
         world: the true map, hidden from the robot; with the ground if it is a terrain map.
-        robot: the plant.
-        sensors: what it carries, one or several; the first leads, see `Perception`.
-        start: pose (x, y, yaw) [m, m, rad]; the robot stands still there.
-        perception: how scans become a belief; made for the sensors and the world when absent.
-        control_rate: [Hz].
-        sensing_rate: scans and map updates [Hz]; a whole fraction of the control rate.
-        field_rate: updates of the information and guidance fields [Hz]; likewise. The first is at
-            the first step, the others at the end of each period.
+        robot: true model of the robot.
+        sensors: one sensor or several; the first is the primary one, see `Perception`.
+        start: start pose (x, y, yaw) [m, m, rad], at rest.
+        perception: update of the belief from scans; made for the sensors and the world when absent.
+        control_rate: rate of the controls [Hz].
+        sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
+        field_rate: rate of updates of the information and guidance fields [Hz]; a whole fraction of
+            the control rate. The first update is at the first step, the others at the end of each
+            period.
         target_coverage: share of the reachable cells at which exploration is finished; None for
             never.
-        prior: what the robot knows beforehand, a map of the world's cells; nothing when absent.
-        goal: (x, y) to be at in the end [m]; none when absent.
+        prior: map that the robot knows in advance, with the cells of the world; nothing when
+            absent.
+        goal: goal position (x, y) [m]; none when absent.
         goal_radius: distance at which the goal is reached [m]; when absent 1.5, or 0.25 for a
             goal apart.
         max_unknown: share of cells with `4 p (1 - p) > 1/2` below which the map is explored; when
-            absent 0.05, or for a goal apart 1: it is reached when the robot is there.
+                absent 0.05, or 1 for a goal apart, which then needs no explored map.
         altitude: z of the start, for robots that have one [m].
-        hover_time: simulated after the end [s].
-        faults: what goes wrong on purpose.
-        targets: (M, 2) what is to be seen [m]; nothing when absent.
-        moving_obstacles: obstacles that move. The robot has a tracker for them, which measures
-            those in sight of any of its sensors. The run's key draws where they begin.
+        hover_time: time that is simulated after the end [s].
+        faults: injected faults; none when absent.
+        targets: (M, 2) positions of the targets to find [m]; none when absent.
+        moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
+            those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
 
     Raises:
@@ -268,7 +274,7 @@ class ExplorationScenario(Scenario):
         self.steps_per_field = whole_steps("field_rate", field_rate, rate)
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = jnp.asarray(round(hover * rate), jnp.int32)
-        # A share that no coverage reaches.
+        # A value that coverage never reaches: infinity keeps the leaf an array.
         self.target_coverage = (
             jnp.asarray(2.0, jnp.float32)
             if target_coverage is None
@@ -292,7 +298,7 @@ class ExplorationScenario(Scenario):
 
     @property
     def objective(self) -> str:
-        """Time until the task is finished, or the idleness of a patrol, and contacts."""
+        """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
         if self.num_targets:
             return "last_target_at + 100*collisions"
         if self.goal is None and float(self.target_coverage) > 1.0:
@@ -305,7 +311,7 @@ class ExplorationScenario(Scenario):
         return jnp.sum(self.reachable, dtype=jnp.float32)
 
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
-        """Return the state, and the belief with what is known beforehand."""
+        """Return the initial state, and the belief with the prior map."""
         belief = self.perception.init(self.prior, robot_pose(self.robot, self.start))
         moving = self.moving_obstacles
         if moving is not None:
@@ -331,8 +337,8 @@ class ExplorationScenario(Scenario):
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
         perception, period = self.perception, self.control_period
         world, step = self.world_at(moment.step), moment.step
-        # The map is made with the pose that the robot takes for its own, the scan where it really
-        # is.
+        # The scan is taken at the true pose and integrated at the observed one, so that odometry
+        # faults distort the map.
         pose = robot_pose(self.robot, moment.observed)
         is_placed = jnp.isfinite(pose).all()
 
@@ -353,8 +359,8 @@ class ExplorationScenario(Scenario):
         belief = state.belief
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        # The clock decides first, alone: it is the same for all runs of a batch, which so sense and
-        # derive no more often than one does.
+        # The condition depends on the clock alone. The clock is the same for all runs of a batch,
+        # so under vmap this stays a branch and a batch senses and derives only as often as one run.
         belief, progress, is_seen, ranges = jax.lax.cond(
             step % self.steps_per_scan == 0,
             lambda *known: jax.lax.cond(~moment.is_blind & is_placed, sense, _same, *known),
@@ -364,8 +370,8 @@ class ExplorationScenario(Scenario):
             state.is_seen,
             state.ranges,
         )
-        # The fields are derived one step before what a controller does at the same rate, a
-        # strategy for example: that reads fresh fields, and no single step has to pay for both.
+        # The fields are derived one step before a strategic layer of the same rate runs: it reads
+        # fresh fields, and no single step has the cost of both.
         every = self.steps_per_field
         elapsed = period * every.astype(jnp.float32)
 
@@ -384,10 +390,10 @@ class ExplorationScenario(Scenario):
     def advance(
         self, state: ExplorationState, control: ControlVector, moment: Moment, info: Info
     ) -> tuple[ExplorationState, ExplorationRecord]:
-        """Move the robot.
+        """Move the robot and record the step.
 
-        A move that would touch something solid is not made: the robot stands still, and the step
-        counts as a collision.
+        If the move would touch something solid, the robot stops instead, and the step counts as a
+        collision.
         """
         model, period, progress = self.robot, self.control_period, state.progress
         moved = model.step(state.robot, control, period)
@@ -423,9 +429,9 @@ class ExplorationScenario(Scenario):
         return state._replace(robot=robot, finished=finished), record
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
-        """Say whether the loop goes on: until the end, and for the hovering after it.
+        """Check whether the loop continues: until the task is finished, plus the hover time.
 
-        A scenario without a goal that is covered beforehand takes no step.
+        A scenario without a goal whose coverage is reached at the start takes no step.
         """
         is_over = state.finished > self.hover_steps
         if self.goal is None and self.num_targets == 0:
@@ -434,11 +440,11 @@ class ExplorationScenario(Scenario):
         return ~is_over
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
-        """Return no share, for how long the rest takes is unknown, and the coverage."""
+        """Return a share of 0, because the time left is unknown, and the coverage as text."""
         return 0.0, f"coverage {float(state.progress.coverage):6.1%}"
 
     def for_batches(self) -> "ExplorationScenario":
-        """Return the scenario with a perception that suits many runs side by side."""
+        """Return the scenario with a perception that is efficient under `jax.vmap`."""
         batched = self.perception.for_batches()
         same: ExplorationScenario = eqx.tree_at(lambda at: at.perception, self, batched)
         return same
@@ -449,7 +455,7 @@ class ExplorationScenario(Scenario):
         """Return the belief, a scan, and the plan before a step; see `ExplorationFrame`."""
         pose = robot_pose(self.robot, state.robot)
         world, moving = self.world_at(moment.step), state.moving_obstacles
-        # The scan of the first sensor: where it looks is where the robot learns.
+        # Only the scan of the first sensor is drawn: it is the one that fills the map.
         scan, *_ = self.scans(world, pose, moving, moment.time, key)
         angles = pose[2] + jnp.asarray(self.sensors[0].beam_angles)
         directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
@@ -484,10 +490,10 @@ class ExplorationScenario(Scenario):
     ) -> dict[str, Array]:
         """Return the belief, the pose, the state and the last scan.
 
-        `belief` (H, W) probability of each cell of the map, or (N, N) of the cells around the
-        robot, columns ahead and rows to the left; `pose` where the robot takes itself to be
-        (x, y, yaw) [m, m, rad], yaw in [-pi, pi]; `state` (nx,) of its model, as it is told, with
-        the same yaw; `scan` (B,) ranges of its last scan, of one sensor after the other [m].
+        `belief` is the occupancy probability of each cell (H, W), or of the cells around the robot
+        (N, N), columns ahead and rows to the left. `pose` is the observed pose (x, y, yaw)
+        [m, m, rad], yaw in [-pi, pi]. `state` (nx,) is the observed state, with the same yaw.
+        `scan` (B,) are the ranges of the last scan, sensor by sensor [m].
         """
         told, grid = moment.observed, belief.grid
         x, y, yaw = robot_pose(self.robot, told)
@@ -526,21 +532,21 @@ class ExplorationScenario(Scenario):
     def reward(self, before: ExplorationState, after: ExplorationState) -> Scalar:
         """Return `100 (H_before - H_after) / (ln 2 * reachable cells)`.
 
-        H is the entropy of the belief over the reachable cells [nat]. The rewards of a run add up
-        to about 100 for a map that was unknown, less what the first scan tells. A reward may be
-        negative: noise can make cells less certain.
+        H is the entropy of the belief over the reachable cells [nat]. The rewards of a run on an
+        unknown map add up to about 100, less the share of the first scan. A reward may be negative:
+        noise can make cells less certain.
         """
         most = math.log(2.0) * self.num_reachable
         return WHOLE_MAP / most * (before.progress.entropy - after.progress.entropy)
 
     def is_contact(self, record: ExplorationRecord) -> Flag:
-        """Say whether the robot would have moved into something solid."""
+        """Check whether the step would have led to a collision."""
         return record.is_collision
 
     def has_ended(self, state: ExplorationState, ahead: ExplorationState) -> Flag:
-        """Say whether the scenario is finished where the robot is."""
-        # One step ahead, what was just sensed is counted; but the robot has moved, so with a goal
-        # that state is not asked.
+        """Check whether the scenario is finished at the present position."""
+        # The state one step ahead includes the present scan, which may complete the coverage or the
+        # targets. But there the robot has moved, so a goal is checked at the present position.
         known = ahead if self.goal is None else state
         return known.finished > self.hover_steps
 
@@ -561,12 +567,12 @@ class ExplorationScenario(Scenario):
             path=trail,
             heading=float(pose[2]),
             radius=float(self.robot.radius),
-            footprint=outline_of(self.robot.footprint),
+            footprint=footprint_corners(self.robot.footprint),
             scan=pose[:2] + np.asarray(state.ranges)[:, None] * directions,
         )
 
     def _max_ranges(self) -> np.ndarray:
-        """Return the largest range (B,) of every beam of every sensor [m]."""
+        """Return the greatest range (B,) of every beam of every sensor [m]."""
         return np.concatenate(
             [np.full(sensor.num_beams, sensor.max_range, np.float32) for sensor in self.sensors]
         )
@@ -601,7 +607,7 @@ class ExplorationScenario(Scenario):
             state_names=self.robot.state_names,
             robot_radius=float(self.robot.radius),
             target_coverage=None if target > 1.0 else target,
-            footprint=outline_of(self.robot.footprint),
+            footprint=footprint_corners(self.robot.footprint),
             targets=np.asarray(self.targets),
             elevation=None if ground is None else np.asarray(ground.elevation),
             traversable=None if ground is None else np.asarray(ground.is_traversable),
@@ -611,7 +617,7 @@ class ExplorationScenario(Scenario):
         )
 
     def world_at(self, step: Count) -> OccupancyGrid:
-        """Return the true map after so many steps, with the walls that have appeared."""
+        """Return the true map after a number of steps, with the walls that have appeared."""
         if self.faults is None:
             return self.world
         return self.faults.world(self.world, self.control_period * step.astype(jnp.float32))
@@ -641,7 +647,7 @@ class ExplorationScenario(Scenario):
         time: Scalar,
         key: Key,
     ) -> Belief:
-        """Return the belief with the tracker's measurements of obstacles in sight of a sensor."""
+        """Update the belief by the tracker's measurements of obstacles in sight of a sensor."""
         assert belief.obstacles is not None
         now = moving.at(time)
         position_std, velocity_std = self.tracking_noise
@@ -657,7 +663,7 @@ class ExplorationScenario(Scenario):
         return dataclasses.replace(belief, obstacles=obstacles)
 
     def _map_progress(self, belief: Belief, time: Scalar) -> MapProgress:
-        """Return how much is known of the reachable cells, and of all, and how recently."""
+        """Compute coverage, entropy, the share of unknown cells and the idleness."""
         reachable = self.reachable
         known = jnp.sum(belief.grid.is_free & reachable, dtype=jnp.float32)
         mean, worst = jnp.zeros(()), jnp.zeros(())
@@ -675,7 +681,7 @@ class ExplorationScenario(Scenario):
     def _clearance(
         self, world: OccupancyGrid, moving: MovingObstacles | None, time: Scalar, robot: StateVector
     ) -> Scalar:
-        """Return the distance from the robot's edge to the nearest solid cell or obstacle [m]."""
+        """Compute the distance from the robot's edge to the nearest solid cell or obstacle [m]."""
         model = self.robot
         position, heading = model.position(robot), model.heading(robot)
         room = footprint_clearance(
@@ -688,7 +694,7 @@ class ExplorationScenario(Scenario):
         return jnp.minimum(room, gap)
 
     def _is_untraversable(self, robot: StateVector) -> Flag:
-        """Say whether some of the robot is on ground that may not be entered."""
+        """Check whether part of the robot is on untraversable ground."""
         if self.ground is None:
             return jnp.array(False)
         model, closed = self.robot, ~self.ground.is_traversable
@@ -719,7 +725,7 @@ def robot_pose(robot: Dynamics, state: StateVector) -> Pose:
 
 
 def _around(grid: OccupancyGrid, pose: Pose, size: int) -> GridValues:
-    """Return the probabilities around a pose, columns ahead and rows to the left; 1 off the map."""
+    """Sample the map around a pose, columns ahead and rows to the left; 1 off the map."""
     along = grid.resolution * (jnp.arange(size, dtype=jnp.float32) + 0.5 - 0.5 * size)
     left, ahead = jnp.meshgrid(along, along, indexing="ij")
     x, y, yaw = pose

@@ -1,1 +1,1 @@
-"""Path following, as a scenario."""
+"""The path-following scenario."""

@@ -1,4 +1,4 @@
-"""Path following: a path, a robot on it, and the obstacles along it."""
+"""The path-following scenario: a robot on a path among obstacles."""
 
 import functools
 import operator
@@ -30,22 +30,22 @@ from jaxplore.report.following.recording import PathRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.following.traffic import Traffic
-from jaxplore.simulation.outline import outline_of
+from jaxplore.simulation.outline import footprint_corners
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
 
 AHEAD, NUM_AHEAD = 1.0, 12
-"""Distance between the points of the path that an agent observes [m], and how many they are."""
+"""Distance between the path points that an agent observes [m], and their number."""
 PREDICTIONS = ("constant-turn", "constant-velocity")
 
 
 class PathState(NamedTuple):
-    """Everything of the task that changes.
+    """State of the path-following task.
 
     Args:
         robot: (nx,) true state of the robot, with its path parameter phi.
-        progress: arc length of the point of the path nearest to the robot [m]; it goes on growing
+        progress: arc length of the point of the path nearest to the robot [m]; it keeps growing
             from lap to lap.
-        known: obstacles as the robot knows them; None if there are none.
+        known: obstacles as the robot's tracker estimates them; None without any.
     """
 
     robot: StateVector
@@ -54,31 +54,30 @@ class PathState(NamedTuple):
 
 
 class PathScenario(Scenario):
-    """Path following: a robot follows a path, among obstacles.
+    """Path following of a robot among obstacles.
 
-    It is finished when the robot itself, not the phi that it plans with, has come to the end of an
-    open path, or round a closed one so many times.
+    It is finished when the robot itself, not the path parameter phi of its plan, has reached the
+    end of an open path, or has completed the laps of a closed one.
 
-    Contact with an obstacle and leaving the corridor are counted and do not stop the robot.
+    Contacts with obstacles and corridor violations are counted and do not stop the robot.
 
     Args:
-        robot: model of the robot with its path parameter, as `mpcc` returns it; the plant.
-        path: to follow.
-        start: pose (x, y, yaw) [m, m, rad]; standing at the start of the path, along it, when
-            absent.
-        laps: of a closed path.
-        traffic: what else moves; nothing when absent.
-        standing: what stands in the way, known beforehand; nothing when absent.
-        control_rate: [Hz].
-        finish: how near to an open path's end is there [m].
+        robot: true model of the robot with its path parameter, as `mpcc` returns it.
+        path: path to follow.
+        start: start pose (x, y, yaw) [m, m, rad]; the start of the path, along it, when absent.
+        laps: number of laps of a closed path.
+        traffic: moving obstacles; none when absent.
+        standing: static obstacles, known in advance; none when absent.
+        control_rate: rate of the controls [Hz].
+        finish: distance from the end of an open path at which the run is finished [m].
         tracking_noise: standard deviations of the obstacles' positions [m] and velocities [m/s] as
             the robot measures them.
-        prediction: what the robot takes for known of how they go on: their turn rates too
-            ("constant-turn"), or not ("constant-velocity"); static.
-        growth: standard deviation of their velocity that it reckons with [m/s].
-        turn_growth: of their turn rate [rad/s].
-        faults: faults of the run. A dropout of scans is one of the tracker: obstacles are predicted
-            from their last measurement.
+        prediction: motion model by which the robot predicts obstacles, "constant-turn" or
+            "constant-velocity"; static.
+        growth: standard deviation of the obstacles' velocity in the prediction [m/s].
+        turn_growth: standard deviation of the obstacles' turn rate in the prediction [rad/s].
+        faults: injected faults. During a dropout of scans the tracker predicts obstacles from their
+            last measurement.
 
     Raises:
         ValueError: a robot without a path parameter, a start that is no pose, laps or rates that
@@ -158,31 +157,33 @@ class PathScenario(Scenario):
 
     @property
     def objective(self) -> str:
-        """Time to the end, violations of the corridor and contacts."""
+        """Default objective: time to the end, plus violations of the corridor and contacts."""
         return "finished_at + 10*corridor_violations + 10*collisions"
 
     def true_obstacles(self, time: Scalar) -> Obstacles | None:
-        """Return what truly moves and stands there at a time since the start [s]; None: nothing."""
+        """Return the true obstacles, moving and static, at a time since the start [s]; None without
+        any."""
         parts = [] if self.traffic is None else [self.traffic.at(time)]
         if self.standing is not None:
             parts.append(Obstacles(self.standing))
         return functools.reduce(operator.add, parts) if parts else None
 
     def obstacles(self, time: Scalar, *, key: Key) -> Obstacles | None:
-        """Return what the robot knows of it."""
+        """Return the tracked obstacles at a time since the start [s]; None without any."""
         known = [] if self.traffic is None else [self._tracked(self.traffic.at(time), key)]
         if self.standing is not None:
             known.append(Obstacles(self.standing))
         return functools.reduce(operator.add, known) if known else None
 
     def _dated(self, known: Obstacles | None) -> Obstacles | None:
-        """Give obstacles an age if the tracker may fail: what it last measured grows older."""
+        """Add an age to the obstacles if the tracker may fail, so that measurements can grow
+        old."""
         if self.faults is None or known is None:
             return known
         return known.after(jnp.zeros(()))
 
     def _tracked(self, truth: Obstacles, key: Key) -> Obstacles:
-        """Return what the robot measures of obstacles that move, and what it reckons with."""
+        """Measure the obstacles with noise, and set the uncertainty of their prediction."""
         keys, size = jax.random.split(key), truth.velocities.shape
         position_std, velocity_std = self.tracking_noise
         off = position_std * jax.random.normal(keys[0], size)
@@ -202,7 +203,7 @@ class PathScenario(Scenario):
         )
 
     def init(self, key: Key | None) -> tuple[PathState, Belief | None]:
-        """Return the state before the first step, and the true obstacles. Nothing is drawn."""
+        """Return the initial state, and the belief with the true obstacles. Nothing is random."""
         phi, start = self.robot.component(self.start, "phi"), jnp.zeros(())
         truth = self._dated(self.true_obstacles(start))
         return PathState(self.start, phi, truth), _belief(truth)
@@ -210,7 +211,7 @@ class PathScenario(Scenario):
     def perceive(
         self, state: PathState, moment: Moment, key: Key
     ) -> tuple[PathState, Belief | None]:
-        """Measure the obstacles; predict them while no measurement arrives."""
+        """Measure the obstacles, or predict them during a dropout."""
         known = self._dated(self.obstacles(moment.time, key=key))
         if self.faults is not None and known is not None and state.known is not None:
             predicted = state.known.after(self.control_period)
@@ -220,16 +221,16 @@ class PathScenario(Scenario):
     def advance(
         self, state: PathState, control: ControlVector, moment: Moment, info: Info
     ) -> tuple[PathState, PathRecord]:
-        """Move the robot, and measure the step with the costs that plan."""
+        """Move the robot, and record the errors by the controller's own cost terms."""
         model, path, period = self.robot, self.path, self.control_period
         moved = model.step(state.robot, control, period)
-        # A controller that asks for what is not a number does not move the robot.
+        # A control that is not finite does not move the robot.
         robot = jnp.where(jnp.all(jnp.isfinite(moved)), moved, state.robot)
         here = State(robot, model)
         progress = path.nearest(here.position, near=state.progress)
         room = gap = jnp.full((), jnp.inf)
         if path.has_room:
-            # Where the robot is, whatever phi it plans with.
+            # By the true position, not by the phi of the plan.
             room = CorridorCost(path, parameter=lambda _: progress).clearance(here)
         truth = self.true_obstacles(moment.time + period)
         if truth is not None:
@@ -254,11 +255,11 @@ class PathScenario(Scenario):
         return state._replace(robot=robot, progress=progress), record
 
     def is_unfinished(self, state: PathState) -> Flag:
-        """Say whether the robot has not come to the end yet."""
+        """Check whether the robot has not reached the end yet."""
         return state.progress < self.end
 
     def progress(self, state: PathState) -> tuple[float, str]:
-        """Return the share of the way that is done, and how far that is."""
+        """Return the share of the path that is done, and the distance as text."""
         done, end = float(state.progress), float(self.end)
         return done / end, f"{done:6.1f} of {end:.1f} m"
 
@@ -291,7 +292,7 @@ class PathScenario(Scenario):
         """Return the state, the path ahead and the obstacles, both in the robot's frame.
 
         `state` (nx,); `path` (12, 2) points of the path ahead, 1 m apart [m]; `errors` (2,) signed
-        distance from the path, and how much the path turns against the heading [m, rad];
+        distance from the path, and angle of the path relative to the heading [m, rad];
         `obstacles` (N, 5) position [m], velocity [m/s] and radius of the enclosing disc [m].
         """
         robot, told = self.robot, moment.observed
@@ -329,10 +330,10 @@ class PathScenario(Scenario):
     def observation_bounds(
         self, view_cells: int | None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the bounds of `observation`; a view of a map is refused.
+        """Return the bounds of `observation`. There is no map, so a view is rejected.
 
         Raises:
-            ValueError: a view.
+            ValueError: a view is given.
         """
         if view_cells is not None:
             raise ValueError("view is given beside a path; accepted: without a map there is none")
@@ -350,11 +351,11 @@ class PathScenario(Scenario):
         return after.progress - before.progress
 
     def is_contact(self, record: PathRecord) -> Flag:
-        """Say whether the robot touched an obstacle, or some of it left the corridor."""
+        """Check whether the robot touched an obstacle, or part of it left the corridor."""
         return (record.gap < 0.0) | (record.room < 0.0)
 
     def facts(self, state: PathState) -> dict[str, Scalar]:
-        """Return the arc length passed [m]."""
+        """Return the progress, the arc length passed [m]."""
         return {"progress": state.progress}
 
     def picture(self, state: PathState, moment: Moment, trail: np.ndarray) -> np.ndarray:
@@ -395,13 +396,13 @@ class PathScenario(Scenario):
             state_names=model.state_names,
             control_half_range=np.asarray(model.control_half_range),
             robot_radius=float(model.radius),
-            footprint=outline_of(model.footprint),
+            footprint=footprint_corners(model.footprint),
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
 
 
 def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (P, 2) of the path, and (2, P, 2) of its edges where it has room."""
+    """Return points (P, 2) of the path, and of the corridor's edges (2, P, 2) if it has one."""
     centre, tangents = np.asarray(path.points), np.asarray(path.tangents)
     if not path.has_room:
         return centre, np.zeros((0, *centre.shape))

@@ -1,4 +1,4 @@
-"""Obstacles that move along a path, or stand on it."""
+"""True obstacles that move along a path, or stand on it."""
 
 import equinox as eqx
 import jax
@@ -19,15 +19,15 @@ class Traffic(eqx.Module):
 
         phi_n(t) = phi_n + rate_n t,   p_n = the point offset_n to the left of phi_n(t)
 
-    heading along the path. Of a rate of 0 it stands, of a negative one it comes towards the robot.
+    heading along the path. With a rate of 0 it stands, with a negative one it is oncoming.
 
     Args:
-        path: along which they move.
-        phi: (N,) where they are at the start, by arc length [m].
-        offsets: (N,) to the left of the path [m].
-        rates: (N,) along the path [m/s].
-        outlines: of obstacles at (0, 0) that head along x; or give `radii`.
-        radii: (N,) or one number, of discs [m].
+        path: path along which the obstacles move.
+        phi: (N,) arc lengths of the obstacles at the start [m].
+        offsets: (N,) distances to the left of the path [m].
+        rates: (N,) speeds along the path [m/s].
+        outlines: outlines of the obstacles in their own frame, x ahead; or give `radii`.
+        radii: (N,) radii of discs, or one number [m].
 
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, negative radii, both or
@@ -76,15 +76,15 @@ class Traffic(eqx.Module):
         rates: tuple[float, float] = (0.5, 1.5),
         clear: float = 6.0,
     ) -> "Traffic":
-        """Return discs spread over a path, at random offsets within its room, up to half of it.
+        """Place discs along a path at random offsets, up to half of the room on either side.
 
         Args:
-            path: with half widths.
+            path: path with half widths.
             number: N.
-            seed: of where they are.
-            radius: [m].
-            rates: least and greatest [m/s].
-            clear: length of the path from its start without any [m].
+            seed: seed of the obstacles' positions.
+            radius: radius of the discs [m].
+            rates: least and greatest speed along the path [m/s].
+            clear: length of the path without obstacles after its start [m].
 
         Raises:
             ValueError: a path without room for them, numbers that are not positive.
@@ -116,18 +116,19 @@ class Traffic(eqx.Module):
 
     @property
     def number(self) -> int:
-        """How many there are, N."""
+        """Number of obstacles, N."""
         return self.phi.shape[0]
 
     def at(self, time: Scalar) -> Obstacles:
-        """Return where they truly are at a time since the start [s], and how they move."""
+        """Return the true positions and motion of the obstacles at a time since the start [s]."""
 
         def place(phi: Scalar, offset: Scalar, rate: Scalar, corners: Array) -> tuple[Array, ...]:
             point: PathPoint = self.path.at(phi + rate * time)
             ahead = jnp.stack([point.cos, point.sin])
             centre = point.position + offset * point.normal
             turned = corners[:, :1] * ahead + corners[:, 1:] * point.normal
-            # To the left of a bend to the left the way is shorter.
+            # The inner side of a bend is shorter, so an obstacle at an offset is slower or faster
+            # than its rate along the path.
             velocity = rate * (1.0 - point.curvature * offset) * ahead
             return centre, turned + centre, velocity, rate * point.curvature
 

@@ -1,1 +1,1 @@
-"""Comparison of variants: in one place, or on all maps of a folder."""
+"""Comparison of variants: in one scenario, or on all maps of a folder."""

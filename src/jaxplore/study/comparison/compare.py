@@ -1,4 +1,4 @@
-"""Compares variants in one place: every variant runs with the same seeds."""
+"""Comparison of variants in one scenario: every variant runs with the same seeds."""
 
 import dataclasses
 import time
@@ -21,14 +21,14 @@ from jaxplore.study.workers.task import Task
 
 @dataclasses.dataclass(frozen=True)
 class RecordingTask(Task):
-    """One run of a variant. Its result are the metrics and the recording.
+    """One run of a variant, whose result is the metrics and the recording.
 
     Args:
-        variant: its name.
-        seed: of the run.
+        variant: name of the variant.
+        seed: seed of the run.
         controller: computes the controls.
         scenario: the task.
-        num_steps: most control periods.
+        num_steps: greatest number of control periods.
     """
 
     variant: str
@@ -53,14 +53,14 @@ class RecordingTask(Task):
         Raises:
             KeyboardInterrupt: the user stopped it.
         """
-        # The key is made here: a key cannot be sent to another process.
+        # The key is made in the worker: a JAX key cannot be pickled.
         key = jax.random.key(self.seed)
         experiment = Experiment(self.controller, self.scenario, self.num_steps, key)
         recording = record_alone(experiment, num_trajectories=NUM_TRAJECTORIES)
         return recording.metrics(seed=self.seed), recording
 
     def failed(self, reason: str) -> tuple[Metrics, Recording]:
-        """Raise that workers died of it.
+        """Raise an error: the run ended its workers.
 
         Raises:
             ChildProcessError: always.
@@ -75,20 +75,20 @@ def compare(
     runner: Runner | None = None,
     progress: bool = False,
 ) -> Comparison:
-    """Run several variants with the same seeds.
+    """Compare variants over the same seeds.
 
-    Runs go seed by seed. Ctrl-C ends the call, and finished runs are returned.
+    Runs go seed by seed. Ctrl-C ends the call and returns the finished runs.
 
     Args:
         experiments: controller, scenario and number of steps by the name of the variant; the
             arguments of `simulate`.
-        seeds: of the runs.
-        runner: runs them in other processes or on a cluster; this process when absent. It is closed
-            at the end.
-        progress: show a progress bar.
+        seeds: seeds of the runs.
+        runner: runner for other processes or a cluster; this process when absent. It is closed at
+            the end.
+        progress: whether to show a progress bar.
 
     Raises:
-        ValueError: no experiments, no seeds, a seed twice, a name that is no file name.
+        ValueError: no experiments, no seeds, a repeated seed, a name that is not a file name.
     """
     if not experiments:
         raise ValueError("experiments is empty; accepted: at least one controller")

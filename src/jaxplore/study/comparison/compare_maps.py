@@ -1,4 +1,4 @@
-"""Compares variants on all maps of a folder; a call that can be interrupted and continued."""
+"""Comparison of variants on all maps of a folder, which can be interrupted and continued."""
 
 import dataclasses
 import os
@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from jaxplore.report.console import progress_bar
 from jaxplore.report.table import to_markdown
-from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merged
+from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
 from jaxplore.study.comparison.maps import read_grids
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
@@ -25,25 +25,26 @@ PROTOCOL: dict[str, Any] = {
     "target_coverage": 0.99,
     "time_limit": 900.0,
 }
-"""Settings of a comparison on maps where none are given."""
+"""Default settings of a comparison on maps."""
 QUADROTOR: dict[str, Any] = {
     "lidar": {"field_of_view_degrees": 90.0, "num_beams": 46, "range_noise": 0.02},
     "sensor_model": {"kind": "log_odds"},
     "robot": {"radius": 0.3, "max_speed": 2.0},
 }
-"""Those of a quadrotor, which sees ahead, with beams as far apart. `two-layer` and `parallel` have
-other defaults for these than the ground vehicles' explorers; here they are the same for all.
-`fields`, which say what is worth seeing, remain those of each architecture."""
+"""The same for a quadrotor, whose sensor faces ahead with the same angle between beams.
+
+`two-layer` and `parallel` have other defaults than the ground vehicles' explorers; on maps all
+variants share these. The section `fields` keeps the defaults of each architecture."""
 
 
 class EpisodeDone(NamedTuple):
-    """An episode that has just been run.
+    """Progress after an episode.
 
     Args:
-        episode: which.
-        error: why it failed; None if it did not.
-        num_done: episodes that this call has run.
-        num_left: episodes that were left before this call.
+        episode: the episode.
+        error: reason of a failure; None if it did not fail.
+        num_done: number of episodes that this call has run.
+        num_left: number of episodes that were left before this call.
     """
 
     episode: MapEpisode
@@ -56,9 +57,9 @@ class RunCounts(NamedTuple):
     """Numbers of runs of a comparison.
 
     Args:
-        num_done: that were run now, the failed ones included.
-        num_failed: of these.
-        num_former: that had been run before.
+        num_done: number of runs of this call, failed ones included.
+        num_failed: number of failed runs of this call.
+        num_former: number of runs of former calls.
         is_interrupted: whether the user stopped it.
     """
 
@@ -73,10 +74,10 @@ class MapComparison:
     """Result of a comparison on maps. `print` shows its tables.
 
     Args:
-        tables: one for each map.
-        failures: a line for each reason of failed runs.
+        tables: one table for each map.
+        failures: one line for each reason of failed runs.
         counts: numbers of runs.
-        num_episodes: number of runs that were asked for.
+        num_episodes: number of planned runs.
         results: path of the table of all rows, in Parquet.
         page: path of the page, in HTML.
     """
@@ -102,22 +103,22 @@ def compare_maps(
     overwrite: bool = False,
     progress: bool = False,
 ) -> MapComparison:
-    """Run each variant on each map with each seed, and write tables and a page.
+    """Compare variants on maps: run each on each map with each seed, and write tables and a page.
 
-    Runs that the folder has already are not repeated; failed ones are. Settings that the plan
-    leaves open are those of `PROTOCOL`. Ctrl-C ends the call and keeps finished runs; the same call
+    Runs that are in the folder are not repeated, except failed ones. Settings that the plan does
+    not give are those of `PROTOCOL`. Ctrl-C ends the call and keeps finished runs; the same call
     continues.
 
     Args:
         plan: maps, variants, seeds and settings; see `maps_in` for the maps of a folder.
-        folder: for a file for each run, `results.parquet` and `results.html`.
+        folder: folder for one file per run, `results.parquet` and `results.html`.
         runner: runs them in other processes or on a cluster; this process when absent. It is closed
             at the end.
-        overwrite: remove a former comparison in the folder first.
+        overwrite: whether to remove a former comparison in the folder first.
         progress: show a progress bar.
 
     Raises:
-        ValueError: a plan or folder that is not accepted; Ray or pyarrow are not installed; a
+        ValueError: a plan or folder that is not accepted; Ray or pyarrow is not installed; a
             cluster that cannot be reached.
         ChildProcessError: workers that do not start.
     """
@@ -148,17 +149,17 @@ def run_episodes(
     *,
     make: MakeRows = make_rows,
 ) -> RunCounts:
-    """Run the episodes that a store does not have, and write its table of results.
+    """Run the episodes that are missing in a store, and write its table of results.
 
     Failed ones are run again. Those of one map and variant run one after the other if possible,
     because they share a compiled program. Ctrl-C keeps finished runs.
 
     Args:
-        episodes: to be run.
-        store: for the rows. Only this process writes there.
-        runner: runs them; this process when absent. It is closed at the end.
+        episodes: episodes to run.
+        store: store of the rows. Only this process writes there.
+        runner: runner of the episodes; this process when absent. It is closed at the end.
         on_done: called in this process after each episode.
-        make: runs a batch. Other processes import it by name.
+        make: function that runs a batch. Other processes import it by name.
 
     Raises:
         ValueError: Ray or pyarrow are not installed; a cluster that cannot be reached; a store that
@@ -180,7 +181,7 @@ def run_episodes(
 
     try:
         with Runner() if runner is None else runner as active:
-            active.run([RowTask.of(batch, make) for batch in left], finish)
+            active.run([RowTask.from_episodes(batch, make) for batch in left], finish)
     except KeyboardInterrupt:
         is_interrupted = True
     finally:
@@ -189,20 +190,20 @@ def run_episodes(
 
 
 def with_protocol(settings: Entries) -> dict[str, Any]:
-    """Return settings of a comparison on maps: those given, over those of the protocol."""
+    """Merge given settings over the default settings of a comparison on maps."""
     robot = settings.get("robot")
     flies = isinstance(robot, Mapping) and robot.get("model") == "quadrotor"
-    protocol = merged(PROTOCOL, QUADROTOR) if flies else PROTOCOL
-    return merged(protocol, dict(settings))
+    protocol = merge_entries(PROTOCOL, QUADROTOR) if flies else PROTOCOL
+    return merge_entries(protocol, dict(settings))
 
 
 def _in_lines(rows: Sequence[Sequence[str]]) -> list[tuple[str, ...]]:
-    """Return rows whose cells have one line each."""
+    """Join the lines of each cell."""
     return [tuple(" ".join(cell.split("\n")) for cell in row) for row in rows]
 
 
 def _show(advance: Callable[[float, str], None]) -> Callable[[EpisodeDone], None]:
-    """Return a function that shows how many runs are done, and the time left."""
+    """Return a function that updates the progress bar with the finished runs and the time left."""
     began = time.perf_counter()
 
     def show(done: EpisodeDone) -> None:

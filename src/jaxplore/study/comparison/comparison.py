@@ -1,4 +1,4 @@
-"""Comparison of variants in one place: a table, curves, animations."""
+"""Result of a comparison in one scenario: a table, curves, animations."""
 
 import contextlib
 import dataclasses
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CURVE_POINTS = 400
-"""Points of a curve."""
+"""Number of points of a curve."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -30,10 +30,10 @@ class Comparison:
     """Runs of several variants with the same seeds. `print` shows its table.
 
     Args:
-        runs: metrics by variant, one for each seed; the same seeds for all, unless the comparison
-            was interrupted.
-        recordings: of the first seed, by variant.
-        is_interrupted: whether the user stopped it; finished runs are here.
+        runs: metrics by variant, one for each seed; all variants have the same seeds, unless the
+            comparison was interrupted.
+        recordings: recordings of the first seed, by variant.
+        is_interrupted: whether the user stopped it; finished runs are included.
     """
 
     runs: Mapping[str, tuple[Metrics, ...]]
@@ -49,9 +49,9 @@ class Comparison:
         }
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return a table: its header, then one row for each variant; median [quartiles].
+        """Return a table of medians [quartiles]: the header, then one row for each variant.
 
-        A column that says nothing about any variant is left out.
+        A column without a meaningful value for any variant is left out.
         """
         summaries = self.summaries()
         metrics = next((each[0] for each in self.runs.values() if each), None)
@@ -73,9 +73,9 @@ class Comparison:
         return to_markdown(self.rows())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything but the recordings as plain values that JSON can hold.
+        """Return all data except the recordings as plain values for JSON.
 
-        None stands for what is infinite.
+        None stands for infinite values.
         """
         summaries = {
             name: {"num_runs": len(self.runs[name])}
@@ -97,18 +97,19 @@ class Comparison:
     ) -> None:
         """Write a folder: metrics.json, table.md, curves.png, and an animation for each variant.
 
-        It appears complete or not at all.
+        The folder is written completely or not at all.
 
         Args:
             path: the folder.
-            overwrite: replace a former run or comparison.
-            animation: draw the first seed of each variant, NAME.gif; Ctrl-C leaves out the rest.
+            overwrite: whether to replace a former run or comparison.
+            animation: whether to draw the first seed of each variant, NAME.gif; Ctrl-C skips the
+                rest.
             settings: common settings, written to settings.yaml; plain values only.
             variants: all settings of variants, each written to NAME.yaml.
             on_progress: called with the share that is done, 0 to 1.
 
         Raises:
-            ValueError: a folder that exists or cannot be written, a name that is no file name.
+            ValueError: a folder that exists or cannot be written, a name that is not a file name.
         """
         check_names(self.runs)
         documents = {name: settings_document(each) for name, each in (variants or {}).items()}
@@ -122,7 +123,7 @@ class Comparison:
                 (folder / f"{name}.yaml").write_text(document, encoding="utf-8")
             curves_figure(self.runs).savefig(folder / "curves.png", dpi=DOTS_PER_INCH)
             drawn = self.recordings if animation else {}
-            # Ctrl-C leaves out animations, not what was compared.
+            # Animations are optional: Ctrl-C skips them and still saves the comparison.
             with contextlib.suppress(KeyboardInterrupt):
                 for number, (name, recording) in enumerate(drawn.items()):
                     recording.write_animation(
@@ -135,7 +136,7 @@ class Comparison:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Refuse names of variants that cannot be file names.
+    """Check that names of variants can be file names.
 
     Raises:
         ValueError: a name that cannot.
@@ -149,7 +150,7 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
-    """Draw the curves that the metrics name: medians, and bands between the quartiles.
+    """Draw the curves of the metrics class: medians, and bands between the quartiles.
 
     A run that has ended keeps its last value.
 
@@ -193,7 +194,7 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
 
 
 def _curve(metrics: Metrics, name: str, time: np.ndarray) -> np.ndarray:
-    """Return a curve (T,) at some times [s], NaN without any point."""
+    """Sample a curve (T,) at given times [s]; NaN if it has no points."""
     series = metrics.series()
     points = [
         (at, value)

@@ -1,4 +1,4 @@
-"""Episodes of a comparison on maps: what each is made from, and what tells it from the others."""
+"""Episodes of a comparison on maps: their settings and their ids."""
 
 import dataclasses
 import functools
@@ -13,13 +13,13 @@ from jaxplore.settings.exploration import (
     Architecture,
     Settings,
     make_exploration_settings,
-    merged,
+    merge_entries,
 )
 from jaxplore.study.comparison.maps import MapFile
 
 FORMAT = 3
-"""Version of the stored results. It is raised when former results would mean something else, also
-because a default or an architecture has changed."""
+"""Version of the stored results. It is raised when former results are no longer comparable, also
+when a default or an architecture has changed."""
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
@@ -31,14 +31,14 @@ class MapEpisode:
 
     Args:
         map: name of the map.
-        path: of its YAML file.
+        path: path of the map's YAML file.
         content: hash of the map.
         explorer: name of the variant: the setting `architecture`, unless `settings` have one.
         seed: the setting `seed`.
-        settings: the entries of all other settings, plain values that JSON can hold. Without a
-            `start` the robot begins at the most open spot, heading along x.
-        batch: runs of consecutive seeds that are computed side by side, by `jax.vmap`: those with
-            the same `seed // batch`. Rounding depends on it.
+        settings: entries of all other settings, plain values for JSON. Without a `start` the robot
+            begins at the position with the greatest clearance, heading along x.
+        batch: number of runs of consecutive seeds that are computed together by `jax.vmap`: those
+            with the same `seed // batch`. Rounding depends on it.
         copy: path of the YAML file on this machine; `path` when absent.
     """
 
@@ -53,36 +53,36 @@ class MapEpisode:
 
     @functools.cached_property
     def id(self) -> str:
-        """Hash of everything but where the map is, 20 hexadecimal digits.
+        """Hash of all fields except the location of the map, 20 hexadecimal digits.
 
-        So results outlast a folder that moves.
+        So results stay valid if the folder of maps is moved.
         """
         told = {"format": FORMAT, **dataclasses.asdict(self)}
         del told["path"], told["copy"]
         if self.batch == 1:
-            # Left out, so that ids are those of results from before there were batches.
+            # A batch of 1 is left out of the hash: results of versions without batches stay valid.
             del told["batch"]
         return hashlib.sha256(canonical(told).encode()).hexdigest()[:20]
 
     @property
     def entries(self) -> dict[str, Any]:
-        """The entries of all settings."""
+        """Entries of all settings."""
         own = {"map": self.copy or self.path, "seed": self.seed}
         return {"architecture": self.explorer, **self.settings, **own}
 
     @property
     def seeds(self) -> range:
-        """The seeds of its batch. All of them are run, whichever are asked for: a run must not
-        depend on which others are still to be done."""
+        """Seeds of its batch. All of them are run, even if fewer are missing: a run must not depend
+        on which other runs are missing."""
         first = self.seed - self.seed % self.batch
         return range(first, first + self.batch)
 
 
-Batch = tuple[MapEpisode, ...]
-"""Episodes that run together: of the same map and variant, and with the same `seeds`."""
+EpisodeBatch = tuple[MapEpisode, ...]
+"""Episodes that run together: same map, same variant and same `seeds`."""
 
 
-def make_batches(episodes: Iterable[MapEpisode]) -> tuple[Batch, ...]:
+def make_batches(episodes: Iterable[MapEpisode]) -> tuple[EpisodeBatch, ...]:
     """Group episodes into batches, sorted by map, variant and seed."""
 
     def together(each: MapEpisode) -> tuple[str, str, int]:
@@ -99,18 +99,18 @@ def make_episodes(
     settings: Entries,
     batch: int = 1,
 ) -> tuple[MapEpisode, ...]:
-    """Return an episode for each map, variant and seed, in this order.
+    """Make an episode for each map, variant and seed, in this order.
 
     Args:
-        maps: at least one.
-        variants: architectures; or entries of the settings that differ, by name. At least one.
+        maps: maps to compare on, at least one.
+        variants: architectures, or settings entries that differ, by name; at least one.
         seeds: whole numbers >= 0, at least one.
-        settings: entries that all of them share; see `common_settings`.
+        settings: settings entries that all episodes share; see `common_settings`.
         batch: runs computed side by side.
 
     Raises:
-        ValueError: a batch < 1; nothing of a kind, or something twice; an unknown architecture;
-            settings that are not accepted; variants that do not drive the same robot.
+        ValueError: a batch < 1; no maps, variants or seeds, or one of them twice; an unknown
+            architecture; settings that are not accepted; variants with different robots.
     """
     if batch < 1:
         raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
@@ -124,7 +124,7 @@ def make_episodes(
             raise ValueError(f"{kind} is {values}; accepted: different ones, at least one")
     common = common_settings(settings)
     own = {
-        name: {**common_settings(merged(common, entries)), **_architecture(entries)}
+        name: {**common_settings(merge_entries(common, entries)), **_architecture(entries)}
         for name, entries in variant_entries(variants).items()
     }
     for seed in (min(seeds), max(seeds)):
@@ -154,7 +154,7 @@ def make_episodes(
 def variant_entries(
     variants: Sequence[str] | Mapping[str, Entries],
 ) -> dict[str, dict[str, Any]]:
-    """Return the entries of the settings that differ, by variant; none for an architecture.
+    """Return the settings entries of each variant; empty for an architecture.
 
     Raises:
         ValueError: an unknown architecture, entries that are not accepted.
@@ -178,10 +178,10 @@ def _architecture(entries: Entries) -> dict[str, Any]:
 
 
 def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entries that all runs share in one form: 900 and 900.0 are the same time limit.
+    """Normalise the entries that all runs share: 900 and 900.0 are the same time limit.
 
     Args:
-        settings: entries; map, architecture and seed belong to each run and are left out.
+        settings: settings entries; map, architecture and seed belong to each run and are left out.
 
     Raises:
         ValueError: an entry that is not accepted.
@@ -196,7 +196,7 @@ _ALIKE = ("robot", "lidar", "camera", "sensor_model", "rates")
 
 
 def _check_same_robot(settings: Mapping[str, Settings]) -> None:
-    """Refuse variants with different robots, sensors or rates."""
+    """Check that all variants have the same robot, sensors and rates."""
     first, *others = settings
     for other in others:
         for section in _ALIKE:
@@ -208,10 +208,10 @@ def _check_same_robot(settings: Mapping[str, Settings]) -> None:
 
 
 def canonical(value: Any) -> str:
-    """Return plain values as JSON, always the same text for the same values.
+    """Format plain values as JSON; equal values give the same text.
 
     Raises:
-        ValueError: what JSON cannot hold.
+        ValueError: a value that JSON cannot hold.
     """
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)

@@ -1,4 +1,4 @@
-"""The maps of a comparison: ROS maps in a folder, and where a robot starts on them."""
+"""Maps of a comparison: ROS maps in a folder, and start poses."""
 
 import contextlib
 import dataclasses
@@ -16,7 +16,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.settings.exploration import read_settings
 
 STARTS = "starts.yaml"
-"""File in a folder of maps with the starts, NAME: [x, y, yaw]."""
+"""File in a folder of maps with start poses, NAME: [x, y, yaw]."""
 
 Start = tuple[float, float, float]
 """Pose (x, y, yaw) [m, m, rad]."""
@@ -26,13 +26,13 @@ _SUFFIXES = (".yaml", ".yml")
 
 @dataclasses.dataclass(frozen=True)
 class MapFile:
-    """A ROS map on the disk.
+    """A ROS map file.
 
     Args:
-        name: of the map in the results.
-        path: of its YAML file; absolute.
+        name: name of the map in the results.
+        path: absolute path of the map's YAML file.
         content: hash of that file and of its image; a missing image counts as an empty one.
-        start: where the robot begins; the most open spot, heading along x, when absent.
+        start: start pose; the position with the greatest clearance, heading along x, when absent.
     """
 
     name: str
@@ -42,15 +42,15 @@ class MapFile:
 
 
 def maps_in(folder: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Return the ROS maps in a folder and in the folders in it, by name.
+    """Find the ROS maps in a folder and its subfolders, sorted by name.
 
-    A map is a YAML file with an image and a resolution. Its name is that of the file without the
-    ending, or that of its folder where two files have the same name or it is just `map`; both,
-    FOLDER-FILE, where that is taken as well. Starts are those of the folder's `starts.yaml`.
+    A map is a YAML file with an image and a resolution. Its name is the stem of the file. If that
+    is ambiguous or just `map`, it is the name of its folder; if that is ambiguous too, FOLDER-FILE.
+    Start poses are read from `starts.yaml` in the folder.
 
     Raises:
-        ValueError: no folder, no maps in it, two maps that cannot be told apart, starts that are
-            not accepted.
+        ValueError: no folder, a folder without maps, two maps with the same name, start poses that
+            are not accepted.
     """
     top = Path(os.path.realpath(folder))
     try:
@@ -76,14 +76,14 @@ def maps_in(folder: str | os.PathLike[str]) -> tuple[MapFile, ...]:
 
 
 def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tuple[MapFile, ...]:
-    """Return maps with the starts that a YAML file gives by their names.
+    """Set the start poses of maps from a YAML file.
 
     Args:
-        maps: one that the file does not name keeps the start it has.
-        file: a mapping, NAME: [x, y, yaw] [m, m, rad].
+        maps: maps; one that is not in the file keeps its start.
+        file: YAML file with a mapping NAME: [x, y, yaw] [m, m, rad].
 
     Raises:
-        ValueError: a file that cannot be read, a name that is no map's, a start that is not three
+        ValueError: a file that cannot be read, an unknown name, a start that is not three
             finite numbers.
     """
     starts = {str(name): value for name, value in read_settings(file).items()}
@@ -102,10 +102,10 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
 
 
 def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
-    """Read a ROS map at the resolution of a run. A finer one is resampled, a coarser one is kept.
+    """Read a ROS map at the resolution of a run; a finer map is resampled, a coarser one is kept.
 
     Args:
-        path: of its YAML file.
+        path: path of the map's YAML file.
         resolution: side of a cell [m].
 
     Raises:
@@ -117,7 +117,7 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
 
 
 def read_grids(maps: Sequence[MapFile], resolution: float) -> dict[str, OccupancyGrid]:
-    """Read the maps that can be read, by name; see `read_grid`."""
+    """Read maps by name, without those that cannot be read; see `read_grid`."""
     grids = {}
     for each in maps:
         with contextlib.suppress(ValueError):

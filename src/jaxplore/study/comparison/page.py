@@ -1,5 +1,4 @@
-"""The results of a comparison as one self-contained page: tables, curves, and the paths of runs,
-which a click replays."""
+"""The results of a comparison as one self-contained HTML page with tables, curves and replays."""
 
 import base64
 import html
@@ -35,10 +34,10 @@ SHOWN = (
 )
 """Columns of the results that the page needs."""
 Part = tuple[slice, slice]
-"""Rows and columns of a part of a map."""
+"""Slices of the rows and columns of a part of a map."""
 
 RIM = 2
-"""Unknown cells that are drawn around the known part of a map."""
+"""Number of unknown cells that are drawn around the known part of a map."""
 CURVE_POINTS = 200
 DOTS_PER_INCH = 110
 STYLE = """
@@ -73,16 +72,16 @@ DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="ma
 
 
 def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) -> str:
-    """Make an HTML page with all its pictures inside.
+    """Make an HTML page with embedded pictures.
 
-    For each map it has the table of `map_tables`, coverage over time (median and quartiles over
-    seeds), and the path of each variant's first seed. A click on a path replays the run: the map as
-    the robot saw it, and the robot in it.
+    For each map it shows the table of `map_tables`, coverage over time (median and quartiles over
+    seeds), and the path of each variant's first seed. A click on a path replays the run, with the
+    robot and its map.
 
     Args:
         results: rows with the columns `SHOWN`.
-        maps: by name, as the runs had them; one that is missing has no paths.
-        title: of the page.
+        maps: maps by name, as the runs used them; a missing one has no paths.
+        title: title of the page.
     """
     told = html.escape(title)
     parts = [
@@ -130,8 +129,8 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
     """Draw coverage over time for each variant: medians, and bands between the quartiles.
 
-    A run that has ended keeps its last value. The axis ends when three of four runs have ended:
-    random walks take so long that the others would have no room.
+    A run that has ended keeps its last value. The time axis ends when three quarters of the runs
+    have ended, because a random walk would compress all others.
 
     Args:
         runs: rows of one map.
@@ -157,7 +156,7 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
 
 
 def known_part(grid: OccupancyGrid) -> Part:
-    """Return the known part of a map: rows and columns, with a rim of two cells."""
+    """Return the rows and columns of the known part of a map, with a rim of two cells."""
     is_known = np.asarray(grid.is_free | grid.is_occupied)
     rows, columns = (
         _around(np.flatnonzero(is_known.any(axis=axis)), size)
@@ -178,9 +177,9 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     A rotated map is drawn along its own axes.
 
     Args:
-        row: of the run.
+        row: row of the run.
         grid: the map.
-        part: what is drawn of it.
+        part: rows and columns of the map that are drawn.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -192,7 +191,7 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.imshow(coloured, origin="lower", interpolation="nearest")
-    # Pixels have their centres at whole numbers.
+    # Matplotlib centres pixels at whole numbers.
     across, along = (place - 0.5 for place in _in_cells(row, grid, part))
     axes.plot(across, along, color=OUTLINE, linewidth=1.2)
     axes.plot(across[:1], along[:1], "o", color="#2a9d5c", markersize=4)
@@ -202,7 +201,7 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
 
 
 def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
-    """Return the colours (rows, columns, 3) of a part of a map."""
+    """Colour a part of a map (rows, columns, 3)."""
     colours: np.ndarray = belief_colours()[
         np.round(255.0 * np.asarray(grid.probability)[part]).astype(np.uint8)
     ]
@@ -210,7 +209,7 @@ def _coloured(grid: OccupancyGrid, part: Part) -> np.ndarray:
 
 
 def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions along the columns and rows of a part of a map [cells]."""
+    """Return the positions of a run in a part of a map, as columns and rows [cells]."""
     x0, y0, yaw = np.asarray(grid.frame.origin, np.float64)
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = np.asarray(row["positions_x"]) - x0, np.asarray(row["positions_y"]) - y0
@@ -223,7 +222,7 @@ def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np
 
 
 def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
-    """Return the data of a run for the page's script, in pixels from the upper left."""
+    """Return the data of a run for the page's player, in pixels from the upper left."""
     across, along = _in_cells(row, grid, part)
     # A picture has its first row at the top, a map at the bottom.
     seen = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1][part][::-1]
@@ -245,14 +244,14 @@ def _script(replays: Sequence[dict[str, Any]], maps: Mapping[str, np.ndarray]) -
     """Return the scripts of the page: the data of the replays, and the player."""
     pictures = {name: _png(coloured[::-1]) for name, coloured in maps.items()}
     data = {"unknown": list(UNKNOWN), "path": OUTLINE, "maps": pictures, "runs": list(replays)}
-    # No name of a map or a variant can end the script.
+    # Escaped, so that no name of a map or variant can end the script element.
     told = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     code = (importlib.resources.files("jaxplore.study.comparison") / "page.js").read_text("utf-8")
     return f'<script type="application/json" id="runs">{told}</script>\n<script>{code}</script>'
 
 
 def _by_variant(runs: Sequence[Row]) -> dict[str, list[Row]]:
-    """Return the runs of each variant, the first seed first."""
+    """Group runs by variant, in the order of seeds."""
     ordered = sorted(runs, key=lambda row: (row["explorer"], row["seed"]))
     grouped: dict[str, list[Row]] = {}
     for row in ordered:

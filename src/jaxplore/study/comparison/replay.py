@@ -1,4 +1,4 @@
-"""When each cell of the map was seen first, in one small picture."""
+"""Compact replay of a run: the time at which each cell was first seen."""
 
 import io
 from typing import NamedTuple
@@ -13,7 +13,7 @@ NEVER = 255
 
 
 class Replay(NamedTuple):
-    """When each cell of a map was seen first.
+    """Times at which the cells of a map were first seen.
 
     Args:
         times: (N,) times of the frames [s], at most 255.
@@ -26,7 +26,7 @@ class Replay(NamedTuple):
 
 
 def make_replay(recording: ExplorationData) -> Replay:
-    """Compute when each cell was seen first, by the frames of a run."""
+    """Compute the first frame in which each cell was known."""
     first = np.full(recording.world.shape, NEVER, np.uint8)
     for index, frame in enumerate(recording.frames[:NEVER]):
         p = frame.probability / 255.0

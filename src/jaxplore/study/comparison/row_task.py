@@ -1,4 +1,4 @@
-"""Episodes of a comparison on maps as workers run them: from settings to rows."""
+"""Tasks that run episodes of a comparison on maps and return rows of results."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -10,18 +10,18 @@ from jaxplore.build.tasks import build
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.exploration.reachability import open_spot
-from jaxplore.study.comparison.episodes import Batch
+from jaxplore.study.comparison.episodes import EpisodeBatch
 from jaxplore.study.comparison.maps import read_grid
 from jaxplore.study.comparison.rows import Row, StoredRow, failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
 
-MakeRows = Callable[[Batch], Sequence[Row]]
+MakeRows = Callable[[EpisodeBatch], Sequence[Row]]
 """Runs a batch of episodes and returns their rows. Other processes import it by name."""
 
 
-def make_rows(batch: Batch) -> tuple[Row, ...]:
-    """Run a batch of episodes, side by side if there are several, and return their rows.
+def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
+    """Run a batch of episodes and return their rows; several episodes run in one `jax.vmap`.
 
     Raises:
         ValueError: settings, a map or a start that are not accepted.
@@ -35,14 +35,15 @@ def make_rows(batch: Batch) -> tuple[Row, ...]:
     if first.batch == 1:
         recordings = {first.seed: record_alone(experiment)}
     else:
-        # On a map only the key of an experiment depends on the seed.
+        # On a map only the key of an experiment depends on the seed, so the experiment is built
+        # once.
         experiments = [experiment._replace(key=jax.random.key(seed)) for seed in first.seeds]
         together = SideBySide(first.batch).record("", experiments, with_frames=True)
         recordings = dict(zip(first.seeds, together, strict=True))
     rows = []
     for episode in batch:
         recording = recordings[episode.seed]
-        # Maps are explored, whatever the explorer: a row has columns for that.
+        # Maps are always explored, so the recording has the columns of a row.
         assert isinstance(recording, ExplorationRecording)
         asked = settings.model_copy(update={"map": episode.path, "seed": episode.seed})
         metrics = recording.metrics(seed=episode.seed)
@@ -52,23 +53,23 @@ def make_rows(batch: Batch) -> tuple[Row, ...]:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RowTask(EpisodeTask):
-    """A batch of episodes on a map. Its result are their rows.
+    """A batch of episodes on a map, whose result is their rows.
 
     Args:
         episodes: the batch.
-        make: runs them.
+        make: function that runs the batch.
     """
 
-    episodes: Batch
+    episodes: EpisodeBatch
     make: MakeRows = make_rows
 
     @classmethod
-    def of(cls, episodes: Batch, make: MakeRows = make_rows) -> "RowTask":
-        """Make the task of a batch.
+    def from_episodes(cls, episodes: EpisodeBatch, make: MakeRows = make_rows) -> "RowTask":
+        """Make the task of a batch of episodes.
 
         Args:
             episodes: the batch.
-            make: runs them.
+            make: function that runs the batch.
         """
         first = episodes[0]
         return cls(
@@ -93,7 +94,7 @@ class RowTask(EpisodeTask):
 
 
 def _open_start(settings: Settings) -> tuple[float, float, float]:
-    """Return the most open spot of the map at the resolution of the run, heading along x."""
+    """Return the position with the greatest clearance at the run's resolution, heading along x."""
     grid = read_grid(settings.map, settings.resolution)
     x, y = open_spot(grid, float(build_robot(settings.robot).radius))
     return x, y, 0.0

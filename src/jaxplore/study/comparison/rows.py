@@ -1,4 +1,4 @@
-"""Results of a comparison as rows of a table, one for each run."""
+"""Rows of results, one for each run of a comparison on maps."""
 
 import io
 import json
@@ -16,7 +16,7 @@ from jaxplore.study.comparison.replay import make_replay
 from jaxplore.study.optional import import_optional
 
 Row = dict[str, Any]
-"""A run, by column; None where there is no value."""
+"""Values of a run by column; None where there is no value."""
 
 KEYS = ("map", "explorer", "seed")
 """Columns by which results are sorted."""
@@ -59,17 +59,17 @@ COLUMNS = {
 }
 """Type of each column. A `list` has several numbers for a run, `binary` is a PNG.
 
-`format` is the version of the rows. `error` says in one line why a run failed; then the columns of
-results are empty. Times are in s, paths and distances in m, coverage is a share of the reachable
-cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean coverage over
-the time limit; a run that has ended keeps its last value. Curves and positions are those at the
-start, every half second and at the end. `seen` says when each cell was first seen, as an index into
-`seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the run, the software
-and the machine.
+`format` is the version of the rows. `error` is the reason of a failure in one line; then the
+columns of results are empty. Times are in s, paths and distances in m, coverage is a share of the
+reachable cells and entropy in nat, as in `ExplorationMetrics`. `area_under_curve` is the mean
+coverage over the time limit; a run that has ended keeps its last value. Curves and positions are
+those at the start, every half second and at the end. `seen` is the time each cell was first seen,
+as an index of `seen_time`: see `Replay`. `settings` and `versions` are JSON: all settings of the
+run, the software and the machine.
 """
 
 TIMING = ("step_ms_p50", "step_ms_p99", "loop_step_ms", "compile_seconds")
-"""Columns of wall-clock times. All others are the same to the bit when a run is repeated."""
+"""Columns of wall-clock times. All others are equal to the bit when a run is repeated."""
 
 
 def make_row(
@@ -82,10 +82,10 @@ def make_row(
     """Make the row of a run.
 
     Args:
-        episode: that was run.
-        recording: of the run.
-        metrics: of the same run.
-        settings: of the run, its start included.
+        episode: the episode that was run.
+        recording: recording of the run.
+        metrics: metrics of the same run.
+        settings: settings of the run, its start included.
     """
     time, coverage, _, _ = progress(recording)
     stride = max(1, round(CURVE_PERIOD / recording.control_period))
@@ -123,11 +123,11 @@ def make_row(
 
 
 def failed_row(episode: MapEpisode, error: str) -> Row:
-    """Make the row of a run that failed.
+    """Make the row of a failed run.
 
     Args:
-        episode: that failed.
-        error: why; made one line.
+        episode: the failed episode.
+        error: reason of the failure; it is joined to one line.
     """
     row: Row = dict.fromkeys(COLUMNS)
     row |= _first_columns(episode, " ".join(error.split()) or "unknown")
@@ -137,12 +137,12 @@ def failed_row(episode: MapEpisode, error: str) -> Row:
 
 
 class StoredRow(NamedTuple):
-    """A row as it is sent and stored.
+    """A row in the form in which it is sent and stored.
 
     Args:
-        id: of its episode.
+        id: id of the episode.
         map: name of the map.
-        error: why the run failed; None if it did not.
+        error: reason of a failure; None if the run did not fail.
         data: the row as a Parquet file.
     """
 
@@ -153,7 +153,7 @@ class StoredRow(NamedTuple):
 
 
 def store_row(row: Row) -> StoredRow:
-    """Make a row ready to be sent and stored.
+    """Convert a row to the form in which it is sent and stored.
 
     Raises:
         ValueError: pyarrow is not installed.
@@ -168,7 +168,7 @@ def store_row(row: Row) -> StoredRow:
 
 
 def schema() -> Any:
-    """Return the columns as a schema of pyarrow.
+    """Return the pyarrow schema of the columns.
 
     Raises:
         ValueError: pyarrow is not installed.
@@ -186,7 +186,7 @@ def schema() -> Any:
     return pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
 
 
-def settings_of(row: Row) -> dict[str, Any]:
+def row_settings(row: Row) -> dict[str, Any]:
     """Return the settings of a row, from which `jaxplore run --settings` repeats the run."""
     entries: dict[str, Any] = json.loads(row["settings"])
     return entries
@@ -204,6 +204,6 @@ def _first_columns(episode: MapEpisode, error: str | None) -> Row:
 
 
 def _mean_over(time: np.ndarray, values: np.ndarray, time_limit: float) -> float:
-    """Return the mean of a step function from 0 to the time limit; the last value lasts."""
+    """Compute the mean of a step function from 0 to the time limit; the last value is held."""
     instants = np.append(np.minimum(time, time_limit), time_limit)
     return float(np.sum(np.diff(instants) * values.astype(np.float64)) / time_limit)

@@ -1,4 +1,4 @@
-"""The folder of a comparison on maps: its plan, a file for each run, and the table of all."""
+"""The folder of a comparison on maps: its plan, one file per run, and the table of results."""
 
 import dataclasses
 import json
@@ -24,9 +24,9 @@ from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, schema
 from jaxplore.study.optional import import_optional
 
 MARK = "comparison.json"
-"""The file by which a comparison is recognised: version of the format, and its plan."""
+"""File by which a comparison is recognised: version of the format, and the plan."""
 FORMER_MARK = "benchmark.json"
-"""Its name until 2026. The next run in such a folder renames it."""
+"""Former name of that file. The next run in such a folder renames it."""
 RESULTS = "results.parquet"
 """All rows, by map, variant and seed."""
 PAGE = "results.html"
@@ -44,10 +44,10 @@ class Plan:
     """The runs of a comparison: each variant on each map with each seed.
 
     Args:
-        maps: where.
-        variants: architectures; or entries of the settings that differ, by name.
-        seeds: of the runs of each.
-        settings: entries that all runs share.
+        maps: maps to run on.
+        variants: architectures, or settings entries that differ, by name.
+        seeds: seeds of the runs of each variant.
+        settings: settings entries that all runs share.
         batch: runs computed side by side.
     """
 
@@ -62,7 +62,7 @@ class Plan:
         return make_episodes(self.maps, self.variants, self.seeds, self.settings, self.batch)
 
     def document(self) -> dict[str, Any]:
-        """Return it as plain values that JSON can hold."""
+        """Return the plan as plain values for JSON."""
         own = {name: each for name, each in variant_entries(self.variants).items() if each}
         return {
             "format": FORMAT,
@@ -83,7 +83,7 @@ class Plan:
 
 
 class Store:
-    """A folder of results. See `open_store`, which makes and checks it."""
+    """A folder of results; `open_store` makes and checks it."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -94,16 +94,16 @@ class Store:
 
     @property
     def results(self) -> Path:
-        """The table of all rows, where it has been written."""
+        """Path of the table of all rows."""
         return self.folder / RESULTS
 
     def is_done(self, id_: str) -> bool:
-        """Return whether there is a run with this id that did not fail."""
+        """Check whether a run with this id has succeeded."""
         _, error = self._state.get(id_, (None, ""))
         return error is None
 
     def put(self, row: StoredRow) -> None:
-        """Write the file of a run, whole or not at all.
+        """Write the file of a run, completely or not at all.
 
         Raises:
             ValueError: the folder cannot be written.
@@ -115,13 +115,13 @@ class Store:
         """Return all rows, by map, variant and seed.
 
         Args:
-            columns: their names; all when absent.
+            columns: names of the columns; all when absent.
         """
         wanted = None if columns is None else list(dict.fromkeys([*KEYS, *columns]))
         return [row for _, row in sorted(_read(self._files(), wanted), key=_place)]
 
     def write_results(self) -> Path:
-        """Write the table of all rows, whole or not at all, and return where it is.
+        """Write the table of all rows, completely or not at all, and return its path.
 
         Raises:
             ValueError: the folder cannot be written.
@@ -133,7 +133,7 @@ class Store:
         files = [path for path, _ in sorted(_read(self._files(), list(KEYS)), key=_place)]
 
         def write(file: BinaryIO) -> None:
-            # A few at a time: thousands of runs may not fit into memory.
+            # In parts: thousands of runs may not fit into memory.
             with parquet.ParquetWriter(file, schema()) as writer:
                 for first in range(0, len(files), _ROWS_AT_ONCE):
                     some = files[first : first + _ROWS_AT_ONCE]
@@ -144,10 +144,10 @@ class Store:
         return self.results
 
     def write_page(self, maps: Mapping[str, OccupancyGrid]) -> Path:
-        """Write the page of all results, whole or not at all, and return where it is.
+        """Write the page of all results, completely or not at all, and return its path.
 
         Args:
-            maps: by name; see `page`.
+            maps: maps by name; see `page`.
 
         Raises:
             ValueError: the folder cannot be written.
@@ -164,14 +164,14 @@ class Store:
             del self._state[id_]
 
     def has_run(self, map_: str | None = None) -> bool:
-        """Return whether any run, or any on a map, did not fail."""
+        """Check whether any run, or any run on a map, has succeeded."""
         return any(map_ in (None, name) and error is None for name, error in self._state.values())
 
     def _file(self, id_: str) -> Path:
         return self.folder / RUNS / f"{id_}.parquet"
 
     def _files(self) -> list[Path]:
-        # A file that was not completed has a hidden name.
+        # Incomplete files have hidden names and are skipped.
         return sorted(
             path for path in (self.folder / RUNS).glob("*.parquet") if path.name[0] != "."
         )
@@ -180,20 +180,20 @@ class Store:
 def open_store(
     folder: str | os.PathLike[str], plan: Plan | None = None, *, overwrite: bool = False
 ) -> Store:
-    """Open the store in a folder, or make it.
+    """Open or create the store in a folder.
 
-    A former comparison continues. It may have more maps, variants or seeds, but the same settings
-    and batch, on maps with the same content and starts. Settings may change while no run has
-    succeeded, a map while no run on it has.
+    A former comparison is continued. Maps, variants and seeds may be added; the settings, the batch
+    size and the content and starts of the maps must stay. Settings may change as long as no run has
+    succeeded, and a map as long as no run on it has.
 
     Args:
         folder: missing parents are made.
-        plan: what is to be run; None to read what is there.
-        overwrite: remove a former comparison first.
+        plan: runs to do; None to read former results.
+        overwrite: whether to remove a former comparison first.
 
     Raises:
-        ValueError: a folder that cannot be written, that holds no comparison or one of another
-            format or with other settings.
+        ValueError: a folder that cannot be written, or that does not hold a comparison of the same
+            format and settings.
     """
     target = Path(os.path.realpath(folder))
     where = f"comparison folder {os.fspath(folder)!r}"
@@ -221,7 +221,7 @@ def open_store(
 
 
 def _former(target: Path, where: str) -> dict[str, Any] | None:
-    """Return the former plan of a folder; None if it is empty or not there."""
+    """Read the former plan of a folder; None if the folder is empty or missing."""
     mark = target / MARK
     if not mark.is_file() and (target / FORMER_MARK).is_file():
         mark = target / FORMER_MARK
@@ -253,7 +253,7 @@ def _former(target: Path, where: str) -> dict[str, Any] | None:
 def _together(
     former: dict[str, Any], asked: dict[str, Any], store: Store, where: str
 ) -> dict[str, Any]:
-    """Return the union of a former and a new plan."""
+    """Merge a former and a new plan, and check that they agree."""
     if not store.has_run():
         store.forget()
         return asked
@@ -306,7 +306,7 @@ def _text(value: object) -> str:
 
 
 def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Path, Row]]:
-    """Yield the rows of files. A file that holds no row, as after a power cut, is skipped."""
+    """Yield the rows of files; a damaged file, as after a power cut, is skipped."""
     parquet, pyarrow = (
         import_optional("pyarrow.parquet", "comparison"),
         import_optional("pyarrow", "comparison"),

@@ -1,4 +1,4 @@
-"""The results of a comparison as tables, one for each map, with a row for each variant."""
+"""Tables of a comparison on maps, one for each map, with a row for each variant."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -9,7 +9,7 @@ from jaxplore.report.statistics import Ratio, paired_ratio
 from jaxplore.study.comparison.rows import Row
 
 REFERENCE = "nearest-frontier"
-"""The variant that the others are compared with, if it is among them."""
+"""Reference variant, with which the others are compared if it is among them."""
 
 
 def _column(name: str, header: str, *, digits: int = 1, scale: float = 1.0) -> Column:
@@ -24,7 +24,7 @@ COMPARED = (
     _column("time_to_99", "99 % after [s]"),
     _column("path_to_99", "99 % path [m]"),
 )
-"""Columns with the ratio to the reference."""
+"""Columns that show the ratio to the reference."""
 COLUMNS = (
     *COMPARED,
     _column("coverage", "coverage [%]", scale=100.0),
@@ -36,11 +36,11 @@ NEEDED = ("map", "explorer", "seed", "error", "is_finished", *(each.name for eac
 
 
 class MapTable(NamedTuple):
-    """Results on one map.
+    """Table of the results on one map.
 
     Args:
         map: name of the map.
-        rows: header, then a row for each variant. A cell has a line each for the median, the
+        rows: the header, then a row for each variant. The lines of a cell are the median, the
             quartiles if they differ, and the ratio to the reference's median.
     """
 
@@ -49,12 +49,12 @@ class MapTable(NamedTuple):
 
     @property
     def title(self) -> str:
-        """The map and what the numbers are."""
+        """Title of the table: the map and the kind of numbers."""
         return f"{self.map}: medians [quartiles]"
 
 
 def map_tables(results: Sequence[Row]) -> list[MapTable]:
-    """Make a table for each map with a run that did not fail.
+    """Make a table for each map with a successful run.
 
     Args:
         results: rows with the columns `NEEDED`; failed ones are left out.
@@ -67,7 +67,7 @@ def map_tables(results: Sequence[Row]) -> list[MapTable]:
 
 
 def list_failures(results: Sequence[Row]) -> list[str]:
-    """Return a line for each map, variant and reason of failed runs, with their number."""
+    """Summarise failed runs: one line for each map, variant and reason, with their number."""
     counts: dict[tuple[str, str, str], int] = {}
     for row in results:
         if row["error"] is not None:
@@ -104,7 +104,7 @@ def _cell(column: Column, runs: Sequence[Row], reference: Sequence[Row] | None) 
 
 
 def _times(ratio: Ratio | None) -> list[str]:
-    # If one of them never gets there, their own cells say so.
+    # Without a finite ratio the cells of the two variants already show which one never finished.
     if ratio is None or not 0.0 < ratio.value < math.inf:
         return []
     value, low, high = (f"{each:.2f}" if math.isfinite(each) else "-" for each in ratio)

@@ -1,6 +1,6 @@
-"""Tuning: searches settings and compares them with the current ones on unseen seeds.
+"""Tuning: search of parameters, and comparison with the current ones on unseen seeds.
 
-Begin with `tune`. `open_study` and the classes below are its parts.
+The entry point is `tune`; `open_study` and the classes below are its parts.
 """
 
 from jaxplore.study.tuning.controller_episodes import ControllerEpisodes as ControllerEpisodes

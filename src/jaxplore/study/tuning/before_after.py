@@ -1,4 +1,4 @@
-"""Animation of a run before and a run after a search, side by side."""
+"""Animation of runs before and after a search, side by side."""
 
 import io
 from bisect import bisect_right
@@ -28,10 +28,10 @@ def before_and_after(
     """Run a scenario with several candidates and one seed, and return a GIF of all runs.
 
     Args:
-        episodes: whose parameters the candidates are.
-        scenario: its name.
-        candidates: from left to right.
-        seed: of the runs.
+        episodes: episodes whose parameters are searched.
+        scenario: name of the scenario.
+        candidates: candidates to draw, from left to right.
+        seed: seed of the runs.
         on_progress: called with the share that is done, 0 to 1.
 
     Returns:
@@ -53,10 +53,10 @@ def side_by_side(
 ) -> bytes:
     """Return a GIF of several runs side by side, at the same simulated time.
 
-    A finished run stands still while the others go on.
+    A finished run keeps its last frame while the others continue.
 
     Args:
-        recordings: of the runs, from left to right.
+        recordings: recordings of the runs, from left to right.
         on_progress: called with the share that is done, 0 to 1.
     """
     instants = [[frame.time for frame in each.frames] for each in recordings]

@@ -25,13 +25,13 @@ from jaxplore.study.tuning.space import Candidate, Value
 
 
 class ControllerEpisodes(Episodes):
-    """Episodes of one controller. Its numbers are searched by their path: see `get_parameters`.
+    """Episodes of one controller, whose parameters are searched by path: see `get_parameters`.
 
     Args:
-        controller: with its current numbers.
-        scenarios: by name.
-        time_limit: simulated at most [s].
-        batch: candidates side by side, by `jax.vmap`; for accelerators, and small problems.
+        controller: controller with its current parameters.
+        scenarios: scenarios by name.
+        time_limit: limit of the simulated time [s].
+        batch: number of candidates in one `jax.vmap`; for accelerators, and small problems.
 
     Raises:
         ValueError: no scenarios, a batch < 1.
@@ -64,7 +64,7 @@ class ControllerEpisodes(Episodes):
 
     @property
     def default_objective(self) -> str:
-        """The time to the end, and contacts."""
+        """The scenario's default objective: time to the end, and contacts."""
         return self._example.scenario.objective
 
     @property
@@ -72,17 +72,17 @@ class ControllerEpisodes(Episodes):
         return self._build(Episode(0, {}, self.scenarios[0], 0), {})
 
     def start(self, name: str) -> Value:
-        """Return the current value of a number of the controller."""
+        """Return the current value of a controller parameter."""
         return leaf_value(self._controller, name)
 
     def elements(self, name: str) -> tuple[str, ...]:
-        """Return the name, or of an array one for each of its elements."""
+        """Return the name, or for an array the names of its elements."""
         return leaf_elements(self._controller, name)
 
     def run(
         self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
     ) -> None:
-        """Run episodes one after the other, or a batch at a time."""
+        """Run episodes one after the other, or in batches."""
         tasks = make_tasks(episodes, self._build, self._batch, self._together)
         Runner().run(tasks, report_each(on_result))
 
@@ -96,7 +96,7 @@ class ControllerEpisodes(Episodes):
         )
 
     def describe(self) -> dict[str, Any]:
-        """Return the scenarios' names and the controller's numbers."""
+        """Return the names of the scenarios and the parameters of the controller."""
         return {
             "scenarios": list(self._scenarios),
             "time_limit": self._time_limit,
@@ -108,10 +108,10 @@ class ControllerEpisodes(Episodes):
 
 
 def leaf_value(controller: Any, name: str) -> float:
-    """Return one number of a controller, `path` or `path[i]`.
+    """Return one parameter of a controller, `path` or `path[i]`.
 
     Raises:
-        ValueError: a path that is none, or an array without an index.
+        ValueError: an unknown path, or an array without an index.
     """
     path, index = split_index(name)
     value = np.asarray(get_parameters(controller)[find_parameter(controller, path)])
@@ -128,10 +128,10 @@ def leaf_value(controller: Any, name: str) -> float:
 
 
 def leaf_elements(controller: Any, name: str) -> tuple[str, ...]:
-    """Return a path, or of an array `path[i]` for each of its elements.
+    """Return a path, or for an array `path[i]` for each of its elements.
 
     Raises:
-        ValueError: a path that is none.
+        ValueError: an unknown path.
     """
     if "[" in name:
         return (name,)
@@ -140,7 +140,7 @@ def leaf_elements(controller: Any, name: str) -> tuple[str, ...]:
 
 
 def leaf_values(controller: Any, candidate: Candidate) -> dict[str, np.ndarray]:
-    """Return the arrays that `set_parameters` takes: elements that are not searched stay."""
+    """Return the arrays for `set_parameters`; elements that are not searched keep their values."""
     known = get_parameters(controller)
     arrays: dict[str, np.ndarray] = {}
     for name, value in candidate.items():
@@ -155,7 +155,7 @@ def leaf_values(controller: Any, candidate: Candidate) -> dict[str, np.ndarray]:
 
 
 def split_index(name: str) -> tuple[str, int | None]:
-    """Return the path and the index of `path[i]`."""
+    """Split `path[i]` into the path and the index."""
     path, bracket, rest = name.partition("[")
     if not bracket:
         return name, None

@@ -1,4 +1,4 @@
-"""Episodes: where candidates are evaluated."""
+"""Episodes, in which candidates are evaluated."""
 
 import abc
 import dataclasses
@@ -17,11 +17,12 @@ class Episode(NamedTuple):
     """One run of a candidate in a scenario with a seed.
 
     Args:
-        number: of the candidate.
-        candidate: its values.
+        number: number of the candidate.
+        candidate: value of each parameter.
         scenario: name of the scenario.
-        seed: of everything random: the same for all candidates (common random numbers).
-        time_limit: simulated time after which it is stopped [s]; the scenario's own when absent.
+        seed: seed of all random numbers, the same for all candidates (common random numbers).
+        time_limit: simulated time after which the run is stopped [s]; the scenario's own when
+            absent.
     """
 
     number: int
@@ -35,8 +36,8 @@ class Result(NamedTuple):
     """Result of an episode.
 
     Args:
-        metrics: numbers of its report by dotted name; None for what has no value.
-        error: why it failed; None if it did not.
+        metrics: metrics of the run by dotted name; None for a metric without a value.
+        error: reason of a failure; None if it did not fail.
     """
 
     metrics: dict[str, float | None]
@@ -44,9 +45,9 @@ class Result(NamedTuple):
 
 
 class Episodes(abc.ABC):
-    """Scenarios in which candidates are evaluated.
+    """The protocol of the scenarios in which candidates are evaluated.
 
-    To tune something else than a run of jaxplore, give a function: `FunctionEpisodes`,
+    To tune something other than a jaxplore run, pass a function to `FunctionEpisodes` or
     `VectorEpisodes`.
     """
 
@@ -60,12 +61,12 @@ class Episodes(abc.ABC):
         """Return the current value of a parameter.
 
         Raises:
-            ValueError: an unknown name; the nearest ones are named.
+            ValueError: an unknown name; the message names similar ones.
         """
 
     @property
     def metrics(self) -> tuple[str, ...] | None:
-        """Names of the metrics of an episode, if they are known beforehand.
+        """Names of the metrics of an episode, if they are known in advance.
 
         A name that ends with a dot stands for all metrics that begin with it.
         """
@@ -73,21 +74,20 @@ class Episodes(abc.ABC):
 
     @property
     def default_objective(self) -> str | None:
-        """What is minimized if no objective is given; None if one must be given."""
+        """Objective to minimize by default; None if one must be given."""
         return None
 
     def elements(self, name: str) -> tuple[str, ...]:
-        """Return the names of the single values of a parameter: those of an array's elements."""
+        """Return the names of a parameter's scalar values: one for each element of an array."""
         return (name,)
 
     @abc.abstractmethod
     def run(
         self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
     ) -> None:
-        """Run episodes, and report each as soon as it is done.
+        """Run episodes, and report each one as soon as it is finished.
 
-        An episode that fails is reported with its error. A failure that only the user can mend
-        raises.
+        A failed episode is reported with its error. An error that the user must fix is raised.
 
         Raises:
             KeyboardInterrupt: the user stopped it.
@@ -95,19 +95,21 @@ class Episodes(abc.ABC):
 
     @abc.abstractmethod
     def describe(self) -> dict[str, Any]:
-        """Return what the results depend on, in plain values that JSON can hold. A study continues
-        only where it is the same."""
+        """Return everything that the results depend on, as plain values for JSON.
+
+        A study can be continued only if it is unchanged.
+        """
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class MetricsTask(EpisodeTask):
-    """Episodes of several candidates with the same scenario, seed and sizes.
+    """A task that runs episodes of several candidates with the same scenario, seed and sizes.
 
     Args:
         episodes: those that run together.
-        build: makes the experiment of an episode. Other processes import it by name; it is given
-            the setting that locates the map or path.
-        together: runs them side by side; one after the other when absent.
+        build: function that makes the experiment of an episode from it and from the setting that
+            locates the map or path. Other processes import it by name.
+        together: runner of the batch; the episodes run one after the other when absent.
     """
 
     episodes: tuple[Episode, ...]
@@ -115,7 +117,7 @@ class MetricsTask(EpisodeTask):
     together: SideBySide | None = None
 
     def measure(self) -> tuple[Result, ...]:
-        """Run the episodes and return their metrics. Each fails for itself."""
+        """Run the episodes and return their metrics. A failure affects one episode only."""
         results: dict[int, Result] = {}
         ready: dict[int, Experiment] = {}
         for index, episode in enumerate(self.episodes):
@@ -127,11 +129,11 @@ class MetricsTask(EpisodeTask):
         return tuple(results[index] for index in range(len(self.episodes)))
 
     def failed(self, reason: str) -> tuple[Result, ...]:
-        """Return that all of them failed."""
+        """Return a failed result for each episode."""
         return (Result({}, reason),) * len(self.episodes)
 
     def _side_by_side(self, ready: Mapping[int, Experiment]) -> dict[int, Result]:
-        """Run experiments side by side; return nothing where that is not possible."""
+        """Run experiments as a batch; return no results if that is not possible."""
         if self.together is None or not ready:
             return {}
         limit = self.episodes[0].time_limit
@@ -163,12 +165,12 @@ def make_tasks(
     batch: int,
     together: SideBySide | None,
 ) -> list[MetricsTask]:
-    """Return tasks for episodes, several in a task where they can run side by side.
+    """Group episodes into tasks; a task has several if they can run as a batch.
 
     Args:
-        episodes: any number.
+        episodes: the episodes, any number.
         build: see `MetricsTask`.
-        batch: most episodes in a task.
+        batch: greatest number of episodes in a task.
         together: see `MetricsTask`.
     """
 
@@ -191,7 +193,7 @@ def make_tasks(
 def report_each(
     on_result: Callable[[Episode, Result], None],
 ) -> Callable[[MetricsTask, Sequence[Result]], None]:
-    """Return a function that reports the episodes of a task one by one."""
+    """Return a callback that reports the episodes of a task one by one."""
 
     def report(task: MetricsTask, results: Sequence[Result]) -> None:
         for episode, result in zip(task.episodes, results, strict=True):
@@ -201,7 +203,7 @@ def report_each(
 
 
 def check_batch(batch: int) -> int:
-    """Return a number of episodes that run side by side.
+    """Check a batch size, and return it.
 
     Raises:
         ValueError: a number < 1.
@@ -212,11 +214,12 @@ def check_batch(batch: int) -> int:
 
 
 def _sizes(candidate: Candidate) -> str:
-    """Return the values that may change the compiled program: all but real numbers."""
+    """Return the values that may change the compiled program: all except real numbers."""
     return repr([(name, each) for name, each in candidate.items() if not isinstance(each, float)])
 
 
 def _result(recording: Recording, seed: int, experiment: Experiment) -> Result:
-    # As late as if it had gone on to the scenario's own limit, whether it was cut short or not.
+    # Missing times are computed for the scenario's own limit, so that a run that was stopped
+    # early and one that was not are comparable.
     limit = experiment.num_steps * recording.control_period
     return Result(with_late_times(flat(recording.metrics(seed=seed).as_dict()), limit))

@@ -1,4 +1,4 @@
-"""Episodes of functions: any simulator, or a loop in JAX."""
+"""Episodes that call a function: any simulator, or a loop in JAX."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -17,14 +17,14 @@ from jaxplore.study.tuning.space import Candidate, Value
 
 
 class _Named(Episodes):
-    """One scenario with a name, and the current values of the parameters."""
+    """Base of episodes with one named scenario and the current values of the parameters."""
 
     def __init__(self, start: Mapping[str, Value], name: str) -> None:
         self._start, self._name = dict(start), name
 
     @property
     def scenarios(self) -> tuple[str, ...]:
-        """Its name."""
+        """Name of the only scenario."""
         return (self._name,)
 
     def start(self, name: str) -> Value:
@@ -36,17 +36,17 @@ class _Named(Episodes):
         return self._start[name]
 
     def describe(self) -> dict[str, Any]:
-        """Return its name and the current values."""
+        """Return the name of the scenario and the current values."""
         return {"function": self._name, "start": dict(sorted(self._start.items()))}
 
 
 class FunctionEpisodes(_Named):
-    """Episodes that a function runs, one after the other. It may call any simulator.
+    """Episodes that call a function one after the other; it may use any simulator.
 
     Args:
-        function: from a candidate and a seed to metrics, by name.
+        function: function from a candidate and a seed to metrics by name.
         start: current values by parameter.
-        name: of the scenario.
+        name: name of the scenario.
     """
 
     def __init__(
@@ -71,15 +71,15 @@ class FunctionEpisodes(_Named):
 
 
 class VectorEpisodes(_Named):
-    """Episodes that a JAX function runs, a batch of candidates in one `jax.vmap`.
+    """Episodes that call a JAX function, with a batch of candidates in one `jax.vmap`.
 
     Args:
-        function: from numbers by name, each a scalar array, and a key to metrics, scalar arrays by
-            name. It is traced once.
+        function: function from scalar arrays by parameter name, and a key, to metrics: scalar
+            arrays by name. It is traced once.
         start: current numbers by parameter.
-        name: of the scenario.
-        batch: candidates side by side. Smaller batches are filled up: nothing compiles again, and
-            rounding does not depend on how many are left.
+        name: name of the scenario.
+        batch: number of candidates in a batch. Smaller batches are filled up, so that nothing is
+            compiled again and rounding does not depend on the number of candidates left.
 
     Raises:
         ValueError: a batch < 1.
@@ -104,7 +104,7 @@ class VectorEpisodes(_Named):
     def run(
         self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
     ) -> None:
-        """Run episodes with the same seed side by side."""
+        """Run episodes with the same seed as batches."""
         for some in in_batches(episodes, lambda episode: episode.seed, self._batch):
             self._run(some, some[0].seed, on_result)
 

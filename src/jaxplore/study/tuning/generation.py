@@ -1,4 +1,4 @@
-"""Evaluates generations of candidates, and stores every episode as soon as it is done."""
+"""Evaluation of generations of candidates. Every finished episode is stored at once."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -18,17 +18,17 @@ type Limits = Mapping[Where, float]
 
 
 class Generations:
-    """Evaluates generations, one after the other.
+    """Evaluation of generations, one after the other.
 
-    A search can be continued from any moment: candidates are stored before they are evaluated,
-    episodes when they are done, and the states of a whole generation before any of its candidates
-    counts as done.
+    A search can be continued after an interruption at any time: candidates are stored before they
+    are evaluated, episodes when they are finished, and the final states of a whole generation
+    before any of its candidates is reported to Optuna.
 
     Args:
-        search: space, objectives and seeds.
+        search: definition of the search.
         episodes: where candidates are evaluated.
-        study: of Optuna, which stores them.
-        start: current values, the first candidate.
+        study: study of Optuna, which stores the episodes.
+        start: current values, which are the first candidate.
     """
 
     def __init__(self, search: Search, episodes: Episodes, study: Any, start: Candidate) -> None:
@@ -49,10 +49,12 @@ class Generations:
         """Evaluate a generation, or the rest of it.
 
         Args:
-            numbers: of its candidates.
-            ask: returns the candidates of the generation; called if some are not stored yet.
-            limits: time after which an episode is stopped.
-            show: called with the number of finished candidates, after each episode and at the end.
+            numbers: numbers of the generation's candidates.
+            ask: function that returns the candidates of the generation; called if some are not
+                stored.
+            limits: time after which each episode is stopped [s].
+            show: function that is called with the number of finished candidates, after each episode
+                and at the end.
 
         Raises:
             KeyboardInterrupt: the user stopped it; finished episodes are stored.
@@ -62,7 +64,7 @@ class Generations:
         decided = {each.number for each in trials if VERDICT in each.user_attrs}
         if len(decided) < len(trials):
             self._evaluate(trials, known, limits, lambda: show(0))
-        # By number, whichever was done first: the next generation depends on this order.
+        # In the order of numbers, not of completion: the next generation depends on the order.
         for each in trials:
             self._tell(each, known[each.number])
         show(len(trials))
@@ -74,7 +76,7 @@ class Generations:
         limits: Limits,
         show: Callable[[], None],
     ) -> None:
-        """Run the missing episodes, and store the state of each candidate."""
+        """Run the missing episodes, and store the final state of each candidate."""
         one_by_one = self._search.gives_up and len(self._search.objectives) == 1
         rungs = [[each] for each in self._instances] if one_by_one else [self._instances]
         by_number = {each.number: each for each in trials}
@@ -105,7 +107,8 @@ class Generations:
                 if verdict is not None:
                     verdicts[each.number] = verdict
                     alive.remove(each)
-        # All states are stored before the first candidate counts: nothing is decided twice.
+        # All states are stored before the first candidate is reported: after an interruption no
+        # decision is made twice.
         for each in trials:
             each.set_user_attr(VERDICT, verdicts[each.number])
 
@@ -117,7 +120,7 @@ class Generations:
         *,
         is_last: bool,
     ) -> list[str | None] | None:
-        """Return the final state of a candidate and its error; None if it goes on."""
+        """Decide on a candidate: its final state and error, or None to continue."""
         told = [known[trial.number][where] for where in so_far]
         for each in told:
             if each["error"] is not None:
@@ -135,14 +138,16 @@ class Generations:
         step = len(so_far) - 1
         if step not in _reported(self._study, trial.number):
             trial.report(means[0] - self._reference(known, so_far), step)
-        # The current settings are evaluated to the end, for the comparison.
+        # The current settings are always evaluated completely: they are the reference.
         if trial.number != 0 and trial.should_prune():
             return ["given up", None]
         return None
 
     def _reference(self, known: Mapping[int, dict[Where, Any]], so_far: Sequence[Where]) -> float:
-        """Return the mean of the current settings. Differences to it do not depend on how hard the
-        episodes are."""
+        """Compute the mean objective of the current settings over some episodes.
+
+        Differences from it do not depend on the difficulty of the episodes.
+        """
         trials = self._study.get_trials(deepcopy=False)
         first = known.get(0) or read_episodes(trials[0].user_attrs)
         told = [first[where]["metrics"] for where in so_far if where in first]
@@ -164,7 +169,7 @@ class Generations:
             self._study.tell(trial.number, values)
 
     def _opened(self, numbers: range, ask: Callable[[], list[Candidate]]) -> list[Any]:
-        """Return the unfinished trials of a generation, created if need be."""
+        """Return the unfinished trials of a generation, and create missing ones."""
         trials = import_optional("optuna.trial", "tuning")
         there = self._study.get_trials(deepcopy=False)
         asked: list[Candidate] | None = None
@@ -175,7 +180,8 @@ class Generations:
                 continue
             if state == trials.TrialState.RUNNING:
                 trial = trials.Trial(self._study, there[number]._trial_id)
-                # An interruption may have left some parameters out; `enqueue_trial` fixed them.
+                # After an interruption some parameters may not be set yet; their values were fixed
+                # by `enqueue_trial`.
                 for name, each in self._distributions.items():
                     trial._suggest(name, each)
                 opened.append(trial)

@@ -1,4 +1,4 @@
-"""Objectives: weighted sums of metrics that a search minimizes."""
+"""Objectives of a search: weighted sums of metrics."""
 
 import dataclasses
 import math
@@ -11,7 +11,7 @@ from jaxplore.report.compute import Compute
 from jaxplore.report.metrics import Metrics
 
 type Numbers = Mapping[str, float | None]
-"""Metrics of one episode by name; None for what never happened."""
+"""Metrics of one episode by name; None for an event that never happened."""
 
 _TERM = re.compile(
     r"\s*(?P<sign>[+-])?\s*(?:(?P<weight>\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)\s*\*\s*)?"
@@ -21,8 +21,7 @@ _TERM = re.compile(
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
-    """A weighted sum of metrics to be minimized. A metric that should be large has a negative
-    weight.
+    """A weighted sum of metrics to minimize. A metric to maximize has a negative weight.
 
     Args:
         terms: weights and metrics, at least one.
@@ -41,10 +40,10 @@ class Objective:
 
     @classmethod
     def parse(cls, text: str) -> "Objective":
-        """Return an objective from a text such as `time_to.90 + 100*collisions - coverage`.
+        """Parse an objective such as `time_to.90 + 100*collisions - coverage`.
 
         Raises:
-            ValueError: a text that is not such a sum.
+            ValueError: a text that is not a sum of metrics with weights.
         """
         terms: list[tuple[float, str]] = []
         position = 0
@@ -70,7 +69,7 @@ class Objective:
 
     @property
     def is_about_time(self) -> bool:
-        """Whether slower is worse: whether it has a time with a positive weight."""
+        """Whether it contains a time with a positive weight."""
         times = ("finished_at", "last_target_at", "duration")
         return any(
             weight > 0.0 and (name in times or name.startswith("time_to."))
@@ -78,13 +77,13 @@ class Objective:
         )
 
     def check(self, known: Sequence[str]) -> None:
-        """Refuse unknown metrics.
+        """Check that all metrics are known.
 
         Args:
             known: names of metrics; one that ends with a dot stands for all that begin with it.
 
         Raises:
-            ValueError: an unknown metric; the nearest ones are named.
+            ValueError: an unknown metric; the message names similar ones.
         """
         groups = tuple(each for each in known if each.endswith("."))
         for _, name in self.terms:
@@ -97,7 +96,7 @@ class Objective:
         """Compute the objective of an episode; NaN if a metric has no value.
 
         Raises:
-            ValueError: an unknown metric; the nearest ones are named.
+            ValueError: an unknown metric; the message names similar ones.
         """
         total = 0.0
         for weight, name in self.terms:
@@ -116,10 +115,10 @@ class Objective:
 
 
 def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
-    """Return the names of the numbers of a report; what ends with a dot begins several.
+    """Return the names of the metrics of a class; a name that ends with a dot is a prefix.
 
     Args:
-        metrics_type: class of the report.
+        metrics_type: class of the metrics.
     """
     names: list[str] = []
     for field in dataclasses.fields(metrics_type):
@@ -138,9 +137,9 @@ _NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
 
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:
-    """Return the numbers of a report by dotted names, such as `time_to.90`.
+    """Flatten metrics to numbers by dotted names, such as `time_to.90`.
 
-    Lists and texts are left out, truth values are 1 and 0, infinite values and NaN are None.
+    Lists and texts are left out, booleans become 1 and 0, infinite values and NaN become None.
     """
     numbers: dict[str, float | None] = {}
     for name, value in metrics.items():
@@ -154,14 +153,14 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None
 
 
 def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
-    """Fill in times for what did not happen within the time limit.
+    """Replace missing times of events that did not happen within the time limit.
 
-    Such a time is `limit (1 + missing)`, where `missing` is the share of the mission that was left:
-    of the coverage, of the path, of the targets, or of the distance to the goal. So a search that
-    starts with settings that never finish still knows in which direction it improves.
+    Such a time is `limit (1 + missing)`, where `missing` is the share of the task that was left: of
+    the coverage, the path, the targets, or the distance to the goal. So the objective still
+    improves gradually in a search that starts with settings that never finish.
 
     Args:
-        metrics: of one episode.
+        metrics: metrics of one episode.
         limit: the scenario's time limit [s].
     """
     filled = dict(metrics)
@@ -178,7 +177,7 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
 
 
 def _missing(metrics: Numbers) -> float:
-    """Return the share of a mission that was left, from 0 to 1."""
+    """Return the share of a task that was left, from 0 to 1."""
 
     def number(name: str) -> float:
         value = metrics.get(name)

@@ -1,4 +1,4 @@
-"""Optimizers of Optuna, evosax and pyribs: they propose generations of candidates."""
+"""Optimizers of Optuna, evosax and pyribs, which propose generations of candidates."""
 
 import abc
 import warnings
@@ -11,7 +11,7 @@ from jaxplore.study.optional import import_optional
 from jaxplore.study.tuning.space import Candidate, Space, distribution
 
 STEP = 0.2
-"""First standard deviation of evolution strategies, in sides of the cube."""
+"""Initial standard deviation of evolution strategies, as a share of the side of the unit cube."""
 
 EVOSAX = {
     "cma-es": "CMA_ES",
@@ -21,24 +21,25 @@ EVOSAX = {
     "cr-fm-nes": "CR_FM_NES",
     "pgpe": "PGPE",
 }
-"""Evolution strategies of evosax, by the names that they have here."""
+"""Evolution strategies of evosax by jaxplore's names."""
 OPTUNA = ("tpe", "random", "nsga-ii", "qmc")
 """Samplers of Optuna."""
 PYRIBS = ("cma-me",)
-"""Quality diversity of pyribs."""
+"""Quality-diversity algorithm of pyribs."""
 NAMES = (*OPTUNA, *EVOSAX, *PYRIBS)
 
 
 class Evaluated(NamedTuple):
-    """A candidate that was evaluated.
+    """An evaluated candidate.
 
     Args:
-        candidate: its values.
-        rank: 0 for the best of its generation; last are those given up early and those that failed.
+        candidate: value of each parameter.
+        rank: rank in its generation, 0 for the best; candidates that were stopped early or failed
+            come last.
         state: "done", "given up" or "failed".
-        values: of the objectives; empty if it failed.
-        num_episodes: number of its episodes.
-        measures: over which quality diversity spreads candidates.
+        values: values of the objectives; empty if it failed.
+        num_episodes: number of evaluated episodes.
+        measures: values of the measures of quality diversity.
     """
 
     candidate: Candidate
@@ -50,10 +51,10 @@ class Evaluated(NamedTuple):
 
 
 class Optimizer(abc.ABC):
-    """Proposes generations of candidates, in the ask-and-tell way.
+    """An optimizer with the ask-and-tell interface, which proposes generations of candidates.
 
-    Random numbers depend on its seed and the number of the generation only. So a study that is
-    continued tells it the former generations and gets the same proposals as without a break.
+    Random numbers depend on its seed and the number of the generation only. So a study that
+    continues replays the former generations and gets the same proposals as without an interruption.
     """
 
     @abc.abstractmethod
@@ -62,21 +63,22 @@ class Optimizer(abc.ABC):
 
     @abc.abstractmethod
     def tell(self, generation: Sequence[Evaluated]) -> None:
-        """Learn the results of a generation. The very first candidate was replaced by the start."""
+        """Report the results of a generation. The very first candidate was replaced by the
+        start."""
 
 
 class OptunaOptimizer(Optimizer):
-    """A sampler of Optuna, for spaces with choices and for several objectives.
+    """A sampler of Optuna, which supports choices and several objectives.
 
     Source: Akiba, Sano, Yanase, Ohta, Koyama, "Optuna: a next-generation hyperparameter
     optimization framework", KDD 2019.
 
     Args:
-        name: see `OPTUNA`.
-        space: what is searched.
+        name: name of the sampler, see `OPTUNA`.
+        space: search space.
         population: candidates in a generation.
-        seed: the same gives the same candidates.
-        num_objectives: how many there are.
+        seed: seed; the same seed gives the same candidates.
+        num_objectives: number of objectives.
 
     Raises:
         ValueError: Optuna is not installed.
@@ -88,7 +90,7 @@ class OptunaOptimizer(Optimizer):
         optuna = import_optional("optuna", "tuning")
         self._name, self._space, self._population, self._seed = name, space, population, seed
         self._distributions = {each.name: distribution(each) for each in space.parameters}
-        # A study in memory: sampling is faster than in the storage on disk.
+        # A separate study in memory: sampling from the storage on disk would be slower.
         self._study = optuna.create_study(directions=["minimize"] * num_objectives)
         self._states = optuna.trial.TrialState
         self._asked: list[Any] = []
@@ -102,11 +104,11 @@ class OptunaOptimizer(Optimizer):
         return [dict(each.params) for each in self._asked]
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
-        """Tell values, also those of candidates that were given up."""
+        """Report the values of all candidates, those that were stopped early included."""
         self.ask()
         for trial, each in zip(self._asked, generation, strict=True):
             if trial.params != each.candidate:
-                # The start, which replaced the proposal.
+                # The current settings replaced this proposal.
                 self._study.tell(trial, state=self._states.FAIL)
                 if each.state == "done":
                     self._study.add_trial(self._done(each))
@@ -127,7 +129,7 @@ class OptunaOptimizer(Optimizer):
 
     def _sampler(self, number: int) -> Any:
         samplers = import_optional("optuna.samplers", "tuning")
-        # A new sampler for each candidate: a study that is continued draws the same numbers.
+        # A new sampler for each candidate, so that a continued study draws the same numbers.
         seed = int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
         if self._name == "tpe":
             return samplers.TPESampler(seed=seed, n_startup_trials=max(10, self._population))
@@ -143,17 +145,17 @@ class OptunaOptimizer(Optimizer):
 class EvosaxOptimizer(Optimizer):
     """An evolution strategy of evosax on the unit cube.
 
-    Proposals outside of the cube are reflected at its sides. It is told ranks, not values: the
-    scale of an objective does not matter, and a failed candidate is just the last one.
+    Proposals outside the cube are reflected at its sides. The strategy receives ranks instead of
+    values: the scale of the objective does not matter, and a failed candidate is simply the last.
 
     Source: Lange, "evosax: JAX-based evolution strategies", GECCO 2023.
 
     Args:
-        name: see `EVOSAX`.
-        space: what is searched.
-        start: first mean.
-        population: candidates in a generation, an even number >= 4.
-        seed: the same gives the same candidates.
+        name: name of the strategy, see `EVOSAX`.
+        space: search space.
+        start: initial mean.
+        population: number of candidates in a generation, an even number >= 4.
+        seed: seed; the same seed gives the same candidates.
 
     Raises:
         ValueError: evosax is not installed.
@@ -167,7 +169,7 @@ class EvosaxOptimizer(Optimizer):
         self._jax, self._space, self._generation = jax, space, 0
         algorithms = import_optional("evosax.algorithms", "tuning")
         kind = getattr(algorithms, EVOSAX[name])
-        # evosax relies on JAX's default type promotion, which this process may forbid.
+        # evosax relies on JAX's default type promotion, but the process may have set a strict one.
         with jax.numpy_dtype_promotion("standard"):
             options = _evosax_options(name)
             self._algorithm = kind(
@@ -196,7 +198,7 @@ class EvosaxOptimizer(Optimizer):
         return [self._space.candidate(reflected(row)) for row in self._asked]
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
-        """Tell the ranks."""
+        """Report the ranks."""
         if self._asked is None:
             self.ask()
         ranks = np.asarray([each.rank for each in generation], np.float32)
@@ -220,8 +222,10 @@ class EvosaxOptimizer(Optimizer):
 
 
 def _evosax_options(name: str) -> dict[str, Any]:
-    """Return step sizes for strategies that estimate a gradient. The defaults of evosax are made
-    for thousands of weights and generations."""
+    """Return step sizes for strategies that estimate a gradient.
+
+    The defaults of evosax suit thousands of weights and generations.
+    """
     if name not in ("open-es", "pgpe"):
         return {}
     optax = import_optional("optax", "tuning")
@@ -232,23 +236,24 @@ def _evosax_options(name: str) -> dict[str, Any]:
 
 
 def reflected(places: np.ndarray) -> np.ndarray:
-    """Map numbers to [0, 1] by reflection at both ends, as often as needed."""
+    """Map numbers to [0, 1] by repeated reflection at both ends."""
     folded = np.mod(places, 2.0)
     return np.asarray(np.where(folded > 1.0, 2.0 - folded, folded))
 
 
 class RibsOptimizer(Optimizer):
-    """Quality diversity by CMA-ME of pyribs: the best candidate for each cell of the measures.
+    """Quality diversity by CMA-ME of pyribs, which finds the best candidate of each cell of the
+    measures.
 
     Source: Fontaine, Togelius, Nikolaidis, Hoover, "Covariance matrix adaptation for the rapid
     illumination of behavior space", GECCO 2020.
 
     Args:
-        space: what is searched.
-        start: first mean.
+        space: search space.
+        start: initial mean.
         population: candidates in a generation.
-        seed: the same gives the same candidates.
-        ranges: least and greatest value of each measure that has a cell.
+        seed: seed; the same seed gives the same candidates.
+        ranges: lower and upper bound of each measure.
         cells: number of cells along each measure.
 
     Raises:
@@ -287,7 +292,7 @@ class RibsOptimizer(Optimizer):
         return [self._space.candidate(row) for row in self._asked]
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
-        """Add the candidates that did not fail to the archive, and tell the improvements."""
+        """Add the successful candidates to the archive, and report the improvements."""
         if self._asked is None:
             self.ask()
         told = np.array(self._asked)
@@ -296,7 +301,8 @@ class RibsOptimizer(Optimizer):
         self._generation += 1
         self._asked = None
         fine = np.array([each.state == "done" for each in generation])
-        # Failed candidates rank last among the solutions and stay out of the archive.
+        # CMA-ES needs a rank for each solution: failed candidates are last and stay out of the
+        # archive.
         worst = max((each.values[0] for each in generation if each.state == "done"), default=0.0)
         low = tuple(self.archive.lower_bounds)
         values = np.array(

@@ -1,4 +1,4 @@
-"""Pictures of a search: convergence, importances, candidates by parameter, fronts, archives."""
+"""Figures of a search: convergence, importances, candidates by parameter, fronts, archives."""
 
 import io
 import math
@@ -22,9 +22,9 @@ _FEW_DECADES = 300.0
 
 
 def importances(study: Study) -> dict[str, float]:
-    """Return the importance of each parameter for the first objective, by PED-ANOVA.
+    """Compute the importance of each parameter for the first objective by PED-ANOVA.
 
-    Importances add up to 1. There are none if too few candidates have a value.
+    Importances add up to 1. The result is empty if too few candidates have a value.
 
     Source: Watanabe, Bansal, Hutter, "PED-ANOVA: efficiently quantifying hyperparameter importance
     in arbitrary subspaces", IJCAI 2023.
@@ -49,7 +49,7 @@ def importances(study: Study) -> dict[str, float]:
 
 
 def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
-    """Draw the pictures of a search, with the chosen candidate, by file name without suffix."""
+    """Draw the figures of a search with the chosen candidate, by file name without suffix."""
     found = {"convergence": _convergence(study), "slices": _slices(study, chosen, 0)}
     for number in range(1, len(study.search.objectives)):
         found[f"slices-{number + 1}"] = _slices(study, chosen, number)
@@ -135,7 +135,7 @@ def _front(study: Study, chosen: Trial) -> "Figure":
 
 
 def _axes(number: int) -> tuple["Figure", list[Any]]:
-    """Return a figure with several axes beside each other that share the vertical scale."""
+    """Make a figure with several axes side by side that share the vertical scale."""
     from matplotlib.figure import Figure
 
     columns = min(number, 4)
@@ -150,7 +150,7 @@ def _axes(number: int) -> tuple["Figure", list[Any]]:
 
 
 def _scale(axes: Any, which: str, values: list[float]) -> None:
-    """Use a logarithmic scale where the worst are far away: else the best would lie on one line."""
+    """Use a logarithmic scale if the values span a large range, so that the best are separable."""
     if values and min(values) > 0.0 and max(values) > 4.0 * min(values):
         _logarithmic(axes, which, max(values) / min(values))
 
@@ -172,7 +172,7 @@ def _logarithmic(axes: Any, which: str, ratio: float) -> None:
 
 def _label(study: Study, number: int = 0) -> str:
     label = str(study.search.objectives[number])
-    # A long sum would not fit beside the axis.
+    # A long sum does not fit beside the axis.
     return label if len(label) <= 36 else "objective"
 
 
@@ -195,7 +195,7 @@ def _archive(study: Study, optimizer: RibsOptimizer) -> "Figure":
 
 
 def png(figure: "Figure") -> bytes:
-    """Return a figure as a PNG."""
+    """Render a figure as PNG."""
     file = io.BytesIO()
     figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
     return file.getvalue()

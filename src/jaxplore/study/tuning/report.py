@@ -1,4 +1,4 @@
-"""The folder of a search: settings, tables, pictures and a page."""
+"""The folder of a search: settings, tables, figures and a page."""
 
 import base64
 import csv
@@ -23,15 +23,15 @@ from jaxplore.study.tuning.study import Study
 from jaxplore.study.tuning.trials import Trial
 
 SETTINGS, RECORD, PAGE = "settings.yaml", "record.yaml", "report.html"
-"""Settings for `jaxplore run --settings`; how they were found, in short; the page."""
+"""Settings for `jaxplore run --settings`, a summary of the search, and the page."""
 TRIALS, UNSEEN, FRONT, ARCHIVE = "trials.csv", "unseen.csv", "front.csv", "archive.csv"
-"""All candidates; episodes on unseen seeds; the Pareto front; the best of each cell."""
+"""Tables: all candidates, the episodes on unseen seeds, the Pareto front, the archive."""
 ANIMATION = "before_after.gif"
 _WHAT = "study folder"
 
 
 def write_settings(study: Study, chosen: Trial, folder: Path) -> Path | None:
-    """Write the settings of a candidate and return the path; None unless settings were tuned.
+    """Write the settings of a candidate and return the path; None if no settings were tuned.
 
     Raises:
         ValueError: the folder cannot be written.
@@ -49,11 +49,11 @@ def _write(target: Path, data: bytes) -> Path:
 
 
 def record(study: Study, found: TuningResult) -> dict[str, Any]:
-    """Return how settings were found and how good they are, in plain values.
+    """Summarise a search as plain values: its definition and its result.
 
     Args:
         study: the search.
-        found: its result.
+        found: result of the search.
     """
     trials = study.trials()
     states = ("done", "given up", "failed")
@@ -88,14 +88,14 @@ def record(study: Study, found: TuningResult) -> dict[str, Any]:
 def write_results(
     study: Study, found: TuningResult, folder: Path, *, title: str, animation: bytes | None = None
 ) -> list[Path]:
-    """Write tables, pictures, the record and the page, and return their paths.
+    """Write tables, figures, the summary and the page, and return their paths.
 
     Args:
         study: the search.
-        found: its result.
-        folder: of the study.
-        title: of the page.
-        animation: GIF of a run before and after.
+        found: result of the search.
+        folder: folder of the study.
+        title: title of the page.
+        animation: GIF of runs before and after; none when absent.
 
     Raises:
         ValueError: the folder cannot be written.

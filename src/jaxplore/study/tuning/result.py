@@ -10,7 +10,7 @@ from jaxplore.study.tuning.space import Candidate
 from jaxplore.study.tuning.trials import Trial
 
 type Unseen = Mapping[tuple[str, int], Numbers]
-"""Metrics of episodes by scenario and seed; empty for an episode that failed."""
+"""Metrics of episodes by scenario and seed; empty for a failed episode."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,16 +18,17 @@ class TuningResult:
     """Result of a search.
 
     Args:
-        chosen: the best candidate by seeds that the search did not use.
-        current: the values before the search.
+        chosen: best candidate on seeds that the search did not use.
+        current: values before the search.
         trials: all candidates, by number.
-        front: those that no other one beats in every objective.
-        is_complete: whether everything was done; if not, Ctrl-C ended it.
+        front: candidates of the Pareto front, which no other candidate dominates.
+        is_complete: whether the search was completed; if not, Ctrl-C ended it.
         before: metrics of the current values on unseen seeds, by scenario and seed.
-        after: the same of the chosen candidate.
-        changes: of the objectives and the metrics between the two, with 95 % intervals.
+        after: metrics of the chosen candidate on the same unseen seeds.
+        changes: changes of the objectives and the metrics from `before` to `after`, with 95 %
+            intervals.
         verdict: whether the chosen candidate is better than the current values, in a sentence.
-        files: that were written.
+        files: files that were written.
     """
 
     chosen: Trial
@@ -42,13 +43,13 @@ class TuningResult:
     files: tuple[Path, ...] = ()
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Return one table: its header, the parameters, then the changes on unseen seeds."""
+        """Return one table: the header, the parameters, then the changes on unseen seeds."""
         header, *changes = self.change_rows()
         parameters = [(*row, "") for row in self.settings_rows()[1:]]
         return [("", *header[1:]), *parameters, *changes]
 
     def settings_rows(self) -> list[tuple[str, ...]]:
-        """Return a table of the parameters: its header, then a row for each."""
+        """Return a table of the parameters: the header, then a row for each."""
         return [
             ("", "before", "after"),
             *(
@@ -58,7 +59,7 @@ class TuningResult:
         ]
 
     def change_rows(self) -> list[tuple[str, ...]]:
-        """Return a table of the changes on unseen seeds: its header, then a row for each."""
+        """Return a table of the changes on unseen seeds: the header, then a row for each."""
         return [
             ("mean", "before", "after", "difference [95 % interval]"),
             *(
@@ -74,5 +75,5 @@ class TuningResult:
 
 
 def short_text(value: object) -> str:
-    """Return a value as text, numbers with four digits."""
+    """Format a value; numbers have four digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""The search: space, objectives, seeds and optimizer."""
+"""Definition of a search: space, objectives, seeds and optimizer."""
 
 import dataclasses
 from typing import Any
@@ -21,13 +21,13 @@ POPULATION = 8
 
 @dataclasses.dataclass(frozen=True)
 class Measure:
-    """A metric over which quality diversity spreads candidates, cut into cells.
+    """A metric, divided into cells, over which quality diversity spreads candidates.
 
     Args:
-        metric: its name.
+        metric: name of the metric.
         low: lower bound of the cells.
         high: upper bound.
-        cells: their number.
+        cells: number of cells.
 
     Raises:
         ValueError: bounds that are reversed, fewer than two cells.
@@ -48,22 +48,22 @@ class Measure:
 
 @dataclasses.dataclass(frozen=True)
 class Search:
-    """A search: what is varied, what is minimized, and how.
+    """Definition of a search: the parameters, the objectives and the optimizer.
 
     Args:
         space: parameters that are varied.
-        objectives: to be minimized; several for a Pareto front.
-        seeds: of the episodes in each scenario, the same for all candidates.
+        objectives: objectives to minimize; several for a Pareto front.
+        seeds: seeds of the episodes in each scenario, the same for all candidates.
         optimizer: one of `jaxplore.study.tuning.optimizers.NAMES`.
-        population: candidates in a generation. The next one is proposed after all of them, so the
-            results do not depend on how many are evaluated at the same time.
-        seed: of the search.
-        gives_up: whether candidates that look worse than most are given up early.
-        measures: of quality diversity.
+        population: number of candidates in a generation. The next generation is proposed after all
+            of them, so the results do not depend on the number of workers.
+        seed: seed of the search.
+        gives_up: whether candidates that are worse than most are stopped early.
+        measures: measures of quality diversity.
 
     Raises:
-        ValueError: an unknown optimizer, or one that does not accept the objectives, measures
-            or population; no seeds, or one twice.
+        ValueError: an unknown optimizer, or one that does not support the objectives, measures or
+            population; no seeds, or a repeated one.
     """
 
     space: Space
@@ -104,11 +104,11 @@ class Search:
 
     @property
     def named(self) -> str:
-        """The objectives in words."""
+        """The objectives as text."""
         return " and ".join(map(str, self.objectives))
 
     def describe(self) -> dict[str, Any]:
-        """Return it as plain values that JSON can hold."""
+        """Return the search as plain values for JSON."""
         return {
             "space": {each.name: each.as_dict() for each in self.space.parameters},
             "objectives": [str(each) for each in self.objectives],
@@ -125,7 +125,7 @@ def make_optimizer(search: Search, start: Candidate) -> Optimizer:
     """Make the optimizer of a search.
 
     Args:
-        search: of which it proposes candidates.
+        search: search that the optimizer proposes candidates for.
         start: current values.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Episodes that are described by settings, run here, in processes or on a cluster."""
+"""Episodes that are described by settings."""
 
 import contextlib
 import dataclasses
@@ -35,27 +35,28 @@ Entries = Mapping[str, Any]
 """Settings as in a settings file."""
 
 PARAMETERS = "parameters"
-"""The setting that holds numbers of the controller by path."""
+"""Setting that holds controller parameters by path."""
 _FIXED = ("map", "world", "seed", "start", "goal", "path", "architecture", PARAMETERS)
-"""Settings that say where and what is run, not how well."""
+"""Settings that define the scenario and the task, and are not searched."""
 _OF_CONTROLLERS = ("controller", "portfolio", "informative")
 
 
 class SettingsEpisodes(Episodes):
     """Episodes of one or several scenarios that are described by settings.
 
-    Parameters are settings, `controller.temperature`, or numbers of the controller by their path,
-    `cost.information.weight`: see `jaxplore.get_parameters`.
+    Parameters are settings, such as `controller.temperature`, or controller parameters by path,
+    such as `cost.information.weight`: see `jaxplore.get_parameters`.
 
     Args:
-        scenarios: entries of the settings, by name.
-        batch: candidates side by side, by `jax.vmap`.
-        runner: runs the episodes; this process when absent.
-        common: entries for the settings file that a search over several scenarios writes; those
-            that all scenarios share when absent.
+        scenarios: settings entries of each scenario, by name.
+        batch: number of candidates in one `jax.vmap`.
+        runner: runner of the episodes; this process when absent.
+        common: entries of the settings file that a search over several scenarios writes; the
+            entries that all scenarios share when absent.
 
     Raises:
-        ValueError: settings that are not accepted, a file that cannot be read, a batch for workers.
+        ValueError: settings that are not accepted, a file that cannot be read, a batch with
+            workers.
     """
 
     def __init__(
@@ -77,12 +78,12 @@ class SettingsEpisodes(Episodes):
         self._common = shared_entries(self._scenarios) if common is None else dict(common)
         first = next(iter(self._scenarios.values()))
         self._settings = make_settings(first)
-        self._known = _settings_of(self._settings)
+        self._known = _searchable_settings(self._settings)
         self._built: dict[tuple[str, int | None], Experiment] = {}
         for name in self._scenarios:
-            # Built now: a file that cannot be read is reported before any episode runs.
+            # Built at once, so that an unreadable file is reported before any episode runs.
             self._current(name, None)
-        self._files = {name: _file_of(entries) for name, entries in self._scenarios.items()}
+        self._files = {name: _find_file(entries) for name, entries in self._scenarios.items()}
 
     @property
     def example(self) -> Experiment:
@@ -96,7 +97,7 @@ class SettingsEpisodes(Episodes):
 
     @property
     def default_objective(self) -> str:
-        """The time to the end, and contacts."""
+        """The scenario's default objective: time to the end, and contacts."""
         return self.example.scenario.objective
 
     @property
@@ -104,7 +105,7 @@ class SettingsEpisodes(Episodes):
         return self.example.controller
 
     def _current(self, scenario: str, seed: int | None) -> Experiment:
-        """Return the experiment of a scenario with the current settings. It is built once."""
+        """Return the experiment of a scenario with the current settings, built once."""
         at = (scenario, seed)
         if at not in self._built:
             self._built[at] = self.experiment(scenario, {}, seed)
@@ -118,22 +119,22 @@ class SettingsEpisodes(Episodes):
     def entries(
         self, scenario: str, candidate: Candidate, seed: int | None = None
     ) -> dict[str, Any]:
-        """Return the entries of a scenario's settings with a candidate's values.
+        """Return the settings entries of a scenario with a candidate's values.
 
         Args:
-            scenario: its name.
+            scenario: name of the scenario.
             candidate: the values; empty for the current settings.
-            seed: of the run; that of the settings when absent.
+            seed: seed of the run; that of the settings when absent.
         """
         inside = [name for name in candidate if name not in self._known]
-        # Elements of an array that are not searched keep the values of this scenario's robot.
+        # Array elements that are not searched keep the values of this scenario's controller.
         arrays = self._current(scenario, None).controller if inside else None
         return self._with_values(self._scenarios[scenario], candidate, seed, arrays)
 
     def chosen_settings(self, candidate: Candidate) -> dict[str, Any]:
-        """Return the content of a settings file with a candidate's values.
+        """Return the entries of a settings file with a candidate's values.
 
-        Of one scenario these are all settings. Of several, those that they have in common.
+        For one scenario these are all settings; for several, the common ones.
 
         Raises:
             ValueError: values that are not accepted.
@@ -166,7 +167,7 @@ class SettingsEpisodes(Episodes):
         return chosen
 
     def start(self, name: str) -> Value:
-        """Return the current value of a setting or of a number of the controller."""
+        """Return the current value of a setting or of a controller parameter."""
         if name in self._known:
             return self._known[name]
         with self._nearest(name):
@@ -174,7 +175,7 @@ class SettingsEpisodes(Episodes):
 
     @contextlib.contextmanager
     def _nearest(self, name: str) -> Iterator[None]:
-        """Name near settings too in the error for a name that is neither a setting nor a path."""
+        """Extend the error for an unknown name by similar settings."""
         try:
             yield
         except ValueError as error:
@@ -186,7 +187,7 @@ class SettingsEpisodes(Episodes):
             ) from None
 
     def elements(self, name: str) -> tuple[str, ...]:
-        """Return the name, or of an array of the controller one for each of its elements."""
+        """Return the name, or for an array of the controller the names of its elements."""
         if name in self._known:
             return (name,)
         with self._nearest(name):
@@ -195,28 +196,28 @@ class SettingsEpisodes(Episodes):
     def run(
         self, episodes: Sequence[Episode], on_result: Callable[[Episode, Result], None]
     ) -> None:
-        """Run episodes in this process, one after the other or a batch at a time, or by workers."""
+        """Run episodes in this process, one after the other or in batches, or by workers."""
         tasks = make_tasks(episodes, self._build, self._batch, self._together)
         if not self._runner.is_local:
-            # Workers are sent settings, not arrays, and the file that the settings name.
+            # Workers receive settings and the file that they name, instead of arrays.
             tasks = [
                 dataclasses.replace(
                     task,
-                    build=functools.partial(build_entries, self._entries_of(task)),
+                    build=functools.partial(build_entries, self._task_entries(task)),
                     file=self._files[task.scenario],
                 )
                 for task in tasks
             ]
         self._runner.run(tasks, report_each(on_result))
 
-    def _entries_of(self, task: MetricsTask) -> Entries:
+    def _task_entries(self, task: MetricsTask) -> Entries:
         (episode,) = task.episodes
         return self.entries(episode.scenario, episode.candidate, episode.seed)
 
     def _build(self, episode: Episode, _: Entries) -> Experiment:
         if any(name in self._known for name in episode.candidate):
             return self.experiment(episode.scenario, episode.candidate, episode.seed)
-        # Only numbers of the controller change: the rest is built once.
+        # If only controller parameters change, the experiment is built once and they are replaced.
         built = self._current(episode.scenario, episode.seed)
         values = leaf_values(built.controller, episode.candidate)
         return built._replace(controller=set_parameters(built.controller, values))
@@ -227,9 +228,9 @@ class SettingsEpisodes(Episodes):
         """Build the experiment of a scenario with a candidate's values.
 
         Args:
-            scenario: its name.
+            scenario: name of the scenario.
             candidate: the values; empty for the current settings.
-            seed: of the run; that of the settings when absent.
+            seed: seed of the run; that of the settings when absent.
 
         Raises:
             ValueError: values that are not accepted.
@@ -259,8 +260,8 @@ def build_entries(entries: Entries, _: Episode, location: Entries) -> Experiment
     """Build the experiment of an episode in a worker.
 
     Args:
-        entries: of its settings, with the candidate's values.
-        location: where the map or path is on this machine.
+        entries: settings entries with the candidate's values.
+        location: setting that locates the map or path on this machine.
     """
     return build(make_settings({**entries, **location}))
 
@@ -275,8 +276,8 @@ def shared_entries(scenarios: Mapping[str, Entries]) -> dict[str, Any]:
     }
 
 
-def _file_of(entries: Entries) -> InputFile | None:
-    """Return the file that settings name as their map or path."""
+def _find_file(entries: Entries) -> InputFile | None:
+    """Return the map or path file that settings name; None without one."""
     setting = "path" if "path" in entries else "map"
     name = entries.get(setting)
     if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
@@ -293,8 +294,8 @@ def _content(path: str) -> str:
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
 
 
-def _settings_of(settings: RunSettings) -> dict[str, Value]:
-    """Return the settings that may be searched, by dotted name: those that the run reads."""
+def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
+    """Return the settings that may be searched, by dotted name: those that affect the run."""
     entries = settings.model_dump(mode="python", exclude=set(_FIXED))
     architecture = getattr(settings, "architecture", None)
     if architecture is not None:
@@ -308,7 +309,7 @@ def _settings_of(settings: RunSettings) -> dict[str, Value]:
 _SECTION = {"explorer": "controller", "portfolio": "portfolio"} | dict.fromkeys(
     BASELINES, "controller"
 )
-"""Section with the numbers of the controller, by architecture."""
+"""Section of the controller's settings by architecture."""
 
 
 def _scalars(entries: Mapping[str, Any], prefix: str = "") -> dict[str, Value]:

@@ -1,4 +1,4 @@
-"""Significance of a search: current and chosen settings on seeds that were not tuned on."""
+"""Significance of a search: current and chosen settings on unseen seeds."""
 
 import dataclasses
 import math
@@ -35,18 +35,18 @@ SHOWN = (
     "mean_effective_sample_size",
     "compute.step_ms_p50",
 )
-"""Metrics that are shown, if the runs have them."""
+"""Metrics to show, if the runs have them."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """One quantity before and after a search, over the same episodes.
+    """Change of a quantity by a search, over the same episodes.
 
     Args:
-        name: of the metric or the objective.
-        before: mean.
-        after: mean.
-        difference: after less before, mean over the episodes.
+        name: name of the metric or the objective.
+        before: mean before the search.
+        after: mean after the search.
+        difference: mean over the episodes of after minus before.
         low: lower end of its 95 % interval.
         high: upper end.
     """
@@ -60,7 +60,7 @@ class Change:
 
     @property
     def is_significant(self) -> bool:
-        """Whether the interval of the difference leaves out zero."""
+        """Whether the interval of the difference excludes zero."""
         return self.low > 0.0 or self.high < 0.0
 
 
@@ -68,9 +68,9 @@ def change(name: str, before: Sequence[float], after: Sequence[float]) -> Change
     """Compute the change of a quantity, episode by episode; see `paired_difference`.
 
     Args:
-        name: of the quantity.
+        name: name of the quantity.
         before: one value for each episode.
-        after: of the same episodes.
+        after: the values of the same episodes after the search.
     """
     difference = paired_difference(before, after)
     return Change(name, float(np.mean(before)), float(np.mean(after)), *difference)
@@ -81,14 +81,14 @@ def changes(
     before: Mapping[tuple[str, int], Numbers],
     after: Mapping[tuple[str, int], Numbers],
 ) -> list[Change]:
-    """Compute the changes of the objectives first, then of the metrics that are shown.
+    """Compute the changes of the objectives, then of the metrics to show.
 
-    An episode that failed with one of the settings is left out.
+    An episode that failed before or after is left out.
 
     Args:
-        objectives: that were minimized.
+        objectives: objectives that were minimized.
         before: metrics by scenario and seed.
-        after: of the same.
+        after: the metrics of the same episodes after the search.
     """
     where = [each for each in before if before[each] and after.get(each)]
     found = []
@@ -103,11 +103,11 @@ def changes(
 
 
 def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
-    """Return in a sentence whether the search has improved the settings.
+    """Summarise in a sentence whether the search has improved the settings.
 
     Args:
         chosen: number of the candidate; 0 is the current settings.
-        objectives: that were minimized.
+        objectives: objectives that were minimized.
         found: changes on unseen seeds.
     """
     names = set(map(str, objectives))

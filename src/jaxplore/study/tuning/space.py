@@ -1,4 +1,4 @@
-"""The search space: numbers between bounds, whole numbers, and choices."""
+"""The search space: real numbers, whole numbers and choices."""
 
 import dataclasses
 import math
@@ -13,10 +13,10 @@ from jaxplore.study.optional import import_optional
 
 type Value = float | int | str | bool
 type Candidate = dict[str, Value]
-"""A value for each parameter by its name; hashable values that JSON can hold."""
+"""Value of each parameter by name; the values are hashable and plain for JSON."""
 
 AROUND = 10.0
-"""Without bounds a positive number is searched from its value over this to its value times this."""
+"""Default bounds of a positive number: its value divided by this, and multiplied by this."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,16 +24,17 @@ class Parameter:
     """A parameter of the search.
 
     Args:
-        name: a setting, or the path of a number of the controller; `name[i]` of one element.
+        name: name of a setting, or path of a controller parameter; `name[i]` for one element.
         low: least value.
         high: greatest value.
-        is_log: equal ratios count the same, not equal differences.
-        is_whole: whole numbers only.
+        is_log: whether the scale is logarithmic.
+        is_whole: whether values are whole numbers.
         choices: possible values, in place of bounds.
 
     Raises:
         ValueError: bounds that are missing, not finite or reversed; a logarithmic scale with a
-            bound <= 0; no whole number between the bounds; fewer than two choices, or one twice.
+                bound <= 0; no whole number between the bounds; fewer than two choices, or a
+                repeated one.
     """
 
     name: str
@@ -73,7 +74,7 @@ class Parameter:
 
     @property
     def size(self) -> int:
-        """Number of choices; 0 of a number."""
+        """Number of choices; 0 for a number."""
         return 0 if self.choices is None else len(self.choices)
 
     def value(self, place: float) -> Value:
@@ -100,12 +101,12 @@ class Parameter:
         return min(max((number - low) / (high - low), 0.0), 1.0)
 
     def _ends(self) -> tuple[float, float]:
-        """Return the values at 0 and 1; their logarithms on a logarithmic scale."""
+        """Return the values at 0 and 1, or their logarithms on a logarithmic scale."""
         assert self.low is not None
         assert self.high is not None
         low, high = self.low, self.high
         if self.is_whole:
-            # Every whole number has an interval of length 1, the first and the last too.
+            # Every whole number gets an interval of length 1, the first and the last included.
             low, high = math.ceil(low) - 0.5, math.floor(high) + 0.5
         return (math.log(low), math.log(high)) if self.is_log else (low, high)
 
@@ -120,7 +121,7 @@ class Parameter:
         return min(max(float(value), self.low), self.high)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values that JSON can hold."""
+        """Return the parameter as plain values for JSON."""
         if self.choices is not None:
             return {"choices": list(self.choices)}
         scale = {"log": True} if self.is_log else {}
@@ -134,13 +135,13 @@ class Parameter:
 
 @dataclasses.dataclass(frozen=True)
 class Space:
-    """All parameters of a search, as a unit cube.
+    """The parameters of a search, mapped to a unit cube.
 
     Args:
-        parameters: at least one, of different names.
+        parameters: parameters with different names, at least one.
 
     Raises:
-        ValueError: no parameters, or a name twice.
+        ValueError: no parameters, or a repeated name.
     """
 
     parameters: tuple[Parameter, ...]
@@ -163,7 +164,7 @@ class Space:
         }
 
     def places(self, candidate: Mapping[str, Value]) -> np.ndarray:
-        """Return the point (N,) of the unit cube for the values."""
+        """Return the point (N,) of the unit cube that corresponds to the values."""
         return np.array([each.place(candidate[each.name]) for each in self.parameters])
 
 
@@ -172,12 +173,12 @@ _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})(:log|:whole|:log:whole)?")
 
 
 def parse_parameter(text: str, start: Value | None = None) -> Parameter:
-    """Read a parameter from a text.
+    """Parse a parameter.
 
     Args:
-        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for a tenth to ten
-            times its current value.
-        start: current value. A whole number stays one.
+        text: `NAME=LOW:HIGH`, `NAME=LOW:HIGH:log` or `NAME=A,B,C`; `NAME` alone for the range from
+            a tenth to ten times its current value.
+        start: current value. If it is a whole number, only whole numbers are searched.
 
     Raises:
         ValueError: another text; bounds or choices that are not accepted.
@@ -218,7 +219,7 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
 
 
 def distribution(parameter: Parameter) -> Any:
-    """Return a parameter as a distribution of Optuna.
+    """Convert a parameter to a distribution of Optuna.
 
     Raises:
         ValueError: Optuna is not installed.

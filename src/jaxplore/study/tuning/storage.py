@@ -1,4 +1,4 @@
-"""Storage of a study: Optuna's SQLite database, written by one process at a time."""
+"""Storage of a study in Optuna's SQLite database, written by one process at a time."""
 
 import contextlib
 import warnings
@@ -15,20 +15,20 @@ from jaxplore.study.tuning.study import Study
 FORMAT = 1
 """Version of the stored data."""
 STUDY = "study.db"
-"""Optuna's storage in the folder of a study."""
+"""File of Optuna's storage in the folder of a study."""
 _NAME, _ASKED = "jaxplore", "asked"
 _SQLITE = b"SQLite format 3\0"
 
 
 @contextlib.contextmanager
 def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -> Iterator[Study]:
-    """Open the study of a search, a new one or one that continues.
+    """Open the study of a search, a new one or a former one to continue.
 
     Args:
-        search: space, objectives, seeds and optimizer.
+        search: definition of the search.
         episodes: where candidates are evaluated.
-        folder: for `study.db`, which `optuna-dashboard` shows; missing parents are made. The study
-            is in memory only when absent.
+        folder: folder of `study.db`, which `optuna-dashboard` shows; missing parents are made. The
+            study is in memory only when absent.
 
     Raises:
         ValueError: Optuna is not installed; a folder that cannot be written, that another process
@@ -36,7 +36,7 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
     """
     optuna = import_optional("optuna", "tuning")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
-    # Plain values, to be compared with those that are stored.
+    # As plain values, to compare with the stored definition.
     asked = {"format": FORMAT, "search": search.describe(), "episodes": episodes.describe()}
     with contextlib.ExitStack() as stack:
         storage = None
@@ -88,7 +88,7 @@ def _storage(optuna: Any, folder: Path) -> Any:
     try:
         if path.exists() and path.read_bytes()[: len(_SQLITE)] not in (_SQLITE, b""):
             raise ValueError("no SQLite")
-        # One connection per transaction: no file is open between two of them.
+        # One connection per transaction, so that no file stays open in between.
         options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
         return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
     except Exception as error:
@@ -99,7 +99,7 @@ def _storage(optuna: Any, folder: Path) -> Any:
 
 
 def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
-    # The names of the scenarios first: a setting that differs would say less.
+    # The scenarios are compared first: their names explain a mismatch better than a setting.
     ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
     if ways[0] != ways[1]:
         was, is_ = (", ".join(names) or "none" for names in ways)

@@ -1,4 +1,4 @@
-"""A study: a search and its results so far, in Optuna's storage."""
+"""A study: a search with its results in Optuna's storage."""
 
 import math
 import time
@@ -16,24 +16,24 @@ from jaxplore.study.tuning.space import Candidate
 from jaxplore.study.tuning.trials import Trial, make_trial
 
 BEFORE = -1
-"""Number of the current values, whatever the bounds are."""
+"""Number that stands for the current values, which may lie outside the bounds."""
 HOPELESS = 2.0
-"""An episode is stopped after this many times the duration of the best candidate's."""
+"""An episode is stopped after this multiple of the best candidate's duration."""
 SEARCHED_PER_FINALIST = 8
-"""Evaluated candidates for each finalist, at least."""
+"""Least number of evaluated candidates per finalist."""
 _UNPROMISING = 10
-"""Candidates without a value after which the search ends with an error."""
+"""Number of candidates without a value after which the search ends with an error."""
 
 
 class SearchProgress(NamedTuple):
     """Progress of a search.
 
     Args:
-        num_done: candidates that were evaluated.
-        best: the least value of the first objective so far; infinite before there is one.
-        seconds: spent by this call.
-        num_now: candidates evaluated by this call.
-        num_episodes: finished ones of the current generation.
+        num_done: number of evaluated candidates.
+        best: least value of the first objective so far; infinite without any value.
+        seconds: wall-clock time of this call [s].
+        num_now: number of candidates that this call has evaluated.
+        num_episodes: number of finished episodes of the current generation.
     """
 
     num_done: int
@@ -44,7 +44,7 @@ class SearchProgress(NamedTuple):
 
 
 class Study:
-    """A search and its results so far; see `open_study`."""
+    """A search and its results so far; `open_study` makes it."""
 
     def __init__(self, search: Search, episodes: Episodes, study: Any) -> None:
         self.search, self.episodes, self.optuna = search, episodes, study
@@ -57,17 +57,17 @@ class Study:
 
     @property
     def start(self) -> Candidate:
-        """The first candidate: the current values, clipped to the bounds."""
+        """First candidate: the current values, clipped to the bounds."""
         return dict(self._start)
 
     @property
     def before(self) -> Candidate:
-        """The current values."""
+        """Current values."""
         return {name: self.episodes.start(name) for name in self._start}
 
     @property
     def optimizer(self) -> Optimizer:
-        """The optimizer, told all complete generations."""
+        """Optimizer with the results of all complete generations."""
         if self._optimizer is None:
             self._optimizer = make_optimizer(self.search, self._start)
         while self._is_done(self._told, self.search.population):
@@ -80,11 +80,13 @@ class Study:
         return [make_trial(each) for each in self.optuna.get_trials(deepcopy=False)]
 
     def best(self) -> Trial:
-        """Return the best candidate; of several objectives the one of the Pareto front that is
-        nearest to the least values of all.
+        """Return the best candidate.
+
+        With several objectives it is the candidate of the Pareto front nearest to the least values
+        of all objectives.
 
         Raises:
-            ValueError: none has a value.
+            ValueError: no candidate has a value.
         """
         trials = self.trials()
         done = [each for each in trials if each.state == "done"]
@@ -102,7 +104,7 @@ class Study:
         return front[int(distance.argmin())]
 
     def front(self) -> list[Trial]:
-        """Return the Pareto front: the candidates that no other one beats in every objective."""
+        """Return the Pareto front: the candidates that no other candidate dominates."""
         done = [each for each in self.trials() if each.state == "done"]
 
         def is_beaten(one: Trial) -> bool:
@@ -120,14 +122,14 @@ class Study:
         seconds: float | None = None,
         on_progress: Callable[[SearchProgress], None] = lambda _: None,
     ) -> bool:
-        """Evaluate candidates until the budget is spent. Return whether it was spent.
+        """Evaluate candidates until the budget is spent; return whether it was spent.
 
-        Every episode is stored as soon as it is done. Ctrl-C ends the call; the same call
-        continues with the same results as without a break.
+        Every finished episode is stored at once. Ctrl-C ends the call; the same call continues,
+        with the same results as without an interruption.
 
         Args:
             budget: number of candidates, those of former calls included.
-            seconds: time of this call after which no generation starts [s].
+            seconds: wall-clock time of this call after which no generation starts [s].
             on_progress: called after each episode.
 
         Raises:
@@ -172,13 +174,13 @@ class Study:
         seeds: Sequence[int],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> dict[int, dict[tuple[str, int], Numbers]]:
-        """Run candidates with other seeds, and return the metrics of each by scenario and seed.
+        """Evaluate candidates on other seeds; return their metrics by scenario and seed.
 
-        Episodes are stored like those of the search. One that fails has no metrics.
+        Episodes are stored like those of the search. A failed one has no metrics.
 
         Args:
-            numbers: of the candidates, or `BEFORE`.
-            seeds: of the episodes in each scenario.
+            numbers: numbers of the candidates, or `BEFORE`.
+            seeds: seeds of the episodes in each scenario.
             on_progress: called with the number of finished episodes, and of all.
 
         Raises:
@@ -218,15 +220,15 @@ class Study:
         seeds: Sequence[int],
         on_progress: Callable[[int, int], None] = lambda done, total: None,
     ) -> Trial:
-        """Return the best finalist by its results on further seeds.
+        """Select the best finalist on further seeds.
 
-        The best of many candidates by few seeds is in part the luckiest. So the finalists and the
-        first candidate are compared by new seeds alone. Of several objectives it is `best`,
-        without further runs.
+        The best of many candidates on few seeds is partly the luckiest. So the finalists and the
+        first candidate are compared on new seeds alone. With several objectives the result is
+        `best`, without further runs.
 
         Args:
-            finalists: most of them; never more than an eighth of the candidates.
-            seeds: new ones.
+            finalists: greatest number of finalists; never more than an eighth of the candidates.
+            seeds: seeds that the search has not used.
             on_progress: called with the number of finished episodes, and of all.
 
         Raises:
@@ -240,7 +242,7 @@ class Study:
         distinct: dict[str, Trial] = {}
         for each in sorted(done, key=lambda each: (each.values[0], each.number)):
             distinct.setdefault(repr(each.candidate), each)
-        # Few of few candidates: the choice must not cost more than the search.
+        # Few finalists after a short search: the selection must not cost more than the search.
         most = min(finalists, max(2, len(done) // SEARCHED_PER_FINALIST))
         ranked = list(distinct.values())[:most]
         if done[0].number == 0 and done[0].candidate not in [each.candidate for each in ranked]:
@@ -280,8 +282,10 @@ class Study:
         return self.optimizer.ask()
 
     def _limits(self, generation: int) -> dict[tuple[str, int], float]:
-        """Return the times after which episodes are stopped [s], from former generations. There are
-        none unless the objective is about time."""
+        """Compute the times after which episodes are stopped [s], from former generations.
+
+        Empty unless the objective contains a time.
+        """
         objective, *others = self.search.objectives
         if others or not self.search.gives_up or not objective.is_about_time:
             return {}
@@ -297,7 +301,7 @@ class Study:
         }
 
     def _evaluated(self, generation: int) -> list[Evaluated]:
-        """Return a complete generation with its ranks."""
+        """Return a complete generation with the ranks of its candidates."""
         trials = self._some(self._numbers(generation))
 
         def order(each: Trial) -> tuple[float, ...]:

@@ -7,21 +7,21 @@ from jaxplore.study.tuning.objective import Numbers
 from jaxplore.study.tuning.space import Candidate, Value
 
 EPISODE = "episode "
-"""Prefix of the names under which a trial stores its episodes."""
+"""Prefix of the attributes in which a trial stores its episodes."""
 VERDICT = "verdict"
-"""Name under which it stores its state and an error."""
+"""Attribute in which a trial stores its state and an error."""
 
 
 class Trial(NamedTuple):
     """A candidate and its results.
 
     Args:
-        number: from 0, the current settings.
-        candidate: its values.
-        values: of the objectives; empty if it failed.
+        number: number of the candidate; 0 is the current settings.
+        candidate: value of each parameter.
+        values: values of the objectives; empty if it failed.
         state: "done", "given up", "failed", or "running" if it was interrupted.
         episodes: metrics by scenario and seed.
-        error: why it failed.
+        error: reason of a failure; None if it did not fail.
     """
 
     number: int
@@ -33,7 +33,7 @@ class Trial(NamedTuple):
 
 
 def make_trial(frozen: Any) -> Trial:
-    """Read a candidate from a trial of Optuna."""
+    """Convert a trial of Optuna."""
     names = {"COMPLETE": "done", "PRUNED": "given up", "FAIL": "failed"}
     state = names.get(frozen.state.name, "running")
     values: tuple[float, ...] = ()

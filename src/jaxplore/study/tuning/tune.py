@@ -1,4 +1,4 @@
-"""A search in one call, from the parameters to the verdict."""
+"""A complete search in one call, from the parameters to the comparison on unseen seeds."""
 
 import contextlib
 import dataclasses
@@ -22,16 +22,16 @@ from jaxplore.study.tuning.study import BEFORE, SearchProgress, Study
 from jaxplore.study.tuning.trials import Trial
 
 FINALISTS = 8
-"""Most candidates that are compared by further seeds before one is chosen."""
+"""Greatest number of finalists, which are compared on further seeds."""
 UNSEEN = 10
-"""Seeds for the comparison of the current and the chosen settings."""
+"""Number of unseen seeds for the comparison of the current and the chosen settings."""
 
 
 def further_seeds(first: int, seeds: int) -> range:
-    """Return the seeds by which finalists are compared: twice as many as in the search.
+    """Return the seeds on which finalists are compared: twice as many as in the search.
 
     Args:
-        first: the first one that the search has not used.
+        first: first seed that the search has not used.
         seeds: number of seeds of the search.
     """
     return range(first, first + max(2 * seeds, 6))
@@ -56,49 +56,48 @@ def tune(
     animation: bool = True,
     progress: bool = False,
 ) -> TuningResult:
-    """Search the values with the least objective, and compare them with the current ones.
+    """Search for the parameter values with the least objective, and compare them with the current.
 
     Every candidate is evaluated in the same episodes (common random numbers). The eight best and
-    the current values are compared by further seeds, twice as many and at least six; these choose
-    one. The chosen and the current values are then compared on `unseen` seeds that were used for
-    neither.
+    the current values are compared on further seeds, twice as many and at least six, and the best
+    one is chosen. The chosen and the current values are then compared on `unseen` other seeds.
 
-    Ctrl-C ends the call and keeps what was done; with a folder the same call continues.
+    Ctrl-C ends the call and keeps finished episodes; with a folder the same call continues.
 
     Args:
         episodes: where candidates are evaluated: `ControllerEpisodes`, `SettingsEpisodes`,
             `FunctionEpisodes`, `VectorEpisodes`.
-        parameters: to be varied: each a `Parameter`, or a text `NAME=LOW:HIGH`,
+        parameters: parameters to search: each a `Parameter`, or a text `NAME=LOW:HIGH`,
             `NAME=LOW:HIGH:log`, `NAME=A,B,C`, or `NAME` for a tenth to ten times its value.
-        objective: a sum of metrics to be minimized, such as `time_to.90 + 100*collisions`; several
+        objective: sum of metrics to minimize, such as `time_to.90 + 100*collisions`; several
             for a Pareto front. `episodes.default_objective` when absent.
         budget: number of candidates, those of former calls in the same folder included.
-        seconds: time after which no generation starts [s], in place of a budget or beside it.
-        seeds: episodes of each candidate in each scenario.
-        unseen: seeds for the comparison of the current and the chosen values.
-        optimizer: of Optuna tpe, nsga-ii, qmc or random; of evosax cma-es, sep-cma-es, open-es,
-            snes, cr-fm-nes or pgpe; of pyribs cma-me.
-        population: candidates in a generation.
-        seed: of the search and of the first episode.
-        gives_up: whether candidates that look worse than most are given up after their first
-            episodes; where there is one objective and no cma-me, when absent.
+        seconds: wall-clock time after which no generation starts [s]; instead of a budget, or both.
+        seeds: number of seeds per candidate and scenario.
+        unseen: number of seeds for the comparison of the current and the chosen values.
+        optimizer: name of the optimizer: tpe, nsga-ii, qmc or random of Optuna; cma-es, sep-cma-es,
+            open-es, snes, cr-fm-nes or pgpe of evosax; cma-me of pyribs.
+        population: number of candidates in a generation.
+        seed: seed of the search and of the first episode.
+        gives_up: whether candidates that are worse than most are stopped after their first
+            episodes; when absent, with one objective and an optimizer other than cma-me.
         measures: metrics over which cma-me spreads candidates.
-        folder: for the study, tables, pictures, a page, and with `SettingsEpisodes` the chosen
-            settings and an animation. Nothing is written when absent.
-        title: of the page; the names of the scenarios when absent.
-        animation: whether to draw a run before and a run after the search.
-        progress: show progress bars.
+        folder: folder for the study, tables, pictures, a page, and with `SettingsEpisodes` the
+            chosen settings and an animation. Nothing is written when absent.
+        title: title of the page; the names of the scenarios when absent.
+        animation: whether to draw runs before and after the search.
+        progress: whether to show progress bars.
 
     Raises:
-        ValueError: what `Search`, `open_study` and `Study.run` refuse; unknown parameters and
-            metrics.
+        ValueError: arguments that `Search`, `open_study` or `Study.run` rejects; unknown parameters
+            and metrics.
         KeyboardInterrupt: the user stopped it before any candidate had a value.
     """
     if unseen < 1:
         raise ValueError(f"unseen is {unseen}; accepted: a whole number >= 1")
     objectives = _objectives(episodes, objective)
     search = Search(
-        space_of(parameters, episodes),
+        build_space(parameters, episodes),
         objectives,
         tuple(range(seed, seed + seeds)),
         optimizer,
@@ -121,7 +120,7 @@ def tune(
 
 
 def _objectives(episodes: Episodes, given: str | Sequence[str] | None) -> tuple[Objective, ...]:
-    """Read the objectives; the default one if none is given."""
+    """Parse the objectives; the default one if none is given."""
     if given is None:
         given = episodes.default_objective
     if not given:
@@ -136,7 +135,7 @@ def _objectives(episodes: Episodes, given: str | Sequence[str] | None) -> tuple[
 def _search(
     study: Study, budget: int | None, seconds: float | None, unseen: int, *, progress: bool
 ) -> TuningResult:
-    """Search, choose and compare. After Ctrl-C the rest is left out."""
+    """Search, choose and compare. After Ctrl-C the remaining steps are skipped."""
     seeds = study.search.seeds
     further = further_seeds(seeds[-1] + 1, len(seeds))
     with progress_bar("tuning", enabled=progress) as advance:
@@ -166,8 +165,8 @@ def compare_on_unseen(
 
     Args:
         study: the search.
-        chosen: the candidate.
-        seeds: of the episodes in each scenario.
+        chosen: candidate to compare.
+        seeds: seeds of the episodes in each scenario.
         on_progress: called with the number of finished episodes, and of all.
 
     Raises:
@@ -198,7 +197,7 @@ def _result(
 
 
 def _animation(study: Study, found: TuningResult, *, progress: bool) -> bytes | None:
-    """Draw a run before and a run after the search, beside each other, if they can be drawn."""
+    """Draw runs before and after the search side by side; None if that is not possible."""
     episodes = study.episodes
     if not isinstance(episodes, SettingsEpisodes) or not found.before:
         return None
@@ -211,8 +210,8 @@ def _animation(study: Study, found: TuningResult, *, progress: bool) -> bytes | 
         )
 
 
-def space_of(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
-    """Build the search space; an array stands for all of its elements.
+def build_space(parameters: Sequence[Parameter | str], episodes: Episodes) -> Space:
+    """Build the search space; an array parameter stands for all of its elements.
 
     Args:
         parameters: see `tune`.

@@ -1,1 +1,1 @@
-"""Tasks, distributed over processes or the workers of a Ray cluster."""
+"""Distribution of tasks over processes or the workers of a Ray cluster."""

@@ -1,4 +1,4 @@
-"""A pool of processes on this machine."""
+"""A worker pool of processes on this machine."""
 
 import contextlib
 import multiprocessing
@@ -15,14 +15,14 @@ from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads, num_pr
 from jaxplore.study.workers.task import Task, run_task
 
 _END_TIMEOUT = 10.0
-"""Time for a process to end after its connection is closed [s]."""
+"""Time that a process has to end after its connection is closed [s]."""
 
 
 class ProcessPool(WorkerPool):
-    """Processes on this machine, spawned: a fork would share JAX's threads and locks.
+    """A pool of spawned processes. Forked ones would inherit JAX's threads and locks.
 
     Args:
-        number: of processes.
+        number: number of processes.
     """
 
     def __init__(self, number: int) -> None:
@@ -33,25 +33,26 @@ class ProcessPool(WorkerPool):
 
     @property
     def size(self) -> int:
-        """Most workers at a time."""
+        """Greatest number of workers at a time."""
         return self._number
 
     def start(self, example: Task) -> None:
-        """Start one more process."""
+        """Start another process."""
         context = multiprocessing.get_context("spawn")
         ours, theirs = context.Pipe()
-        # Pickled here: unpickling makes arrays, and the number of threads must be set before.
+        # The example is sent as bytes: unpickling makes arrays, and the worker must limit its
+        # threads before.
         arguments = (theirs, self._threads, pickle.dumps(example))
         process = context.Process(target=_serve, args=arguments, daemon=True)
         with _interrupts_held():
             process.start()
-        # Only the process holds its end now, so ours is closed when it dies.
+        # Now only the child holds its end of the connection, so its death closes ours.
         theirs.close()
         self._workers[self._started] = (ours, process)
         self._started += 1
 
     def ping(self, worker: int) -> None:
-        """Ask a process whether it is alive."""
+        """Check whether a process is alive."""
         self._send(worker, None)
 
     def submit(self, worker: int, task: Task) -> None:
@@ -59,12 +60,12 @@ class ProcessPool(WorkerPool):
         self._send(worker, task)
 
     def _send(self, worker: int, task: Task | None) -> None:
-        # `wait` reports a worker that is dead.
+        # A dead worker is reported by `wait`.
         with contextlib.suppress(OSError):
             self._workers[worker][0].send(task)
 
     def wait(self) -> list[Event]:
-        """Wait for a message, or the end, of some process."""
+        """Wait for messages or the end of processes."""
         by_end = {ours: worker for worker, (ours, _) in self._workers.items()}
         return [self._event(by_end[ours], ours) for ours in connection.wait(list(by_end))]  # type: ignore[index, arg-type]
 
@@ -76,14 +77,14 @@ class ProcessPool(WorkerPool):
             return Event(worker, death=_end(ours, process, _END_TIMEOUT))
 
     def close(self) -> None:
-        """Kill all processes. Nothing but their tasks is lost."""
+        """Kill all processes. Only their present tasks are lost."""
         while self._workers:
             _, (ours, process) = self._workers.popitem()
             _end(ours, process, 0.0)
 
 
 def _end(ours: Connection, process: SpawnProcess, timeout: float) -> str:
-    """Wait for a process to end, kill it after a timeout, and return how it ended."""
+    """Wait for a process to end, kill it after a timeout, and return the reason of its end."""
     process.join(timeout)
     if process.exitcode is None:
         process.kill()
@@ -97,14 +98,14 @@ def _end(ours: Connection, process: SpawnProcess, timeout: float) -> str:
 
 @contextlib.contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """Block Ctrl-C: processes started meanwhile never receive it, this process does afterwards.
+    """Block Ctrl-C while processes start: they never receive it, this process receives it later.
 
-    A terminal sends it to all processes. This process decides what becomes of the workers.
+    A terminal sends the signal to all processes, but only this one shall end the workers.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    # Started now: its start unblocks signals, which would undo the block below.
+    # The resource tracker is started first: its start would undo the block below.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -114,7 +115,7 @@ def _interrupts_held() -> Iterator[None]:
 
 
 def _serve(theirs: Connection, threads: int, example: bytes) -> None:
-    """Run tasks until the connection is closed. The body of a worker process."""
+    """Run tasks until the connection is closed: the main function of a worker process."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
     pickle.loads(example)
@@ -127,7 +128,7 @@ def _serve(theirs: Connection, threads: int, example: bytes) -> None:
 
 
 def _end_with_parent() -> None:
-    """End this process when its parent has ended, also in the middle of a task."""
+    """End this process when its parent has ended, even during a task."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

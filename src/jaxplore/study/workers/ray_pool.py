@@ -1,4 +1,4 @@
-"""A pool of Ray actors, on this machine or on several that need not share a disk."""
+"""A worker pool of Ray actors, on one or several machines without a shared disk."""
 
 import contextlib
 import os
@@ -14,15 +14,16 @@ from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads
 from jaxplore.study.workers.task import Files, Task, run_task
 
 _CONNECT_TIMEOUT = 10.0
-"""Time for the head of a cluster to accept a connection [s]."""
+"""Time that the head of a cluster has to accept a connection [s]."""
 
 
 class RayPool(WorkerPool):
-    """Ray actors with one processor each. Files travel to them with the tasks, results back.
+    """A pool of Ray actors with one processor each, which receive files with their tasks.
 
     Args:
-        number: of workers; None for as many as the cluster has processors.
-        address: of a cluster to join; a local one is started when absent, unless Ray is in use.
+        number: number of workers; None for as many as the cluster has processors.
+        address: address of the cluster to join; a local one is started when absent, unless Ray is
+            in use.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -63,23 +64,24 @@ class RayPool(WorkerPool):
 
     @property
     def size(self) -> int:
-        """Most workers at a time."""
+        """Greatest number of workers at a time."""
         return self._number
 
     def start(self, example: Task) -> None:
-        """Ask the cluster for one more worker."""
-        # Pickled here: unpickling makes arrays, and the number of threads must be set before.
+        """Request another worker from the cluster."""
+        # The example is sent as bytes: unpickling makes arrays, and the worker must limit its
+        # threads before.
         packed = import_optional("ray.cloudpickle", "distributed").dumps(example)
         self._actors[self._started] = self._actor.remote(packed)
         self.ping(self._started)
         self._started += 1
 
     def ping(self, worker: int) -> None:
-        """Ask a worker whether it is alive."""
+        """Check whether a worker is alive."""
         self._awaited[self._actors[worker].ready.remote()] = worker
 
     def submit(self, worker: int, task: Task) -> None:
-        """Send a task, and those of its files that were not sent before."""
+        """Send a task, with those of its files that were not sent before."""
         try:
             files = task.files()
             for key, read in files.items():
@@ -87,7 +89,7 @@ class RayPool(WorkerPool):
                     content = read()
                     self._files[key] = self._ray.put(content)
         except (OSError, ValueError) as error:
-            # The files are gone: tasks that need them fail, the others go on.
+            # The files are unreadable: this task fails, the others continue.
             self._failed.append(Event(worker, task.failed(str(error))))
             return
         self._tasks[worker] = task
@@ -96,7 +98,7 @@ class RayPool(WorkerPool):
         self._awaited[self._actors[worker].run.remote(task, list(files), *stored)] = worker
 
     def wait(self) -> list[Event]:
-        """Wait for a message, or the end, of some worker."""
+        """Wait for messages or the end of workers."""
         if self._failed:
             return [self._failed.pop()]
         done, _ = self._ray.wait(list(self._awaited), num_returns=1)
@@ -120,7 +122,7 @@ class RayPool(WorkerPool):
             self._ray.kill(actor)
 
     def close(self) -> None:
-        """End all workers, and the cluster or the connection if this made it."""
+        """End all workers, and the cluster or connection that this pool has made."""
         while self._actors:
             self._kill(self._actors.popitem()[1])
         if self._is_ours:
@@ -129,7 +131,7 @@ class RayPool(WorkerPool):
 
 
 class _Worker:
-    """Runs tasks, with one processor and a folder of its own."""
+    """Ray actor that runs tasks, with one processor and its own folder."""
 
     def __init__(self, example: bytes) -> None:
         limit_threads(1)
@@ -141,25 +143,25 @@ class _Worker:
         """Return when the worker is ready for a task."""
 
     def run(self, task: Task, keys: Sequence[str], *files: Files) -> Any:
-        """Return the result of a task.
+        """Run a task and return its result.
 
         Args:
-            task: to be run.
-            keys: of its files.
-            files: their content, for each key.
+            task: task to run.
+            keys: keys of the task's files.
+            files: content of the files, for each key.
         """
         for key, each in zip(keys, files, strict=True):
             if key not in self._folders:
                 folder = Path(tempfile.mkdtemp(dir=self._top.name))
                 for name, data in each.items():
                     (folder / name).write_bytes(data)
-                # Noted when it is complete: the next task takes what is noted.
+                # Stored only when complete: later tasks rely on stored folders.
                 self._folders[key] = folder
         return run_task(task.located({key: self._folders[key] for key in keys}))
 
 
 def _check_reachable(address: str | None) -> None:
-    """Connect to HOST:PORT once, to fail at once: Ray would try for minutes."""
+    """Connect to HOST:PORT once, to fail early: Ray would retry for minutes."""
     host, separator, port = (address or "").rpartition(":")
     if separator and "/" not in host and port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), _CONNECT_TIMEOUT).close()

@@ -1,4 +1,4 @@
-"""Distributes tasks over the workers of a pool, round after round."""
+"""Scheduler of tasks over the workers of a pool."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Hashable, Sequence
@@ -8,32 +8,32 @@ from jaxplore.study.workers.pool import Event, WorkerPool
 from jaxplore.study.workers.task import Task
 
 MAX_DEATHS = 3
-"""Workers that may die while they run a task. Then the task has failed."""
+"""Number of workers that a task may kill before it has failed."""
 MAX_FALSE_STARTS = 3
-"""Workers in succession that may die before they are ready."""
+"""Number of successive workers that may die before they are ready."""
 
 
 class Scheduler:
-    """Distributes tasks over a pool of workers. Workers stay for the next round.
+    """Scheduler of tasks over a pool of workers, which stay for the next call.
 
     Args:
-        pool: without any started worker.
+        pool: worker pool without started workers.
     """
 
     def __init__(self, pool: WorkerPool) -> None:
         self._pool = pool
-        # The last task of each worker that has been ready and is alive as far as is known.
+        # Last task of each worker that has been ready and is not known to be dead.
         self._last: dict[int, Task | None] = {}
         self._idle: list[int] = []
         self._num_starting = 0
         self._false_starts = 0
 
     def run[T: Task](self, tasks: Sequence[T], on_result: Callable[[T, Any], None]) -> None:
-        """Run tasks, and return when there is a result of each.
+        """Run tasks, and return when all have a result.
 
         Args:
-            tasks: any number.
-            on_result: called with each task and its result, in the order in which they come.
+            tasks: tasks to run, any number.
+            on_result: called with each task and its result, in the order of completion.
 
         Raises:
             ChildProcessError: workers do not start.
@@ -63,7 +63,8 @@ class Scheduler:
         self._pool.close()
 
     def _ping_all(self) -> None:
-        """Find out which workers live: no task is blamed for a worker that died before it."""
+        """Check which workers are alive, so that no task is blamed for a worker that died
+        before."""
         asked, self._idle = set(self._last), []
         for worker in asked:
             self._pool.ping(worker)
@@ -73,7 +74,7 @@ class Scheduler:
                 self._note(event)
 
     def _start(self, num_waiting: int, example: Task) -> None:
-        """Start workers while more tasks wait than workers are idle or starting."""
+        """Start workers while there are more waiting tasks than idle or starting workers."""
         while (
             num_waiting > self._num_starting + len(self._idle)
             and self._num_starting + len(self._last) < self._pool.size
@@ -82,7 +83,7 @@ class Scheduler:
             self._num_starting += 1
 
     def _note(self, event: Event) -> None:
-        """Keep account of which workers live and which are idle."""
+        """Update the lists of living and idle workers."""
         worker = event.worker
         if worker not in self._last:
             self._num_starting -= 1
@@ -98,7 +99,7 @@ class Scheduler:
             raise ChildProcessError(f"workers do not start: {event.death}")
 
     def _submit[T: Task](self, queue: "_Queue[T]", running: dict[int, T]) -> None:
-        """Give tasks to idle workers, first to those that can go on with their group."""
+        """Send tasks to idle workers, first to those that can continue with their group."""
         while self._idle and queue:
             groups = {each: task.group for each, task in self._last.items() if task is not None}
             experienced = (each for each in reversed(self._idle) if each in groups)
@@ -112,7 +113,7 @@ class Scheduler:
 
 
 class _Queue[T: Task]:
-    """Waiting tasks, by group."""
+    """Queue of waiting tasks by group."""
 
     def __init__(self, tasks: Sequence[T]) -> None:
         self._groups: dict[Hashable, deque[T]] = {}
@@ -125,7 +126,7 @@ class _Queue[T: Task]:
         return sum(map(len, self._groups.values()))
 
     def has(self, group: Hashable) -> bool:
-        """Return whether tasks of a group wait."""
+        """Check whether tasks of a group are waiting."""
         return bool(self._groups.get(group))
 
     def take(self, last: Task | None, busy: Counter[Hashable]) -> T:
@@ -140,13 +141,13 @@ class _Queue[T: Task]:
         waiting = {group: len(tasks) for group, tasks in self._groups.items() if tasks}
 
         def priority(group: Hashable) -> tuple[bool, bool, float]:
-            # First a group without a worker; then one whose program may be compiled, as for a map
-            # of the same shape; then the one with the most tasks for each of its workers.
+            # First groups without a worker; then groups of the worker's kind, whose program it may
+            # have compiled, as for a map of the same shape; then the most tasks per worker.
             same = last is not None and self._kinds[group] == last.kind
             return not busy[group], same, waiting[group] / (1 + busy[group])
 
         return self._groups[max(waiting, key=priority)].popleft()
 
     def put_back(self, task: T) -> None:
-        """Let a task wait again, before the others of its group."""
+        """Put a task back into the queue, before the others of its group."""
         self._groups[task.group].appendleft(task)

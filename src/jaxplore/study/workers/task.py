@@ -1,4 +1,4 @@
-"""A task: work that can be sent to another process."""
+"""The protocol of a task: work that can be sent to another process."""
 
 import abc
 from collections.abc import Callable, Hashable, Mapping
@@ -11,53 +11,53 @@ Files = dict[str, bytes]
 """Content of the files of a folder, by file name."""
 
 Read = Callable[[], Files]
-"""Reads files from the disk of this machine. Raises OSError or ValueError if that fails."""
+"""Function that reads files from the disk of this machine, or raises OSError or ValueError."""
 
 MAX_MEMORY_MAPS = 20_000
-"""Memory mappings of a process above which its compiled programs are dropped. Linux allows 65530
-and each program takes hundreds; without any left the next compilation crashes."""
+"""Number of memory mappings of a process above which its compiled programs are dropped. Linux
+allows 65530 and each program takes hundreds; without a free one the next compilation crashes."""
 
 
 class Task(abc.ABC):
     """Work that can be sent to another process.
 
-    Its fields can be pickled. The other process imports its module by name.
+    Its fields must be picklable. The other process imports its module by name.
     """
 
     @property
     @abc.abstractmethod
     def id(self) -> str:
-        """Unique name. Workers that die while they run a task are counted by it."""
+        """Unique name, by which the deaths of its workers are counted."""
 
     @property
     @abc.abstractmethod
     def group(self) -> Hashable:
-        """Tasks of one group run the same compiled program. A worker stays with its group."""
+        """Group of tasks that run the same compiled program. A worker stays with its group."""
 
     @property
     def kind(self) -> Hashable:
-        """Groups of one kind have similar programs. When a group is finished, its worker prefers
-        another group of the same kind."""
+        """Kind of groups with similar programs. After its group a worker prefers a group of the
+        same kind."""
         return self.group
 
     def files(self) -> Mapping[str, Read]:
-        """Return functions that read the files that the task needs, by a hash of their content.
+        """Return functions that read the task's files, by a hash of their content.
 
-        A machine without this disk receives them, once for each hash.
+        Another machine receives the content once for each hash.
         """
         return {}
 
     def located(self, folders: Mapping[str, Path]) -> "Task":
-        """Return the same task with its files in other folders.
+        """Return the task with its files in other folders.
 
         Args:
-            folders: by the keys of `files`.
+            folders: folders by the keys of `files`.
         """
         return self
 
     @abc.abstractmethod
     def run(self) -> Any:
-        """Run it and return the result. A failure is a result too.
+        """Run the task and return the result. A failure is a result too.
 
         Raises:
             KeyboardInterrupt: the user stopped it.
@@ -65,15 +65,15 @@ class Task(abc.ABC):
 
     @abc.abstractmethod
     def failed(self, reason: str) -> Any:
-        """Return the result of a task that killed its workers or whose files cannot be read.
+        """Return the result of a failed task, which killed its workers or has unreadable files.
 
         Args:
-            reason: a few words.
+            reason: reason of the failure in a few words.
         """
 
 
 def run_task(task: Task) -> Any:
-    """Run a task in this process, after making sure that there is memory to compile.
+    """Run a task in this process; drop compiled programs first if memory mappings run out.
 
     Raises:
         KeyboardInterrupt: the user stopped it.
