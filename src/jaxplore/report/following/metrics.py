@@ -86,7 +86,7 @@ class PathMetrics(Metrics):
 
     plotted = (
         Curve("progress", "progress along the path [m]"),
-        Curve("contouring", "distance across the path [m]"),
+        Curve("contouring", "contouring error [m]"),
     )
     columns = (
         Column(
