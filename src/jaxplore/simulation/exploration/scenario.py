@@ -111,6 +111,9 @@ class ExplorationScenario(Scenario):
     The robot knows the ground of a terrain map, but not the obstacles on it. Untraversable cells do
     not stop the robot: it can enter them, which is recorded.
 
+    The constructor is long because it checks every argument, and each against the others, before
+    anything is simulated.
+
     Args:
         world: the true map, hidden from the robot; with the ground if it is a terrain map.
         robot: true model of the robot.
