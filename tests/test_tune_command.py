@@ -129,7 +129,7 @@ def test_the_same_command_does_nothing_again_and_another_is_refused(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "--tune is missing; accepted: a setting or a number"),
+        ((), "--tune is missing; accepted: a setting or a controller parameter"),
         (("--tune", "controller.temprature"), "accepted: such as controller.temperature"),
         (("--tune", "controller.temperature=3:1"), "are 3 and 1; accepted: finite ones, the lower"),
         (("--tune", "controller.temperature", "--budget", "soon"), "--budget is 'soon'; accepted"),
