@@ -124,9 +124,9 @@ class Obstacles(eqx.Module):
         Args:
             radii: (N,) radii [m]; N = 0 is accepted.
             growth: standard deviation of the velocity along either axis, (N,) or one number [m/s].
-            memory: time without a measurement after which an obstacle is forgotten [s]. Its
-                possible
-                    positions are so many by then that a robot avoiding all of them would hit walls.
+            memory: time without a measurement after which an obstacle is forgotten [s]. It may be
+                anywhere by then, and a robot that avoids all of its possible positions would be
+                driven into walls.
 
         Raises:
             ValueError: radii that are not N finite numbers >= 0, a negative growth, a memory that
