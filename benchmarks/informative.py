@@ -46,7 +46,8 @@ from benchmarks.informative_peer import Peer, PeerError
 from benchmarks.timing import timed
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.planning import InformativeMPPI
-from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.scenario import LoopState
 
 ARCHITECTURES = ("two-layer", "parallel")
 CHUNK = 25

@@ -161,11 +161,13 @@ def _is_whole(entry: bytes) -> bool:
             return False
     for name in ("compression.zstd", "zstandard"):
         try:
-            return bool(importlib.import_module(name).decompress(entry))
+            zstd = importlib.import_module(name)
         except ImportError:
             continue
-        # The errors of the two libraries have no common base class.
-        except Exception:
+        try:
+            return bool(zstd.decompress(entry))
+        # Both libraries call it so, but it has no common base class.
+        except zstd.ZstdError:
             return False
     return False
 

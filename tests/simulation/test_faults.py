@@ -22,8 +22,9 @@ from jaxplore import (
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.rollout import Trajectory
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.loop import LoopState, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
+from jaxplore.simulation.scenario import LoopState
 
 PERIOD, CHUNK = 0.05, 10  # the chunk is record_run's own, so that nothing is compiled twice
 WORLD = np.zeros((30, 40), np.float32)

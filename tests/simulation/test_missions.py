@@ -28,10 +28,10 @@ from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.simulation.loop import (
-    LoopState,
     initial_loop_state,
     run_chunk,
 )
+from jaxplore.simulation.scenario import LoopState
 
 SHAPE, RESOLUTION = (30, 40), 0.2  # 8 m x 6 m
 PERIOD, CAPACITY = 0.05, 40

@@ -19,13 +19,11 @@ from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import CHUNK_SECONDS, ChunkedRun, loop, run_in_chunks
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import (
-    LoopState,
     closed_loop_step,
     frame_arrays,
     initial_loop_state,
 )
-from jaxplore.simulation.run import make_frame
-from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.scenario import LoopState, Scenario
 from jaxplore.simulation.stacking import LeafMask, Stacked
 
 Keys = KeyArray[Array, "..."]
@@ -128,7 +126,7 @@ def record_experiments(
             return ()
         arrays = jax.tree.map(np.asarray, _frames(stacked, batch.states, keys))
         steps = np.asarray(batch.states.step).tolist()
-        return tuple(make_frame(scenario, done, _run_at(arrays, i)) for i, done in enumerate(steps))
+        return tuple(scenario.make_frame(done, _run_at(arrays, i)) for i, done in enumerate(steps))
 
     together = run_in_chunks(
         run,

@@ -3,35 +3,16 @@
 Steps do not return to Python; only chunks of steps do, see `jaxplore.simulation.chunks`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
 from jaxplore.simulation.chunks import loop
-from jaxplore.simulation.scenario import Moment, Scenario
-
-
-class LoopState(NamedTuple):
-    """State of the closed loop.
-
-    Args:
-        task: state of the task, see `Scenario`.
-        controller: state of the controller.
-        step: number of steps done.
-        observed: (nx,) state that the controller observed last.
-        pending: (D, nu) commands that have not taken effect yet, oldest first.
-    """
-
-    task: Any
-    controller: Any
-    step: Count
-    observed: StateVector
-    pending: Float[Array, "D nu"]
+from jaxplore.simulation.scenario import LoopState, Moment, Scenario
 
 
 def step_keys(key: Key, step: Count) -> tuple[Key, Key]:

@@ -17,8 +17,8 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.save import save_run
 from jaxplore.simulation.chunks import CHUNK_SECONDS, run_in_chunks
-from jaxplore.simulation.loop import LoopState, frame_arrays, initial_loop_state, run_chunk
-from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.loop import frame_arrays, initial_loop_state, run_chunk
+from jaxplore.simulation.scenario import LoopState, Scenario
 
 NUM_TRAJECTORIES = 60
 """Number of rollouts in each frame."""
@@ -175,7 +175,7 @@ def record_run(
 
     def frame(current: LoopState, step: int) -> Frame:
         arrays = frame_arrays(controller, scenario, current, key, rollouts)
-        return make_frame(scenario, step, arrays)
+        return scenario.make_frame(step, arrays)
 
     def report(current: LoopState, total: int, seconds: float) -> None:
         share, text = scenario.progress(current.task)
@@ -192,18 +192,3 @@ def record_run(
         on_chunk=report,
     )
     return scenario.recording(controller, state.task, done)
-
-
-def make_frame(scenario: Scenario, step: int, arrays: Mapping[str, Any]) -> Frame:
-    """Make a frame on the host from the arrays of `Scenario.frame` after a number of steps.
-
-    Scalars become Python numbers, all other arrays NumPy arrays.
-    """
-
-    def on_host(value: Any) -> Any:
-        array = np.asarray(value)
-        return array if array.ndim else array.item()
-
-    return scenario.frame_type(
-        step=step, time=step * scenario.period, **jax.tree.map(on_host, dict(arrays))
-    )

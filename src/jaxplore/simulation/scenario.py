@@ -1,24 +1,23 @@
 """The protocol of a task, on which the loop, batches, studies, Gymnasium and reports rely."""
 
 import abc
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
+from jaxplore.report.compute import Timing
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
+from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
-
-if TYPE_CHECKING:
-    from jaxplore.simulation.chunks import ChunkedRun
 
 type Inspect = Callable[[StateVector, Any], SampledPlan]
 """Function from an observed state and a belief to the sampled plan of the controller's step."""
@@ -40,6 +39,24 @@ class Moment(NamedTuple):
     observed: StateVector
     is_blind: Flag
     is_faulty: Flag
+
+
+class LoopState(NamedTuple):
+    """State of the closed loop.
+
+    Args:
+        task: state of the task, see `Scenario`.
+        controller: state of the controller.
+        step: number of steps done.
+        observed: (nx,) state that the controller observed last.
+        pending: (D, nu) commands that have not taken effect yet, oldest first.
+    """
+
+    task: Any
+    controller: Any
+    step: Count
+    observed: StateVector
+    pending: Float[Array, "D nu"]
 
 
 class Scenario(eqx.Module):
@@ -115,7 +132,7 @@ class Scenario(eqx.Module):
 
     @abc.abstractmethod
     def recording(
-        self, controller: Controller | None, before: Any, run: "ChunkedRun[Any, Any, Any]"
+        self, controller: Controller | None, before: Any, run: ChunkedRun[Any, Any, Any]
     ) -> Recording:
         """Make the recording of a run.
 
@@ -138,6 +155,19 @@ class Scenario(eqx.Module):
             key: random key of this step's measurements.
         """
         return {}
+
+    def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
+        """Make a frame on the host from the arrays of `frame` after a number of steps.
+
+        Scalars become Python numbers, all other arrays NumPy arrays.
+        """
+
+        def on_host(value: Any) -> Any:
+            array = np.asarray(value)
+            return array if array.ndim else array.item()
+
+        fields = jax.tree.map(on_host, dict(arrays))
+        return self.frame_type(step=step, time=step * self.period, **fields)
 
     def progress(self, state: Any) -> tuple[float, str]:
         """Return the share of the task that is done, from 0 to 1, and a text for the progress
@@ -231,15 +261,23 @@ class Scenario(eqx.Module):
     def picture(self, state: Any, moment: Moment, trail: np.ndarray) -> np.ndarray:
         """Draw the present state (rows, columns, 3) in 256 levels, for `render`.
 
+        By default it is a frame of a recording that has no step yet.
+
         Args:
             state: the task's state, as `perceive` returned it.
             moment: the moment that was passed to `perceive`.
             trail: (N, 2) positions of the robot so far [m].
-
-        Raises:
-            NotImplementedError: the task draws no pictures, the default.
         """
-        raise NotImplementedError(f"{type(self).__name__} draws no pictures of its state")
+        arrays = self.frame(state, moment, None, jax.random.key(0))
+        frame = self.make_frame(int(moment.step), arrays)
+        blank = jax.tree.map(
+            lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
+            self.blank_records(state, None, 1),
+        )
+        pending = jnp.zeros((0, self.robot.control_size))
+        loop = LoopState(state, (), moment.step, moment.observed, pending)
+        run = ChunkedRun(loop, blank, (frame,), Timing(0.0, 0.0, 0, np.zeros(0)), 0, False)
+        return np.asarray(self.recording(None, state, run).frame_image(frame))
 
 
 FAR = 1e6

@@ -17,13 +17,12 @@ from jaxplore import _checks
 from jaxplore._types import Count, Flag, Key, Scalar
 from jaxplore.simulation.environment.action_modes import ActionMode, ActionVector
 from jaxplore.simulation.loop import (
-    LoopState,
     control_step,
     initial_loop_state,
     moment_at,
     step_keys,
 )
-from jaxplore.simulation.scenario import Moment, Scenario
+from jaxplore.simulation.scenario import LoopState, Moment, Scenario
 from jaxplore.simulation.stacking import Stacked
 
 

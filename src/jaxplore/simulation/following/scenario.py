@@ -23,7 +23,6 @@ from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, State
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
-from jaxplore.report.compute import Timing
 from jaxplore.report.following.data import PathFrame, PathRecord
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.report.following.recording import PathRecording
@@ -357,23 +356,6 @@ class PathScenario(Scenario):
     def facts(self, state: PathState) -> dict[str, Scalar]:
         """Return the progress, the arc length passed [m]."""
         return {"progress": state.progress}
-
-    def picture(self, state: PathState, moment: Moment, trail: np.ndarray) -> np.ndarray:
-        """Draw the course, the obstacles and the robot."""
-        arrays = self.frame(state, moment, None, jax.random.key(0))
-        frame = PathFrame(
-            step=0,
-            time=float(moment.time),
-            heading=float(arrays.pop("heading")),
-            **{name: np.asarray(value) for name, value in arrays.items()},
-        )
-        blank = jax.tree.map(
-            lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
-            self.blank_records(state, None, 1),
-        )
-        timing = Timing(0.0, 0.0, 0, np.zeros(0))
-        done = ChunkedRun(state, blank, (frame,), timing, 0, False)
-        return np.asarray(self.recording(None, state, done).frame_image(frame))
 
     def recording(
         self,
