@@ -23,7 +23,7 @@ from jaxplore.build import controllers as building
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.rollout import Trajectory
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import _initial_memory, _initial_task, frame_arrays, run_chunk

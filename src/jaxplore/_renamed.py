@@ -181,6 +181,6 @@ RENAMED = {
     "unknown_fraction": "belief.unknown_fraction",
     "update_gain": "information.update_gain",
     "visible": "belief.visible",
-    "waypoint_mppi": "simulation.waypoint_mppi",
+    "waypoint_mppi": "planning.waypoint_mppi",
     "with_leaves": "set_parameters",
 }

@@ -18,7 +18,7 @@ from jaxplore import (
 )
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.rollout import Trajectory
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk

@@ -9,11 +9,11 @@ import pytest
 
 from jaxplore import Faults, Lidar, Perception, Quadrotor
 from jaxplore.control.base import Controller
+from jaxplore.planning import waypoint_mppi
 from jaxplore.simulation.environment.action_modes import (
     ControlMode,
     Hold,
     WaypointMode,
-    waypoint_mppi,
 )
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario

@@ -20,7 +20,7 @@ from jaxplore import (
     explorer,
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.rollout import Trajectory
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run

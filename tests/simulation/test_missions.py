@@ -23,7 +23,7 @@ from jaxplore import (
 )
 from jaxplore.belief import IdlenessMap
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.rollout import Trajectory
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle

@@ -14,7 +14,8 @@ from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import RobotSettings, SensorModelSettings, Settings
+from jaxplore.settings.exploration import Settings
+from jaxplore.settings.robot import RobotSettings, SensorModelSettings
 
 
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:

@@ -6,7 +6,7 @@ import jax
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore.control.rollout import rollout_states, step_costs
+from jaxplore.control.trajectory import rollout_states, step_costs
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics
 

@@ -47,13 +47,13 @@ from jaxplore.control.risk import Risk as Risk
 from jaxplore.control.risk import ValueAtRisk as ValueAtRisk
 from jaxplore.control.risk import WorstCase as WorstCase
 from jaxplore.control.rollout import Outcomes as Outcomes
-from jaxplore.control.rollout import Trajectory as Trajectory
-from jaxplore.control.rollout import rollout as rollout
 from jaxplore.control.rollout import rollout_costs as rollout_costs
 from jaxplore.control.rollout import rollout_objectives as rollout_objectives
 from jaxplore.control.smooth import Smooth as Smooth
 from jaxplore.control.smooth import SmoothNominal as SmoothNominal
 from jaxplore.control.smoothing import SavitzkyGolay as SavitzkyGolay
+from jaxplore.control.trajectory import Trajectory as Trajectory
+from jaxplore.control.trajectory import rollout as rollout
 from jaxplore.control.weighting import AdaptiveSoftmax as AdaptiveSoftmax
 from jaxplore.control.weighting import Elite as Elite
 from jaxplore.control.weighting import Softmax as Softmax

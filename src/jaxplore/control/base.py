@@ -10,7 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
-from jaxplore.control.rollout import Trajectory
+from jaxplore.control.trajectory import Trajectory
 
 
 class Members(NamedTuple):

@@ -14,7 +14,7 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.gains import step_with_gains
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
-from jaxplore.control.rollout import rollout
+from jaxplore.control.trajectory import rollout
 
 
 class FeedbackState(NamedTuple):

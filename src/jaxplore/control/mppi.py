@@ -16,6 +16,7 @@ from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
+from jaxplore.control.model_checks import check_parts
 from jaxplore.control.mppi_state import MPPIState, SampledControls
 from jaxplore.control.parameterisations import (
     ControlSpace,
@@ -26,8 +27,9 @@ from jaxplore.control.parameterisations import (
 )
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 from jaxplore.control.risk import MeanVariance, Risk
-from jaxplore.control.rollout import Outcomes, Trajectory, check_parts, rollout, rollout_costs
+from jaxplore.control.rollout import Outcomes, rollout_costs
 from jaxplore.control.smoothing import SavitzkyGolay
+from jaxplore.control.trajectory import Trajectory, rollout
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics

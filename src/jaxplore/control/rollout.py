@@ -1,20 +1,17 @@
 """Rollouts: simulate control sequences with the model and add up their costs."""
 
-import contextlib
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore._xla import cut
-from jaxplore.belief.belief import MissingPartError
 from jaxplore.control.disturbance import Disturbance
+from jaxplore.control.model_checks import check_costs, check_state
 from jaxplore.control.risk import Risk
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics, State
@@ -281,155 +278,3 @@ def _lanes(num_samples: int) -> int:
     """
     line = 16
     return num_samples + line if -(-num_samples // line) % line == 0 else num_samples
-
-
-def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
-    """Raise a `ValueError` if the bounds or the step of a model, or a cost, have a wrong shape."""
-    size = dynamics.control_size
-    for name in ("control_min", "control_max"):
-        bound = getattr(dynamics, name)
-        if jnp.shape(bound) != (size,):
-            raise ValueError(
-                f"{name} of {type(dynamics).__name__} has shape {jnp.shape(bound)}; "
-                f"accepted: ({size},), one per name in control_names"
-            )
-    if not _checks.is_traced(dynamics.control_min, dynamics.control_max):
-        low, high = np.asarray(dynamics.control_min), np.asarray(dynamics.control_max)
-        if not (low <= high).all():
-            raise ValueError(
-                f"control_min of {type(dynamics).__name__} is {low.tolist()}; accepted: at most "
-                f"control_max, {high.tolist()}"
-            )
-    state, control = jnp.zeros(dynamics.state_size), jnp.zeros(size)
-    number = jnp.zeros(())
-    reached = jax.eval_shape(
-        lambda x, u, t, dt: dynamics.step_at(x, u, t, dt), state, control, number, number
-    )
-    check_state(dynamics, reached.shape)
-    for _, term in cost.terms():
-        # There is no belief yet, so a cost that reads one fails here. `step` checks it.
-        with contextlib.suppress(AttributeError, TypeError, MissingPartError):
-            check_costs(dynamics, term, horizon, None)
-
-
-def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
-    """Raise a `ValueError` if a model returns something other than a state."""
-    expected = (dynamics.state_size,)
-    if shape != expected:
-        raise ValueError(
-            f"step of {type(dynamics).__name__} returns shape {shape}; accepted: "
-            f"{expected}, one number per name in state_names"
-        )
-
-
-def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> None:
-    """Raise a `ValueError` that names the first term of a cost which does not return one number.
-
-    Only shapes are evaluated.
-    """
-    number, control = jnp.zeros(()), jnp.zeros(dynamics.control_size)
-    values, controls = jnp.zeros(dynamics.state_size), jnp.zeros((horizon, dynamics.control_size))
-    for name, term in cost.terms():
-        calls: dict[str, Callable[..., Array]] = {
-            "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics), u, t, b),
-            "terminal": lambda x, u, us, t, b, term=term: term.terminal(State(x, dynamics), b),
-            "sequence": lambda x, u, us, t, b, term=term: term.sequence(us, u, t, dynamics),
-        }
-        for method, call in calls.items():
-            paid = jax.eval_shape(call, values, control, controls, number, belief)
-            if paid.shape != ():
-                raise ValueError(
-                    f"{method} of {name} returns shape {paid.shape}; accepted: (), one number"
-                )
-
-
-class Trajectory(NamedTuple):
-    """Trajectory of one rollout.
-
-    Args:
-        states: (T + 1, nx) states, the initial one first.
-        controls: (T, nu) controls.
-        terms: cost of each term by name, summed over time.
-    """
-
-    states: Float[Array, "T+1 nx"]
-    controls: Float[Array, "T nu"]
-    terms: dict[str, Scalar]
-
-
-def rollout(
-    dynamics: Dynamics,
-    cost: Cost,
-    initial: StateVector,
-    controls: Float[Array, "T nu"],
-    dt: Scalar,
-    belief: Any = None,
-    *,
-    applied: ControlVector | None = None,
-) -> Trajectory:
-    """Simulate one control sequence and return its trajectory with the cost of each term.
-
-    Args:
-        dynamics: model of the robot.
-        cost: cost to evaluate; terms of the same name are added.
-        initial: (nx,) initial state.
-        controls: (T, nu) control sequence.
-        dt: model step [s].
-        belief: what the robot knows of the world.
-        applied: (nu,) control before the first one; the default control when absent.
-    """
-    before = dynamics.default_control if applied is None else applied
-    # The states are computed once and read by every term.
-    reached = rollout_states(dynamics, initial, controls, dt)
-    terms: dict[str, Scalar] = {}
-    for name, term in cost.terms():
-        paid = step_costs(dynamics, term, reached, controls, dt, belief, applied=before)
-        terms[name] = terms.get(name, jnp.zeros(())) + jnp.sum(paid)
-    return Trajectory(jnp.concatenate([initial[None], reached]), controls, terms)
-
-
-def rollout_states(
-    dynamics: Dynamics, initial: StateVector, controls: Float[Array, "T nu"], dt: Scalar
-) -> Float[Array, "T nx"]:
-    """Simulate one control sequence and return the states (T, nx), without the initial one."""
-
-    def advance(state: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
-        control, t = inputs
-        reached = dynamics.step_at(state, control, t - dt, dt)
-        return reached, reached
-
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
-    return jax.lax.scan(advance, initial, (controls, times))[1]
-
-
-def step_costs(
-    dynamics: Dynamics,
-    cost: Cost,
-    states: Float[Array, "T nx"],
-    controls: Float[Array, "T nu"],
-    dt: Scalar,
-    belief: Any,
-    *,
-    applied: ControlVector,
-) -> Float[Array, " T"]:
-    """Return the cost of each step of a rollout (T,).
-
-    The last entry includes the terminal cost and the cost of the sequence.
-
-    Args:
-        dynamics: model of the robot.
-        cost: cost to evaluate.
-        states: (T, nx) states that the controls lead to, without the initial one.
-        controls: (T, nu) control sequence.
-        dt: model step [s].
-        belief: what the robot knows of the world.
-        applied: (nu,) control before the first one.
-    """
-    times = dt * jnp.arange(1, controls.shape[0] + 1, dtype=dt.dtype)
-
-    def paid(state: Array, control: Array, t: Array) -> Array:
-        return cost.stage(State(state, dynamics), control, t, belief)
-
-    ending = cost.terminal(State(states[-1], dynamics), belief)
-    ending = ending + cost.sequence(controls, applied, dt, dynamics)
-    return jax.vmap(paid)(states, controls, times).at[-1].add(ending)

@@ -6,6 +6,7 @@ from typing import Any
 
 from jaxplore import _checks
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.settings.defaults import parameter_default
 from jaxplore.settings.exploration import OFFICE, Settings
 from jaxplore.settings.path import PATH
@@ -14,7 +15,6 @@ from jaxplore.simulation.environment.action_modes import (
     ActionMode,
     ControlMode,
     WaypointMode,
-    waypoint_mppi,
 )
 from jaxplore.simulation.environment.environment import Environment
 from jaxplore.simulation.scenario import Scenario

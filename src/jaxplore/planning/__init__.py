@@ -18,6 +18,7 @@ from jaxplore.planning.portfolio.voting import Median as Median
 from jaxplore.planning.portfolio.voting import TrustWeighted as TrustWeighted
 from jaxplore.planning.portfolio.voting import WeightedVote as WeightedVote
 from jaxplore.planning.presets.explorer import explorer as explorer
+from jaxplore.planning.presets.explorer import waypoint_mppi as waypoint_mppi
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS as ROLE_WEIGHTS
 from jaxplore.planning.presets.ground_vehicle import Mission as Mission
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio as ground_portfolio

@@ -9,9 +9,6 @@ from pydantic import Field
 
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
-from jaxplore.dynamics.ackermann import Ackermann
-from jaxplore.dynamics.differential_drive import DifferentialDrive
-from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.terrain import TerrainMap
@@ -26,14 +23,16 @@ from jaxplore.planning.presets.quadrotor import (
     informative_mppi,
     zone_choice,
 )
-from jaxplore.sensing.camera import Camera
-from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
-from jaxplore.sensing.lidar import Lidar
-from jaxplore.settings.defaults import difference_entries, in_degrees, setting
+from jaxplore.settings.defaults import difference_entries, setting
+from jaxplore.settings.robot import (
+    CameraSettings,
+    LidarSettings,
+    RobotSettings,
+    SensorModelSettings,
+)
 from jaxplore.settings.sections import (
     Count,
     Fraction,
-    Negative,
     NonNegative,
     Number,
     Positive,
@@ -41,7 +40,6 @@ from jaxplore.settings.sections import (
     RunSettings,
     Section,
     Share,
-    Steering,
     validated,
 )
 from jaxplore.settings.sections import read_settings as read_settings
@@ -85,7 +83,6 @@ SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 """Scenarios for ground vehicles: settings with a world, in `scenarios/`."""
 
 ParameterisationName = Literal["direct", "smooth", "knots"]
-ViewDegrees = Annotated[float, Field(gt=0, lt=180)]
 
 
 class OfficeSettings(Section):
@@ -94,64 +91,6 @@ class OfficeSettings(Section):
     seed: Number = setting(office, "seed")
     width: Positive = setting(office, "width")
     height: Positive = setting(office, "height")
-
-
-class RobotSettings(Section):
-    """The robot: a model and its bounds.
-
-    Each model uses the settings among its parameters. Where several models share a setting, the
-    default is that of `DifferentialDrive`. A quadrotor's speed is limited by a cost.
-
-    Args:
-        model: name of the robot's model.
-        length: length of a car, which has no radius [m].
-        width: width of a car [m].
-    """
-
-    model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
-        "differential_drive"
-    )
-    max_speed: Positive = setting(
-        DifferentialDrive, "max_speed", differs="exploration.robot.max_speed"
-    )
-    max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
-    max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")
-    max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
-    drag: NonNegative = setting(DifferentialDrive, "drag")
-    radius: Positive = setting(DifferentialDrive, "radius")
-    mass: Positive = setting(Quadrotor, "mass")
-    wheelbase: Positive = setting(Ackermann, "wheelbase")
-    length: Positive = 0.75
-    width: Positive = 0.4
-    max_steering: Steering = setting(Ackermann, "max_steering")
-    max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
-    min_speed: float = setting(Ackermann, "min_speed")
-
-
-class LidarSettings(Section):
-    """A planar lidar: see `jaxplore.Lidar`."""
-
-    num_beams: Count = setting(Lidar, "num_beams")
-    max_range: Positive = setting(Lidar, "max_range", differs="exploration.lidar.max_range")
-    field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = setting(
-        Lidar, "field_of_view", in_degrees
-    )
-    range_noise: NonNegative = setting(
-        Lidar, "range_noise", differs="exploration.lidar.range_noise"
-    )
-    height: NonNegative = setting(Lidar, "height")
-
-
-class CameraSettings(Section):
-    """A forward depth camera: see `jaxplore.Camera`."""
-
-    num_beams: Count = setting(Camera, "num_beams")
-    max_range: Positive = setting(Camera, "max_range")
-    field_of_view_degrees: ViewDegrees = setting(Camera, "field_of_view", in_degrees)
-    vertical_view_degrees: ViewDegrees = setting(Camera, "vertical_view", in_degrees)
-    range_noise: NonNegative = setting(Camera, "range_noise")
-    height: Positive = setting(Camera, "height")
-    tilt: float = setting(Camera, "tilt")
 
 
 class WatchSettings(Section):
@@ -173,21 +112,6 @@ class TerrainSettings(Section):
     max_slope: Positive = setting(Ground, "max_slope")
     max_roughness: Positive | None = setting(Ground, "max_roughness")
     threshold: Fraction = setting(Ground, "threshold")
-
-
-class SensorModelSettings(Section):
-    """The inverse sensor model: see `jaxplore.InverseSensorModel`.
-
-    Args:
-        kind: `log_odds` uses the numbers of this section; with `line_of_sight` one measurement
-            makes a cell certain.
-    """
-
-    kind: Literal["log_odds", "line_of_sight"] = "log_odds"
-    occupied: Positive = setting(InverseSensorModel, "occupied")
-    free: Negative = setting(InverseSensorModel, "free")
-    minimum: Negative = setting(InverseSensorModel, "minimum")
-    maximum: Positive = setting(InverseSensorModel, "maximum")
 
 
 class FieldSettings(Section):

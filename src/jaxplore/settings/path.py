@@ -9,7 +9,7 @@ from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings.defaults import setting
-from jaxplore.settings.exploration import RobotSettings
+from jaxplore.settings.robot import RobotSettings
 from jaxplore.settings.sections import (
     Count,
     NonNegative,

@@ -5,7 +5,6 @@ from jaxplore.simulation.chunks import ChunkedRun as ChunkedRun
 from jaxplore.simulation.environment.action_modes import ActionMode as ActionMode
 from jaxplore.simulation.environment.action_modes import ControlMode as ControlMode
 from jaxplore.simulation.environment.action_modes import WaypointMode as WaypointMode
-from jaxplore.simulation.environment.action_modes import waypoint_mppi as waypoint_mppi
 from jaxplore.simulation.environment.environment import Environment as Environment
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import StepResult as StepResult

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore.control.rollout import Trajectory, rollout, rollout_objectives
+from jaxplore.control.rollout import rollout_objectives
+from jaxplore.control.trajectory import Trajectory, rollout
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import Dynamics
 

@@ -1,11 +1,15 @@
-"""The default explorer: informative MPPI for a ground robot."""
+"""MPPI for ground robots: the default explorer, and driving to waypoints."""
+
+from typing import Any
 
 from jax.typing import ArrayLike
 
 from jaxplore._types import Vector
 from jaxplore.control.mppi import MPPI
+from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
+from jaxplore.costs.heading_for import ToGoalCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import Dynamics
 
@@ -48,20 +52,67 @@ def explorer(
     Raises:
         ValueError: a value that a part does not accept.
     """
-    if noise_std is None:
-        noise_std = robot.control_half_range
-    cost = (
+    return _ground_mppi(
+        robot,
         obstacle_weight * ObstacleCost(clearance)
         + information_weight * InformationCost()
         + guidance_weight * GuidanceCost()
-        + control_weight * ControlCost()
-    )
-    return MPPI(
-        robot,
-        cost,
+        + control_weight * ControlCost(),
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
         noise_std=noise_std,
         dt=dt,
     )
+
+
+def waypoint_mppi(
+    robot: Dynamics,
+    *,
+    horizon: int = 30,
+    num_samples: int = 256,
+    temperature: ArrayLike = 0.3,
+    noise_std: Vector | None = None,
+    dt: ArrayLike = 0.05,
+    clearance: ArrayLike = 0.4,
+    obstacle_weight: ArrayLike = 1.0,
+    guidance_weight: ArrayLike = 1.0,
+    control_weight: ArrayLike = 0.01,
+) -> MPPI:
+    """Build MPPI that descends `Belief.to_goal` and avoids cells that are not known to be free.
+
+    Args:
+        robot: model of the robot, a ground robot.
+        horizon: model steps ahead, T.
+        num_samples: rollouts, K.
+        temperature: temperature of the softmax.
+        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
+            when absent.
+        dt: model step [s].
+        clearance: distance kept from obstacles [m]; see `ObstacleCost`.
+        obstacle_weight: weight of `ObstacleCost`.
+        guidance_weight: weight of `ToGoalCost`.
+        control_weight: weight of `ControlCost`.
+
+    Raises:
+        ValueError: a robot that flies, a value that a part does not accept.
+    """
+    if "z" in robot.state_names:
+        raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
+    return _ground_mppi(
+        robot,
+        obstacle_weight * ObstacleCost(clearance)
+        + guidance_weight * ToGoalCost()
+        + control_weight * ControlCost(),
+        horizon=horizon,
+        num_samples=num_samples,
+        temperature=temperature,
+        noise_std=noise_std,
+        dt=dt,
+    )
+
+
+def _ground_mppi(robot: Dynamics, cost: Cost, *, noise_std: Vector | None, **numbers: Any) -> MPPI:
+    """Build MPPI whose noise is half the range of each control unless it is given."""
+    noise = robot.control_half_range if noise_std is None else noise_std
+    return MPPI(robot, cost, noise_std=noise, **numbers)

@@ -10,16 +10,12 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.perception import LAYERS
 from jaxplore.control.base import Controller, Info, SampledPlan
-from jaxplore.control.mppi import MPPI
-from jaxplore.control.rollout import Trajectory
-from jaxplore.costs.effort import ControlCost
-from jaxplore.costs.heading_for import ToGoalCost
-from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.simulation.exploration.scenario import ExplorationScenario, robot_pose
@@ -247,51 +243,3 @@ class WaypointController(Controller):
     def at_period(self, control_period: ArrayLike) -> "WaypointController":
         """Return this controller for commands that are `control_period` seconds apart."""
         return WaypointController(self.drive.at_period(control_period), self.way)
-
-
-def waypoint_mppi(
-    robot: Dynamics,
-    *,
-    horizon: int = 30,
-    num_samples: int = 256,
-    temperature: ArrayLike = 0.3,
-    noise_std: Vector | None = None,
-    dt: ArrayLike = 0.05,
-    clearance: ArrayLike = 0.4,
-    obstacle_weight: ArrayLike = 1.0,
-    guidance_weight: ArrayLike = 1.0,
-    control_weight: ArrayLike = 0.01,
-) -> MPPI:
-    """Build MPPI that descends `Belief.to_goal` and avoids cells that are not known to be free.
-
-    Args:
-        robot: model of the robot, a ground robot.
-        horizon: model steps ahead, T.
-        num_samples: rollouts, K.
-        temperature: temperature of the softmax.
-        noise_std: (nu,) standard deviations of the controls; half the range between their bounds
-            when absent.
-        dt: model step [s].
-        clearance: distance kept from obstacles [m]; see `ObstacleCost`.
-        obstacle_weight: weight of `ObstacleCost`.
-        guidance_weight: weight of `ToGoalCost`.
-        control_weight: weight of `ControlCost`.
-
-    Raises:
-        ValueError: a robot that flies, a value that a part does not accept.
-    """
-    if "z" in robot.state_names:
-        raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
-    if noise_std is None:
-        noise_std = robot.control_half_range
-    return MPPI(
-        robot,
-        obstacle_weight * ObstacleCost(clearance)
-        + guidance_weight * ToGoalCost()
-        + control_weight * ControlCost(),
-        horizon=horizon,
-        num_samples=num_samples,
-        temperature=temperature,
-        noise_std=noise_std,
-        dt=dt,
-    )
