@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.setting import available_sites, experiment
 from benchmarks.timing import timed
 from jaxplore import MPPI
-from jaxplore.simulation.exploration.scenario import ExplorationScenario, robot_pose
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
@@ -64,7 +64,7 @@ def measure(steps: int) -> dict[str, Any]:
 
 
 def _parts(controller: Any, scenario: Any, state: Any, key: Any) -> dict[str, Any]:
-    perception, pose = scenario.perception, robot_pose(scenario.robot, state.task.robot)
+    perception, pose = scenario.perception, scenario.robot.pose(state.task.robot)
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     model, sensor = perception.sensor_model, perception.field_sensor
     period = jnp.asarray(0.2)

@@ -115,7 +115,7 @@ def scalar(
     return jnp.asarray(checked, jnp.float32)
 
 
-def vector(name: str, value: object, size: int) -> Array:
+def vector(name: str, value: object, size: int, *, at_least: float | None = None) -> Array:
     """Return `value` as a finite float32 array of shape (size,)."""
     if isinstance(value, jax.core.Tracer):
         return _strong(value)
@@ -127,6 +127,8 @@ def vector(name: str, value: object, size: int) -> Array:
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
     if array.shape != (size,) or not np.isfinite(array).all():
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
+    if at_least is not None and (array < at_least).any():
+        raise ValueError(f"{name} is {array.tolist()}; accepted: {size} numbers >= {at_least:g}")
     # A copy: `asarray` may share memory with the caller's array, who may write to it later.
     return jnp.array(array)
 

@@ -294,7 +294,8 @@ def test_an_agent_observes_the_path_ahead_in_the_frame_of_the_robot() -> None:
     state, _ = scenario.init(None)
     off = jnp.array(False)
     moment = Moment(jnp.zeros((), jnp.int32), time, told, off, off)
-    seen = eqx.filter_jit(scenario.observation)(state, moment, None, None)
+    view = scenario.agent_view(None)
+    seen = eqx.filter_jit(view.observation)(state, moment, None)
 
     # The ring is a circle around (0, 3), to the left of the start.
     angles = np.arange(1.0, 13.0) / 3.0
@@ -304,7 +305,7 @@ def test_an_agent_observes_the_path_ahead_in_the_frame_of_the_robot() -> None:
     np.testing.assert_allclose(seen["path"], ahead, atol=2e-3)
     np.testing.assert_allclose(seen["errors"], [0.1, -0.2], atol=2e-3)
     assert seen["obstacles"].shape == (0, 5)
-    bounds = scenario.observation_bounds(None)
+    bounds = view.observation_bounds()
     assert {name: low.shape for name, (low, _) in bounds.items()} == {
         name: value.shape for name, value in seen.items()
     }

@@ -175,5 +175,5 @@ def test_an_environment_takes_it() -> None:
     assert float(outcome.reward) == pytest.approx(-0.05)
     assert not bool(outcome.is_terminated)
     # What nobody draws otherwise is drawn as a frame of a recording without a step.
-    picture = TASK.picture(state.perceived, state.moment, np.zeros((1, 2)))
+    picture = TASK.agent_view(None).picture(state.perceived, state.moment, np.zeros((1, 2)))
     assert picture.shape == (200, 200, 3)

@@ -6,7 +6,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from jaxplore._types import ControlVector, Position, Scalar, StateVector
+from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.footprint import Disc, Footprint
 
@@ -79,6 +79,10 @@ class Dynamics(eqx.Module):
     def heading(self, state: StateVector) -> Scalar:
         """Return the heading [rad], counter-clockwise from the x axis."""
         return self.component(state, "yaw")
+
+    def pose(self, state: StateVector) -> Pose:
+        """Return the pose (x, y, yaw) [m, m, rad]."""
+        return jnp.concatenate([self.position(state), self.heading(state)[None]])
 
     def speed(self, state: StateVector) -> Scalar:
         """Return the forward speed [m/s]."""

@@ -158,5 +158,5 @@ def picture(
         state: state of the environment.
         trail: (2,) arrays, the positions of the robot so far [m].
     """
-    scenario = environment.scenario(state.choice)
-    return scenario.picture(state.perceived, state.moment, np.stack(trail))
+    view = environment.agent_view(state.choice)
+    return view.picture(state.perceived, state.moment, np.stack(trail))

@@ -49,7 +49,7 @@ def action_space(environment: Environment) -> spaces.Box:
 def observation_space(environment: Environment) -> spaces.Dict:
     """Return the observation space: the common bounds of all scenarios."""
     bounds = [
-        environment.scenario(index).observation_bounds(environment.view_cells)
+        environment.agent_view(index).observation_bounds()
         for index in range(environment.num_scenarios)
     ]
     return spaces.Dict(

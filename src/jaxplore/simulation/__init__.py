@@ -19,5 +19,6 @@ from jaxplore.simulation.following.scenario import PathScenario as PathScenario
 from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run
 from jaxplore.simulation.run import simulate as simulate
+from jaxplore.simulation.scenario import AgentView as AgentView
 from jaxplore.simulation.scenario import Moment as Moment
 from jaxplore.simulation.scenario import Scenario as Scenario

@@ -67,7 +67,7 @@ class Scenario(eqx.Module):
     with the true state of the robot in `robot` (nx,).
 
     To add a kind of task, implement the abstract methods here, and the recording that `recording`
-    returns. No other code needs a change.
+    returns. No other code needs a change. An environment shows it to an agent by `agent_view`.
     """
 
     robot: eqx.AbstractVar[Dynamics]
@@ -212,34 +212,51 @@ class Scenario(eqx.Module):
         """Side of a cell of the belief's map [m]; 1 without a map."""
         return 1.0
 
-    # The methods below serve reinforcement-learning environments. The defaults suit any task.
+    def agent_view(self, view_cells: int | None) -> "AgentView":
+        """Return what an environment shows to an agent; by default a view that suits any task.
 
-    def observation(
-        self, state: Any, moment: Moment, belief: Any, view_cells: int | None
-    ) -> dict[str, Array]:
+        Args:
+            view_cells: side of the observed square of the map around the robot [cells]; the whole
+                map when absent.
+        """
+        return AgentView(self, view_cells)
+
+
+class AgentView(eqx.Module):
+    """A task as a reinforcement-learning agent sees it: observation, reward, end of an episode.
+
+    The methods here suit any task. To change them for a kind of task, return a subclass from
+    `Scenario.agent_view`.
+
+    Args:
+        scenario: the task.
+        view_cells: side of the observed square of the map around the robot [cells]; the whole map
+            when absent; static.
+    """
+
+    scenario: Scenario
+    view_cells: int | None = eqx.field(static=True)
+
+    def observation(self, state: Any, moment: Moment, belief: Any) -> dict[str, Array]:
         """Return the arrays that an agent observes, by name: by default the observed state.
 
         Args:
             state: the task's state, as `perceive` returned it.
             moment: the moment that was passed to `perceive`.
             belief: the belief that `perceive` returned.
-            view_cells: side of the observed square of the map around the robot [cells]; the whole
-                map when absent.
         """
         return {"state": moment.observed}
 
-    def observation_bounds(
-        self, view_cells: int | None
-    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def observation_bounds(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the lower and upper bounds of `observation`, by name."""
-        return {"state": state_bounds(self.robot)}
+        return {"state": state_bounds(self.scenario.robot)}
 
     def reward(self, before: Any, after: Any) -> Scalar:
         """Return the reward of a transition between two states, both as `perceive` returned them.
 
         By default minus the elapsed time [s], so that finishing early is best.
         """
-        return -self.control_period * jnp.ones(())
+        return -self.scenario.control_period * jnp.ones(())
 
     def is_contact(self, record: Any) -> Flag:
         """Check whether the robot was in contact in a step; by default never."""
@@ -252,7 +269,7 @@ class Scenario(eqx.Module):
             state: the task's state now, before `perceive`.
             ahead: the task's state one step later.
         """
-        return ~self.is_unfinished(state)
+        return ~self.scenario.is_unfinished(state)
 
     def facts(self, state: Any) -> dict[str, Scalar]:
         """Return numbers about the task for an environment's `info`; none by default."""
@@ -268,16 +285,17 @@ class Scenario(eqx.Module):
             moment: the moment that was passed to `perceive`.
             trail: (N, 2) positions of the robot so far [m].
         """
-        arrays = self.frame(state, moment, None, jax.random.key(0))
-        frame = self.make_frame(int(moment.step), arrays)
+        task = self.scenario
+        arrays = task.frame(state, moment, None, jax.random.key(0))
+        frame = task.make_frame(int(moment.step), arrays)
         blank = jax.tree.map(
             lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
-            self.blank_records(state, None, 1),
+            task.blank_records(state, None, 1),
         )
-        pending = jnp.zeros((0, self.robot.control_size))
+        pending = jnp.zeros((0, task.robot.control_size))
         loop = LoopState(state, (), moment.step, moment.observed, pending)
         run = ChunkedRun(loop, blank, (frame,), Timing(0.0, 0.0, 0, np.zeros(0)), 0, False)
-        return np.asarray(self.recording(None, state, run).frame_image(frame))
+        return np.asarray(task.recording(None, state, run).frame_image(frame))
 
 
 FAR = 1e6

@@ -18,7 +18,7 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.angles import sin_cos
-from jaxplore.simulation.exploration.scenario import ExplorationScenario, robot_pose
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.scenario import Moment, Scenario
 
 ActionVector = Float[Array, "A"]
@@ -145,7 +145,7 @@ class WaypointMode(ActionMode):
                 f"mode is a WaypointMode in a {type(scenario).__name__}; accepted: ControlMode, or "
                 "an ExplorationScenario, whose map leads to waypoints"
             )
-        pose, perception = robot_pose(scenario.robot, moment.observed), scenario.perception
+        pose, perception = scenario.robot.pose(moment.observed), scenario.perception
         ahead, left = jnp.clip(action, self.low, self.high)
         sin, cos = sin_cos(pose[2])
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])

@@ -22,7 +22,7 @@ from jaxplore.simulation.loop import (
     moment_at,
     step_keys,
 )
-from jaxplore.simulation.scenario import LoopState, Moment, Scenario
+from jaxplore.simulation.scenario import AgentView, LoopState, Moment, Scenario
 from jaxplore.simulation.stacking import Stacked
 
 
@@ -68,12 +68,12 @@ class StepResult(NamedTuple):
     """The result of an action: the observation, the reward and the end of the episode.
 
     Args:
-        observation: arrays that the agent observes, by name; see `Scenario.observation`.
+        observation: arrays that the agent observes, by name; see `AgentView.observation`.
         reward: reward for the action.
         is_terminated: whether the scenario is finished.
         is_truncated: whether the time limit was reached before.
         is_collision: whether the robot was in contact during the action.
-        facts: numbers about the task, by name; see `Scenario.facts`.
+        facts: numbers about the task, by name; see `AgentView.facts`.
         num_steps: control periods since the start.
         tally: statistics of the episode so far.
     """
@@ -96,7 +96,7 @@ class Environment(eqx.Module):
     of the closed loop would see it. The same key and the same controls give the states of
     `simulate`.
 
-        reward = Scenario.reward(before, after) - collision_penalty * (time in contact)
+        reward = AgentView.reward(before, after) - collision_penalty * (time in contact)
 
     Args:
         scenarios: one scenario, or several that differ in the values of their arrays only, such as
@@ -165,6 +165,10 @@ class Environment(eqx.Module):
         chosen: Scenario = self.scenarios.at(choice)
         return chosen
 
+    def agent_view(self, choice: int | Count) -> AgentView:
+        """Return one of the scenarios as the agent sees it."""
+        return self.scenario(choice).agent_view(self.view_cells)
+
     def init(self, key: Key, choice: Count) -> EnvironmentState:
         """Return the state before the first perception; see `reset`.
 
@@ -210,6 +214,7 @@ class Environment(eqx.Module):
                 the robot only perceives. The periods between actions when absent.
         """
         scenario, before = self.scenario(state.choice), state.tally
+        view = scenario.agent_view(self.view_cells)
         steps = self.steps_per_action if num_steps is None else num_steps
         controller = self.mode.controller(action, state.moment, state.belief, scenario)
 
@@ -234,7 +239,7 @@ class Environment(eqx.Module):
                 perceived=perceived,
                 moment=moment,
                 belief=belief,
-                is_hit=scenario.is_contact(record),
+                is_hit=view.is_contact(record),
                 tally=EpisodeStatistics(
                     path_length=tally.path_length + jnp.sqrt(jnp.sum(moved * moved)),
                     collisions=tally.collisions + is_new.astype(jnp.int32),
@@ -244,7 +249,7 @@ class Environment(eqx.Module):
             )
 
         def has_ended(course: _Course) -> Flag:
-            return scenario.has_ended(course.at.task, course.ahead.task)
+            return view.has_ended(course.at.task, course.ahead.task)
 
         def continues(course: _Course) -> Flag:
             is_over = has_ended(course) | (course.at.step >= self.max_steps)
@@ -275,17 +280,15 @@ class Environment(eqx.Module):
         )
         contact = (course.tally.collision_steps - before.collision_steps).astype(jnp.float32)
         penalty = self.collision_penalty * scenario.control_period * contact
-        earned = scenario.reward(state.perceived, after.perceived)
+        earned = view.reward(state.perceived, after.perceived)
         is_terminated = has_ended(course)
         return after, StepResult(
-            observation=scenario.observation(
-                after.perceived, after.moment, after.belief, self.view_cells
-            ),
+            observation=view.observation(after.perceived, after.moment, after.belief),
             reward=jnp.where(steps > 0, earned - penalty, 0.0),
             is_terminated=is_terminated,
             is_truncated=(course.at.step >= self.max_steps) & ~is_terminated,
             is_collision=contact > 0.0,
-            facts=scenario.facts(after.perceived),
+            facts=view.facts(after.perceived),
             num_steps=course.at.step,
             tally=course.tally,
         )

@@ -3,19 +3,23 @@
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import GridMask, Position, Rows
+from jaxplore._types import GridMask, Position, Rows, Scalar, StateVector
+from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.faults import Faults
 
 
 def check_goal(
     goal: Position, world: OccupancyGrid, robot: Dynamics, reachable: GridMask, radius: float
 ) -> None:
-    """Check that the robot can reach a goal.
+    """Check that a goal is in free space where the robot can get.
 
     Args:
         goal: goal position (x, y) [m].
@@ -25,8 +29,10 @@ def check_goal(
         radius: distance at which the goal counts as reached [m].
 
     Raises:
-        ValueError: no reachable cell is within the radius.
+        ValueError: a goal off the map or in a wall; no reachable cell within the radius.
     """
+    if float(world.at(goal)) >= FREE_THRESHOLD:
+        raise ValueError(f"goal is {goal.tolist()}; accepted: a place in free space")
     rows, columns = np.nonzero(np.asarray(reachable))
     centres = world.frame.cell_centre(jnp.asarray(np.stack([rows, columns], axis=-1)))
     nearest = float(jnp.min(jnp.linalg.norm(centres - goal, axis=-1)))
@@ -57,43 +63,149 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
     return jnp.asarray(given)
 
 
-def is_same_ground(ground: Ground | None, other: Ground | None) -> bool:
+def checked_end(
+    goal_radius: ArrayLike | None, max_unknown: ArrayLike | None, is_apart: bool
+) -> tuple[Scalar, Scalar]:
+    """Check the numbers of the end at a goal, or choose them.
+
+    Args:
+        goal_radius: distance at which the goal is reached [m]; chosen when absent.
+        max_unknown: share of unknown cells below which the map is explored; chosen when absent.
+        is_apart: whether the goal has a cost-to-go of its own.
+
+    Returns:
+        The distance and the share.
+
+    Raises:
+        ValueError: a radius that is not positive, a share outside [0, 1].
+    """
+    if goal_radius is None:
+        goal_radius = 0.25 if is_apart else 1.5
+    if max_unknown is None:
+        max_unknown = 1.0 if is_apart else MAX_UNKNOWN
+    return (
+        _checks.scalar("goal_radius", goal_radius, above=0.0),
+        _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0),
+    )
+
+
+def checked_coverage(target_coverage: ArrayLike | None) -> Scalar:
+    """Check a target coverage; when absent, return a value that coverage never reaches.
+
+    Raises:
+        ValueError: a coverage outside (0, 1].
+    """
+    if target_coverage is None:
+        return jnp.asarray(2.0, jnp.float32)
+    return _checks.scalar("target_coverage", target_coverage, above=0.0, at_most=1.0)
+
+
+def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVector:
+    """Return the state (nx,) at rest at a pose, and at an altitude if the robot has one.
+
+    Args:
+        robot: model of the robot.
+        pose: pose (x, y, yaw) [m, m, rad].
+        altitude: z of the position [m].
+
+    Raises:
+        ValueError: an altitude that is not finite.
+    """
+    state = robot.at_pose(*(float(value) for value in pose))
+    if "z" not in robot.state_names:
+        return state
+    return state.at[robot.state_names.index("z")].set(_checks.number("altitude", altitude))
+
+
+def checked_perception(
+    perception: Perception | None,
+    sensors: tuple[Sensor, ...],
+    world: OccupancyGrid,
+    robot: Dynamics,
+    ground: Ground | None,
+    goal: Position | None,
+    max_unknown: Scalar,
+) -> Perception:
+    """Check that a perception was made for a scenario, or make it when absent.
+
+    Args:
+        perception: the perception; made when absent.
+        sensors: sensors of the scenario.
+        world: true map.
+        robot: model of the robot.
+        ground: ground of the map's cells; None if it is level.
+        goal: goal position (x, y) [m]; None without one.
+        max_unknown: share of unknown cells below which the map is explored.
+
+    Raises:
+        ValueError: another goal, range, resolution or ground.
+    """
+    if perception is None:
+        return Perception(
+            sensors,
+            world.resolution,
+            robot.radius,
+            goal=goal,
+            max_unknown=max_unknown,
+            ground=ground,
+        )
+    goals = [None if each is None else each.tolist() for each in (perception.goal, goal)]
+    if goals[0] != goals[1]:
+        raise ValueError(
+            f"perception has the goal {goals[0]}; accepted: the scenario's, {goals[1]}"
+        )
+    ranges, known = (
+        [sensor.max_range for sensor in each] for each in (sensors, perception.sensors)
+    )
+    if known != ranges or perception.resolution != world.resolution:
+        raise ValueError(
+            f"perception is for ranges of {known} m and cells of {perception.resolution:g} m; "
+            f"accepted: those of the scenario, {ranges} m and {world.resolution:g} m"
+        )
+    if not _is_same_ground(perception.ground, ground):
+        kind = "no" if perception.ground is None else "another"
+        raise ValueError(f"perception has {kind} ground; accepted: that of the world")
+    return perception
+
+
+def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid) -> OccupancyGrid:
+    """Check that a prior map has the cells of the world; when absent, return an unknown map.
+
+    Raises:
+        ValueError: another shape, origin or resolution.
+    """
+    if prior is None:
+        return OccupancyGrid.unknown(world.shape, world.frame)
+    _check_shape("prior", prior.shape, world)
+    is_near = np.allclose(prior.frame.origin, world.frame.origin, rtol=1e-6, atol=1e-6)
+    if not is_near or prior.resolution != world.resolution:
+        raise ValueError(
+            f"prior has cells of {prior.resolution:g} m at {prior.frame.origin.tolist()}; "
+            f"accepted: the world's, {world.resolution:g} m at {world.frame.origin.tolist()}"
+        )
+    return prior
+
+
+def checked_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None:
+    """Check that walls that appear have the shape of the world.
+
+    Raises:
+        ValueError: another shape.
+    """
+    if faults is not None and faults.walls is not None:
+        _check_shape("walls", faults.walls.shape, world)
+    return faults
+
+
+def _check_shape(name: str, shape: tuple[int, ...], world: OccupancyGrid) -> None:
+    if shape != world.shape:
+        raise ValueError(f"{name} has shape {shape}; accepted: the world's, {world.shape}")
+
+
+def _is_same_ground(ground: Ground | None, other: Ground | None) -> bool:
     """Check whether two grounds are equal, or both absent."""
     if ground is None or other is None:
         return ground is other
     layers = ((each.elevation, each.is_traversable) for each in (ground, other))
     (height, open_), (other_height, other_open) = layers
     return np.array_equal(height, other_height) and np.array_equal(open_, other_open)
-
-
-def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
-    """Return the world with untraversable cells as walls."""
-    closed = jnp.where(ground.is_traversable, world.probability, 1.0)
-    return OccupancyGrid(closed, world.resolution, world.frame.origin)
-
-
-def is_same_frame(grid: OccupancyGrid, other: OccupancyGrid) -> bool:
-    """Check whether two maps have the same origin and resolution."""
-    is_same = np.allclose(grid.frame.origin, other.frame.origin, rtol=1e-6, atol=1e-6)
-    return is_same and grid.resolution == other.resolution
-
-
-def whole_steps(name: str, rate: float, control_rate: float) -> Array:
-    """Return the number of control periods in a period of a slower rate.
-
-    Args:
-        name: name of the slower rate, for the error message.
-        rate: slower rate [Hz].
-        control_rate: rate of the controls [Hz].
-
-    Raises:
-        ValueError: a rate that is not a whole fraction of the control rate.
-    """
-    checked = _checks.number(name, rate, above=0.0, at_most=control_rate)
-    ratio = control_rate / checked
-    if abs(ratio - round(ratio)) > 1e-3 * ratio:
-        raise ValueError(
-            f"{name} is {rate!r}; accepted: a whole fraction of the control rate of "
-            f"{control_rate:g} Hz, such as {control_rate / max(1, round(ratio)):g}"
-        )
-    return jnp.asarray(round(ratio), jnp.int32)

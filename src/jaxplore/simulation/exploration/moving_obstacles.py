@@ -12,8 +12,13 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import Position, Scalar
+from jaxplore._types import Key, Position, Scalar
 from jaxplore.maps.world import MovingObstacle
+
+START_OF_MOVING = 2**31 - 1
+"""Number folded into a random key for all that moving obstacles draw: into the key of a run for
+their start, into that of a step for their measurement. It is never the number of a step or of a
+sensor, so the draws are independent of theirs."""
 
 
 class MovingObstacleState(NamedTuple):
@@ -81,6 +86,16 @@ class MovingObstacles(eqx.Module):
         """
         checked = _phases(phase, self.phase.shape[0])
         same: MovingObstacles = eqx.tree_at(lambda movers: movers.phase, self, checked)
+        return same
+
+    def at_random_phase(self, key: Key) -> "MovingObstacles":
+        """Return the same obstacles with phases drawn uniformly.
+
+        Args:
+            key: random key of the run.
+        """
+        drawn = jax.random.uniform(jax.random.fold_in(key, START_OF_MOVING), self.phase.shape)
+        same: MovingObstacles = eqx.tree_at(lambda movers: movers.phase, self, drawn)
         return same
 
     def at(self, time: Scalar) -> MovingObstacleState:

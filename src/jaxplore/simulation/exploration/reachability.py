@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
 
@@ -65,6 +66,12 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             f"accepted: free space{_nearest(world, free, radius, start)}"
         )
     return np.isin(labels, beginnings)
+
+
+def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
+    """Return the world with untraversable cells as walls."""
+    closed = jnp.where(ground.is_traversable, world.probability, 1.0)
+    return OccupancyGrid(closed, world.resolution, world.frame.origin)
 
 
 def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:

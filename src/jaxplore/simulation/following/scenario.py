@@ -2,7 +2,7 @@
 
 import functools
 import operator
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,28 +28,13 @@ from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.report.following.recording import PathRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.following.agent_view import PathView
+from jaxplore.simulation.following.state import PathState
 from jaxplore.simulation.following.traffic import Traffic
-from jaxplore.simulation.outline import footprint_corners
-from jaxplore.simulation.scenario import Inspect, Moment, Scenario, state_bounds
+from jaxplore.simulation.robot_fields import robot_fields
+from jaxplore.simulation.scenario import Inspect, Moment, Scenario
 
-AHEAD, NUM_AHEAD = 1.0, 12
-"""Distance between the path points that an agent observes [m], and their number."""
 PREDICTIONS = ("constant-turn", "constant-velocity")
-
-
-class PathState(NamedTuple):
-    """State of the path-following task.
-
-    Args:
-        robot: (nx,) true state of the robot, with its path parameter phi.
-        progress: arc length of the point of the path nearest to the robot [m]; it keeps growing
-            from lap to lap.
-        known: obstacles as the robot's tracker estimates them; None without any.
-    """
-
-    robot: StateVector
-    progress: Scalar
-    known: Obstacles | None
 
 
 class PathScenario(Scenario):
@@ -140,11 +125,7 @@ class PathScenario(Scenario):
         self.start = state.at[robot.state_names.index("phi")].set(phi)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = jnp.asarray(1.0 / rate, jnp.float32)
-        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2)
-        if (np.asarray(self.tracking_noise) < 0.0).any():
-            raise ValueError(
-                f"tracking_noise is {self.tracking_noise.tolist()}; accepted: 2 numbers >= 0"
-            )
+        self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         if prediction not in PREDICTIONS:
             raise ValueError(f"prediction is {prediction!r}; accepted: {', '.join(PREDICTIONS)}")
         self.prediction = prediction
@@ -285,51 +266,8 @@ class PathScenario(Scenario):
             "plan": position(plan.nominal.states),
         }
 
-    def observation(
-        self, state: PathState, moment: Moment, belief: Any, view_cells: int | None
-    ) -> dict[str, Array]:
-        """Return the state, the path ahead and the obstacles, both in the robot's frame.
-
-        `state` (nx,); `path` (12, 2) points of the path ahead, 1 m apart [m]; `errors` (2,) signed
-        distance from the path, and angle of the path relative to the heading [m, rad];
-        `obstacles` (N, 5) position [m], velocity [m/s] and radius of the enclosing disc [m].
-        """
-        robot, told = self.robot, moment.observed
-        position, heading = robot.position(told), robot.heading(told)
-        sin, cos = jnp.sin(heading), jnp.cos(heading)
-        to_robot = jnp.stack([jnp.stack([cos, sin]), jnp.stack([-sin, cos])])
-        near = self.path.nearest(position, near=state.progress)
-        distances = near + AHEAD * jnp.arange(1.0, NUM_AHEAD + 1.0)
-        points = jax.vmap(lambda phi: self.path.at(phi).position)(distances)
-        ahead = (points - position) @ to_robot.T
-        here = self.path.at(near)
-        turn = here.heading - heading
-        errors = jnp.stack(
-            [
-                self.path.errors(position, near).contouring,
-                jnp.arctan2(jnp.sin(turn), jnp.cos(turn)),
-            ]
-        )
-        obstacles = jnp.zeros((0, 5))
-        if state.known is not None:
-            known = state.known
-            reach = jnp.max(
-                jnp.linalg.norm(known.outlines.corners - known.centres[:, None], axis=-1), axis=-1
-            )
-            obstacles = jnp.concatenate(
-                [
-                    (known.centres - position) @ to_robot.T,
-                    known.velocities @ to_robot.T,
-                    (reach + known.outlines.radii)[:, None],
-                ],
-                axis=-1,
-            )
-        return {"state": told, "path": ahead, "errors": errors, "obstacles": obstacles}
-
-    def observation_bounds(
-        self, view_cells: int | None
-    ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return the bounds of `observation`. There is no map, so a view is rejected.
+    def agent_view(self, view_cells: int | None) -> PathView:
+        """Return path following as an agent sees it. There is no map, so a view is rejected.
 
         Raises:
             ValueError: a view is given.
@@ -338,24 +276,7 @@ class PathScenario(Scenario):
             raise ValueError("view is given beside a path; accepted: without a map there is none")
         truth = self.true_obstacles(jnp.zeros(()))
         number = 0 if truth is None else truth.outlines.number
-        shapes = {"path": (NUM_AHEAD, 2), "errors": (2,), "obstacles": (number, 5)}
-        free = {
-            name: (np.full(shape, -np.inf, np.float32), np.full(shape, np.inf, np.float32))
-            for name, shape in shapes.items()
-        }
-        return {"state": state_bounds(self.robot), **free}
-
-    def reward(self, before: PathState, after: PathState) -> Scalar:
-        """Return the progress along the path [m]."""
-        return after.progress - before.progress
-
-    def is_contact(self, record: PathRecord) -> Flag:
-        """Check whether the robot touched an obstacle, or part of it left the corridor."""
-        return (record.gap < 0.0) | (record.room < 0.0)
-
-    def facts(self, state: PathState) -> dict[str, Scalar]:
-        """Return the progress, the arc length passed [m]."""
-        return {"progress": state.progress}
+        return PathView(self, view_cells, path=self.path, num_obstacles=number)
 
     def recording(
         self,
@@ -368,17 +289,13 @@ class PathScenario(Scenario):
         centre, edges = _centre_and_edges(path)
         return PathRecording(
             **run.common(self.period),
-            start=np.asarray(self.start),
+            **robot_fields(model, self.start),
             start_progress=float(before.progress),
             centre=centre,
             edges=edges,
             length=float(path.length),
             end=float(self.end),
             is_closed=path.is_closed,
-            state_names=model.state_names,
-            control_half_range=np.asarray(model.control_half_range),
-            robot_radius=float(model.radius),
-            footprint=footprint_corners(model.footprint),
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
 

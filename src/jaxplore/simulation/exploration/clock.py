@@ -1,0 +1,57 @@
+"""Rates of sensing and of fields: whole numbers of control periods."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxplore import _checks
+from jaxplore._types import Flag
+
+
+def when_due[*T](
+    is_due: Flag, is_possible: Flag, update: Callable[[*T], tuple[*T]], values: tuple[*T]
+) -> tuple[*T]:
+    """Return values updated if the update is due and possible, unchanged otherwise.
+
+    Args:
+        is_due: whether the update is due. It must depend on the clock alone. The clock is the same
+            for all runs of a batch, so under `jax.vmap` this stays a branch, and a batch updates
+            only as often as one run.
+        is_possible: whether the update is possible.
+        update: function from the values to the new values.
+        values: the values.
+    """
+
+    def try_it(*old: *T) -> tuple[*T]:
+        new: tuple[*T] = jax.lax.cond(is_possible, update, _same, *old)
+        return new
+
+    found: tuple[*T] = jax.lax.cond(is_due, try_it, _same, *values)
+    return found
+
+
+def whole_steps(name: str, rate: float, control_rate: float) -> Array:
+    """Return the number of control periods in a period of a slower rate.
+
+    Args:
+        name: name of the slower rate, for the error message.
+        rate: slower rate [Hz].
+        control_rate: rate of the controls [Hz].
+
+    Raises:
+        ValueError: a rate that is not a whole fraction of the control rate.
+    """
+    checked = _checks.number(name, rate, above=0.0, at_most=control_rate)
+    ratio = control_rate / checked
+    if abs(ratio - round(ratio)) > 1e-3 * ratio:
+        raise ValueError(
+            f"{name} is {rate!r}; accepted: a whole fraction of the control rate of "
+            f"{control_rate:g} Hz, such as {control_rate / max(1, round(ratio)):g}"
+        )
+    return jnp.asarray(round(ratio), jnp.int32)
+
+
+def _same[*T](*unchanged: *T) -> tuple[*T]:
+    return unchanged

@@ -1,0 +1,59 @@
+"""Arrays of the frames of an exploration run."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore.control.base import SampledPlan
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.sensing.base import Scan, Sensor
+from jaxplore.simulation.exploration.state import ExplorationState
+
+
+def frame_arrays(
+    robot: Dynamics,
+    sensor: Sensor,
+    state: ExplorationState,
+    scan: Scan,
+    movers: Float[Array, "M 3"] | None,
+    plan: SampledPlan | None,
+) -> dict[str, Any]:
+    """Return the arrays of an `ExplorationFrame`, by field.
+
+    Args:
+        robot: model of the robot.
+        sensor: sensor of the scan.
+        state: the task's state.
+        scan: scan from the robot's true pose.
+        movers: (x, y, radius) of each moving obstacle [m]; None without any.
+        plan: sampled plan of the controller; None to show none.
+    """
+    pose = robot.pose(state.robot)
+    angles = pose[2] + jnp.asarray(sensor.beam_angles)
+    directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
+    nowhere = jnp.zeros((0, 2))
+    arrays = {
+        "state": state.robot,
+        "probability": jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
+        "information": state.belief.information.total,
+        "scan": pose[:2] + scan.ranges[:, None] * directions,
+        "samples": jnp.zeros((0, 1, 2)),
+        "weights": jnp.zeros(0),
+        "plan": nowhere,
+        "heading": pose[2],
+        "reference": nowhere,
+        "movers": nowhere if movers is None else movers[:, :2],
+        "terms": {},
+    }
+    if plan is None:
+        return arrays
+    position = jax.vmap(robot.position)
+    return arrays | {
+        "samples": jax.vmap(position)(plan.samples),
+        "weights": plan.weights,
+        "plan": position(plan.nominal.states),
+        "reference": nowhere if plan.reference is None else plan.reference[:, :2],
+        "terms": plan.nominal.terms,
+    }

@@ -1,0 +1,132 @@
+"""The true world around the robot at a moment: what is measured in it, and what is touched."""
+
+import functools
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Flag, GridMask, Key, Pose, Scalar, StateVector
+from jaxplore.belief.obstacles import Obstacles
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.base import Scan, Sensor
+from jaxplore.simulation.exploration.collision import discs_clearance, footprint_clearance
+from jaxplore.simulation.exploration.moving_obstacles import START_OF_MOVING, MovingObstacles
+
+
+class TrueWorld(eqx.Module):
+    """The true world at a moment.
+
+    Args:
+        grid: true map, with the walls that have appeared.
+        ground: ground of the map's cells; None if it is level.
+        moving: moving obstacles; None without any.
+        time: time since the start [s].
+    """
+
+    grid: OccupancyGrid
+    ground: Ground | None
+    moving: MovingObstacles | None
+    time: Scalar
+
+    @property
+    def discs(self) -> Float[Array, "M 3"] | None:
+        """(x, y, radius) of each moving obstacle [m]; None without any."""
+        return None if self.moving is None else self.moving.discs(self.time)
+
+    def scans(self, sensors: Sequence[Sensor], pose: Pose, key: Key) -> tuple[Scan, ...]:
+        """Simulate a scan of each sensor.
+
+        Args:
+            sensors: the sensors.
+            pose: true pose (x, y, yaw) of the robot [m, m, rad].
+            key: random key of the step's measurements.
+        """
+        discs = self.discs
+        keys = [key, *(jax.random.fold_in(key, k) for k in range(1, len(sensors)))]
+        return tuple(
+            sensor.scan(self.grid, pose, key=each, ground=self.ground, movers=discs)
+            for sensor, each in zip(sensors, keys, strict=True)
+        )
+
+    def tracked(
+        self,
+        known: Obstacles | None,
+        sensors: Sequence[Sensor],
+        pose: Pose,
+        noise: Float[Array, "2"],
+        key: Key,
+    ) -> Obstacles | None:
+        """Update the known obstacles by noisy measurements of those in sight of any sensor.
+
+        Args:
+            known: obstacles as the robot knows them; None without any.
+            sensors: the sensors.
+            pose: true pose (x, y, yaw) of the robot [m, m, rad].
+            noise: standard deviations of measured positions [m] and velocities [m/s].
+            key: random key of the step's measurements.
+        """
+        if known is None or self.moving is None:
+            return known
+        now = self.moving.at(self.time)
+        position_std, velocity_std = noise
+        keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
+        in_sight = [sensor.sees(self.grid, pose, now.positions, self.ground) for sensor in sensors]
+        return known.update(
+            now.positions + position_std * jax.random.normal(keys[0], now.positions.shape),
+            now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
+            functools.reduce(jnp.logical_or, in_sight),
+            position_std,
+            jnp.zeros(()),
+        )
+
+    def clearance(self, robot: Dynamics, state: StateVector, reach: int) -> Scalar:
+        """Compute the distance from the robot's edge to the nearest solid cell or obstacle [m].
+
+        Args:
+            robot: model of the robot.
+            state: (nx,) state of the robot.
+            reach: number of cells that are examined in each direction, see `clearance_reach`.
+        """
+        room = self._room(~self.grid.is_free, robot, state, reach)
+        if self.moving is None:
+            return room
+        there, radii = self.moving.at(self.time).positions, self.moving.radius
+        position, heading = robot.position(state), robot.heading(state)
+        gap = discs_clearance(there, radii, position, heading, robot.footprint)
+        return jnp.minimum(room, gap)
+
+    def stopped(
+        self, robot: Dynamics, before: StateVector, after: StateVector, reach: int
+    ) -> tuple[StateVector, Flag]:
+        """Stop the robot if its move would touch something.
+
+        Args:
+            robot: model of the robot.
+            before: (nx,) state before the move.
+            after: (nx,) state after it; where it is not finite, the robot does not move.
+            reach: number of cells that are examined in each direction, see `clearance_reach`.
+
+        Returns:
+            The state (nx,), and whether the move would have led to a collision.
+        """
+        is_finite = jnp.all(jnp.isfinite(after))
+        is_collision = is_finite & (self.clearance(robot, after, reach) < 0.0)
+        moved = jnp.where(is_finite, after, before)
+        return jnp.where(is_collision, robot.blocked(before, after), moved), is_collision
+
+    def is_untraversable(self, robot: Dynamics, state: StateVector, reach: int) -> Flag:
+        """Check whether part of the robot is on untraversable ground; see `clearance`."""
+        if self.ground is None:
+            return jnp.array(False)
+        return self._room(~self.ground.is_traversable, robot, state, reach) < 0.0
+
+    def _room(self, solid: GridMask, robot: Dynamics, state: StateVector, reach: int) -> Scalar:
+        position, heading = robot.position(state), robot.heading(state)
+        return footprint_clearance(
+            solid, self.grid.frame, position, heading, robot.footprint, reach
+        )
