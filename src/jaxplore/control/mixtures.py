@@ -16,7 +16,31 @@ from jaxplore.control.parameterisations import Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 
 
-class BiasedProposal(Proposal):
+class OuterProposal(Proposal):
+    """A proposal that changes the samples of an inner one and has its memory; abstract."""
+
+    proposal: eqx.AbstractVar[Proposal]
+
+    def init(self, num_parameters: int, control_size: int) -> Any:
+        """Return the initial memory of the inner proposal."""
+        return self.proposal.init(num_parameters, control_size)
+
+    def adapt(
+        self,
+        memory: Any,
+        context: SamplingContext,
+        weights: Float[Array, " K"],
+        samples: Samples,
+    ) -> Any:
+        """Update the memory of the inner proposal."""
+        return self.proposal.adapt(memory, context, weights, samples)
+
+    def shift(self, memory: Any, rows: Scalar) -> Any:
+        """Move the memory of the inner proposal on in time."""
+        return self.proposal.shift(memory, rows)
+
+
+class BiasedProposal(OuterProposal):
     """A mixture of two Gaussians, one around the nominal and one around reference controls.
 
         q(v) = (1 - a) N(v; c, Sigma) + a N(v; g, Sigma)
@@ -61,10 +85,6 @@ class BiasedProposal(Proposal):
         self.fraction = _checks.scalar("fraction", fraction, at_least=0.0, at_most=1.0)
         self.likelihood_ratio = likelihood_ratio
 
-    def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return the initial memory of the inner proposal."""
-        return self.proposal.init(num_parameters, control_size)
-
     def sample(
         self,
         memory: Any,
@@ -102,20 +122,6 @@ class BiasedProposal(Proposal):
         shares = jnp.stack([1.0 - self.fraction, self.fraction])
         return jax.nn.logsumexp(ratios, axis=0, b=shares[:, None])
 
-    def adapt(
-        self,
-        memory: Any,
-        context: SamplingContext,
-        weights: Float[Array, " K"],
-        samples: Samples,
-    ) -> Any:
-        """Update the memory of the inner proposal."""
-        return self.proposal.adapt(memory, context, weights, samples)
-
-    def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Move the memory of the inner proposal on in time."""
-        return self.proposal.shift(memory, rows)
-
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
         """Raise a `ValueError` if the reference or the noise does not fit."""
         self.proposal.check(num_parameters, horizon, control_size, num_samples)
@@ -126,7 +132,7 @@ class BiasedProposal(Proposal):
             )
 
 
-class InjectedProposal(Proposal):
+class InjectedProposal(OuterProposal):
     """A proposal that replaces some samples by given control sequences.
 
     The first samples are `sequences`, then zeros, then the nominal without noise. They are weighted
@@ -175,10 +181,6 @@ class InjectedProposal(Proposal):
         given = 0 if self.sequences is None else int(self.sequences.shape[0])
         return given + int(self.null_action) + int(self.last_solution)
 
-    def init(self, num_parameters: int, control_size: int) -> Any:
-        """Return the initial memory of the inner proposal."""
-        return self.proposal.init(num_parameters, control_size)
-
     def sample(
         self,
         memory: Any,
@@ -207,20 +209,6 @@ class InjectedProposal(Proposal):
         """Compute the log ratio of the inner proposal (K,), also of the injected samples."""
         # An injected sequence was not drawn. It gets the ratio that it would have if it had been.
         return self.proposal.log_ratio(memory, context, samples)
-
-    def adapt(
-        self,
-        memory: Any,
-        context: SamplingContext,
-        weights: Float[Array, " K"],
-        samples: Samples,
-    ) -> Any:
-        """Update the memory of the inner proposal."""
-        return self.proposal.adapt(memory, context, weights, samples)
-
-    def shift(self, memory: Any, rows: Scalar) -> Any:
-        """Move the memory of the inner proposal on in time."""
-        return self.proposal.shift(memory, rows)
 
     def check(self, num_parameters: int, horizon: int, control_size: int, num_samples: int) -> None:
         """Raise a `ValueError` if the sequences or the inner proposal do not fit."""

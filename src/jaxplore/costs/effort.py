@@ -1,5 +1,6 @@
 """Costs of the controls: effort, and changes from step to step."""
 
+import abc
 from typing import Any
 
 import equinox as eqx
@@ -67,7 +68,32 @@ class QuadraticControlCost(Cost):
         return total
 
 
-class ControlRateCost(Cost):
+class ControlDifferenceCost(Cost):
+    """Squared differences of some order of the controls, each divided by a scale; abstract."""
+
+    scale: eqx.AbstractVar[Scalar | ControlVector | None]
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Return 0: changes are a property of the sequence."""
+        return jnp.zeros(())
+
+    def sequence(
+        self,
+        controls: Float[Array, "T nu"],
+        applied: ControlVector,
+        dt: Scalar,
+        dynamics: Dynamics,
+    ) -> Scalar:
+        """Compute the sum over steps and controls."""
+        paid = self._squares(controls, applied)
+        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+
+    @abc.abstractmethod
+    def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
+        """Compute the sum of the squared differences of each control (nu,)."""
+
+
+class ControlRateCost(ControlDifferenceCost):
     """Squared changes of the controls from step to step:
 
         sum_t sum_i ((u_t,i - u_{t-1,i}) / s_i)^2
@@ -91,27 +117,16 @@ class ControlRateCost(Cost):
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
         self.include_applied = include_applied
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return 0: changes are a property of the sequence."""
-        return jnp.zeros(())
-
-    def sequence(
-        self,
-        controls: Float[Array, "T nu"],
-        applied: ControlVector,
-        dt: Scalar,
-        dynamics: Dynamics,
-    ) -> Scalar:
-        """Compute the sum over steps and controls."""
+    def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]
         paid = jnp.sum(changes * changes, axis=0)
         if self.include_applied:
             first = controls[0] - applied
             paid = paid + first * first
-        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+        return paid
 
 
-class ControlJerkCost(Cost):
+class ControlJerkCost(ControlDifferenceCost):
     """Squared second differences of the controls:
 
         sum_t sum_i ((u_t,i - 2 u_{t-1,i} + u_{t-2,i}) / s_i)^2
@@ -137,25 +152,14 @@ class ControlJerkCost(Cost):
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
         self.include_applied = include_applied
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Return 0: changes are a property of the sequence."""
-        return jnp.zeros(())
-
-    def sequence(
-        self,
-        controls: Float[Array, "T nu"],
-        applied: ControlVector,
-        dt: Scalar,
-        dynamics: Dynamics,
-    ) -> Scalar:
-        """Compute the sum over steps and controls."""
+    def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]
         bends = changes[1:] - changes[:-1]
         paid = jnp.sum(bends * bends, axis=0)
         if self.include_applied and controls.shape[0] > 1:
             first = changes[0] - (controls[0] - applied)
             paid = paid + first * first
-        return jnp.sum(paid * _inverse_squares(self.scale, dynamics))
+        return paid
 
 
 def _inverse_squares(scale: Array | None, dynamics: Dynamics) -> ControlVector:

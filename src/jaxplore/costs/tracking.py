@@ -9,6 +9,7 @@
 | `StateCost` | have given values of state components | quadratic |
 """
 
+import abc
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -30,7 +31,25 @@ from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length, squared_length
 
 
-class GoalCost(Cost):
+class ErrorCost(Cost):
+    """Cost of an error of the state, counted once more at the last state; abstract."""
+
+    terminal_weight: eqx.AbstractVar[Scalar]
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Compute the cost of the error."""
+        return self._error(state)
+
+    def terminal(self, state: State, belief: Any) -> Scalar:
+        """Compute the cost of the last error, times `terminal_weight`."""
+        return self.terminal_weight * self._error(state)
+
+    @abc.abstractmethod
+    def _error(self, state: State) -> Scalar:
+        """Compute the cost of the error of a state."""
+
+
+class GoalCost(ErrorCost):
     """Straight-line distance d to a goal [m], or with a saturation s, `s d / (s + d)`.
 
     The gradient does not grow with the distance, so a goal far away does not dominate the other
@@ -63,15 +82,7 @@ class GoalCost(Cost):
         )
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Compute the cost of the distance to the goal."""
-        return self._to_go(state)
-
-    def terminal(self, state: State, belief: Any) -> Scalar:
-        """Compute the cost of the last distance to the goal."""
-        return self.terminal_weight * self._to_go(state)
-
-    def _to_go(self, state: State) -> Scalar:
+    def _error(self, state: State) -> Scalar:
         """Compute the distance, with the saturation if there is one [m]."""
         distance = length(*offset(state, self.goal))
         if self.saturation is None:
@@ -79,7 +90,7 @@ class GoalCost(Cost):
         return distance * (self.saturation / (self.saturation + distance))
 
 
-class WaypointCost(Cost):
+class WaypointCost(ErrorCost):
     """Squared distance from a waypoint, plus a heading error that counts near it:
 
         d^2 + heading_weight * exp(-(d / decay)^2) * (1 - cos(yaw - heading))
@@ -120,14 +131,6 @@ class WaypointCost(Cost):
         self.heading_weight = _checks.scalar("heading_weight", heading_weight, at_least=0.0)
         self.decay = _checks.scalar("decay", decay, above=0.0)
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Compute the cost of the position and heading errors."""
-        return self._error(state)
-
-    def terminal(self, state: State, belief: Any) -> Scalar:
-        """Compute the cost of the last position and heading errors."""
-        return self.terminal_weight * self._error(state)
 
     def _error(self, state: State) -> Scalar:
         square = squared_length(*offset(state, self.waypoint))
@@ -251,7 +254,7 @@ class PathCost(Cost):
         return total
 
 
-class StateCost(Cost):
+class StateCost(ErrorCost):
     """Squared error of named state components: the diagonal Q of a linear-quadratic regulator.
 
         sum_i w_i e_i,   e_i = (x_i - target_i)^2,  or 2 (1 - cos(x_i - target_i)) for an angle
@@ -291,14 +294,6 @@ class StateCost(Cost):
         self.target = {name: given.get(name, jnp.zeros(())) for name in self.weights}
         self.angles = tuple(sorted(set(angles)))
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
-
-    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
-        """Compute the weighted squared errors."""
-        return self._error(state)
-
-    def terminal(self, state: State, belief: Any) -> Scalar:
-        """Compute the weighted squared errors of the last state."""
-        return self.terminal_weight * self._error(state)
 
     def _error(self, state: State) -> Scalar:
         total = jnp.zeros(())

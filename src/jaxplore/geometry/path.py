@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,8 +17,6 @@ NODES_PER_RADIUS = 10.0
 LEAST_NODES, MOST_NODES = 65, 16385
 NEWTON_STEPS = 4
 """Newton steps from the nearest node, at most half a spacing away; each step squares the error."""
-LOOK_UP: Any = {"mode": "promise_in_bounds", "wrap_negative_indices": False}
-"""Options of table look-ups whose rows are known to be valid: they skip the bounds check."""
 
 
 class PathPoint(NamedTuple):

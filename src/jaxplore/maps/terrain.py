@@ -16,7 +16,7 @@ from jaxplore import _checks
 from jaxplore._types import GridMask, GridValues, Vector
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
-from jaxplore.maps.files.untrusted import printable_path, replace_files
+from jaxplore.maps.files.untrusted import printable_path, read_bytes, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
@@ -284,7 +284,9 @@ class TerrainMap(eqx.Module):
                 value that is not accepted; one line that names it.
         """
         path = Path(path)
-        return terrain_file.unpack(path, terrain_file.read(path), _build_terrain)
+        return terrain_file.unpack(
+            path, read_bytes(path, "a terrain map's npz", terrain_file.BYTE_LIMIT), _build_terrain
+        )
 
 
 def _check_same(name: str, ground: object, grid: object) -> None:

@@ -75,6 +75,16 @@ class Column(NamedTuple):
         return cls(name, header, value, shown, applies)
 
     @classmethod
+    def finished(cls) -> "Column":
+        """Make a column with the number of finished runs, of all."""
+        return cls(
+            "num_finished",
+            "finished",
+            lambda runs: (sum(each.is_finished for each in runs), len(runs)),
+            lambda counts: f"{counts[0]} of {counts[1]}",
+        )
+
+    @classmethod
     def total(
         cls, name: str, header: str, *, applies: Callable[[Any], bool] = lambda _: True
     ) -> "Column":

@@ -15,7 +15,7 @@ from PIL import Image
 
 from jaxplore.report.compute import Timing as Timing
 from jaxplore.report.compute import compute_cost, software
-from jaxplore.report.drawing.gif import evenly_chosen, write_gif
+from jaxplore.report.drawing.gif import write_gif
 from jaxplore.report.drawing.palette import fitted_palette
 from jaxplore.report.metrics import Metrics
 
@@ -135,12 +135,11 @@ class Recording(RunData, abc.ABC):
         Raises:
             ValueError: fewer than one frame.
         """
-        if max_frames < 1:
-            raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
         write_gif(
             path,
-            evenly_chosen(self.frames, max_frames),
+            self.frames,
             self.frame_image,
             lambda images: fitted_palette((), images),
+            max_frames,
             on_progress,
         )

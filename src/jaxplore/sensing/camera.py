@@ -13,6 +13,7 @@ from jaxplore import _checks
 from jaxplore._types import Scalar
 from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.fan import checked_view
 
 STEEPEST = 1.57
 """Greatest angle between an edge of the view and the horizontal [rad]: in single precision it
@@ -75,9 +76,7 @@ class Camera(Sensor):
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams)
         self.max_range = _checks.number("max_range", max_range, above=0.0)
-        self.field_of_view = _checks.number(
-            "field_of_view", field_of_view, above=0.0, at_most=2.0 * math.pi + 1e-6
-        )
+        self.field_of_view = checked_view("field_of_view", field_of_view)
         view = _checks.scalar("vertical_view", vertical_view, above=0.0, below=2.0 * STEEPEST)
         self.vertical_view = view
         self.height = _checks.scalar("height", height, above=0.0)

@@ -1,10 +1,13 @@
 """Cast the rays of a sensor through a grid, and through moving discs."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
+from jaxplore import _checks
 from jaxplore._types import Position
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -72,3 +75,12 @@ def disc_distance(
     is_met = is_crossed & (along + half > 0.0) & jnp.isfinite(along)
     distance = jnp.where(is_met, jnp.maximum(along - half, 0.0), jnp.inf)
     return distance.min(axis=0, initial=jnp.inf)
+
+
+def checked_view(name: str, value: float) -> float:
+    """Check a horizontal field of view, in (0, 2 pi] [rad], and return it.
+
+    Raises:
+        ValueError: another value.
+    """
+    return _checks.number(name, value, above=0.0, at_most=2.0 * math.pi + 1e-6)

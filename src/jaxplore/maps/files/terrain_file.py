@@ -52,25 +52,6 @@ def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
     return stream.getvalue()
 
 
-def read(path: Path) -> bytes:
-    """Read the content of a terrain file.
-
-    Raises:
-        ValueError: a file that is missing, cannot be read or is too large.
-    """
-    where, accepted = printable_path(path), "the file of a terrain map"
-    try:
-        if not path.is_file():  # opening a pipe would block for ever
-            raise ValueError(f"{where} is not there or not a file; accepted: {accepted}")
-        with path.open("rb") as file:
-            data = file.read(BYTE_LIMIT + 1)
-    except OSError as error:
-        raise ValueError(f"{where} cannot be read: {error_reason(error)}") from None
-    if len(data) > BYTE_LIMIT:
-        raise ValueError(f"{where} is too large; accepted: at most {BYTE_LIMIT} bytes")
-    return data
-
-
 def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]], T]) -> T:
     """Check the content of a terrain file and build an object from its arrays.
 

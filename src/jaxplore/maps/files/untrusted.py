@@ -30,7 +30,7 @@ def read_bytes(path: Path, what: str, limit: int) -> bytes:
     """
     where = printable_path(path)
     try:
-        if not path.is_file():
+        if not path.is_file():  # opening a pipe would block for ever
             raise ValueError(f"{where} is not there or not a file; accepted: {what} file")
         with path.open("rb") as file:
             data = file.read(limit + 1)

@@ -17,6 +17,7 @@ def write_gif[F](
     frames: Sequence[F],
     draw: Callable[[F], Image.Image],
     colours: Callable[[Sequence[Image.Image]], Image.Image],
+    max_frames: int,
     on_progress: Callable[[float], None],
 ) -> None:
     """Write an animated GIF of frames. It loops, and pauses on the last frame.
@@ -26,13 +27,20 @@ def write_gif[F](
         frames: frames to draw, at least one.
         draw: function that draws a frame; all pictures have the same size.
         colours: function that computes a palette from some of the pictures.
+        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
         on_progress: called with the share that is done, 0 to 1.
+
+    Raises:
+        ValueError: less than one frame.
     """
-    palette = colours([draw(frame) for frame in evenly_chosen(frames, LOOKS)])
+    if max_frames < 1:
+        raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
+    chosen = evenly_chosen(frames, max_frames)
+    palette = colours([draw(frame) for frame in evenly_chosen(chosen, LOOKS)])
     pictures = []
-    for done, frame in enumerate(frames):
+    for done, frame in enumerate(chosen):
         pictures.append(draw(frame).quantize(palette=palette, dither=Image.Dither.NONE))
-        on_progress((done + 1) / len(frames))
+        on_progress((done + 1) / len(chosen))
     save_gif(path, pictures)
 
 

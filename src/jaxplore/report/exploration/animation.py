@@ -18,7 +18,7 @@ from jaxplore.report.drawing.colours import (
     belief_colours,
     blend,
 )
-from jaxplore.report.drawing.gif import evenly_chosen, write_gif
+from jaxplore.report.drawing.gif import write_gif
 from jaxplore.report.drawing.palette import (
     FAINT,
     HEAT,
@@ -68,14 +68,13 @@ def write_animation(
     Raises:
         ValueError: less than one frame, or a width below 320 pixels.
     """
-    if max_frames < 1:
-        raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
     canvas = make_canvas(recording, width)
     write_gif(
         path,
-        evenly_chosen(recording.frames, max_frames),
+        recording.frames,
         partial(_draw, canvas),
         partial(_shared_palette, recording),
+        max_frames,
         on_progress,
     )
 

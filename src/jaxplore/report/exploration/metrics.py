@@ -110,12 +110,7 @@ class ExplorationMetrics(Metrics):
         Curve("unknown", "unknown cells of the map [%]", 100.0, 104.0),
     )
     columns = (
-        Column(
-            "num_finished",
-            "finished",
-            lambda runs: (sum(each.is_finished for each in runs), len(runs)),
-            lambda counts: f"{counts[0]} of {counts[1]}",
-        ),
+        Column.finished(),
         Column.quartiles("finished_at", "after [s]"),
         Column.quartiles("time_to_90", "90 % after [s]", number=lambda each: each.time_to["90"]),
         Column.quartiles("coverage", "coverage [%]", scale=100.0),

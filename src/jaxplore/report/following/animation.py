@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import FREE, MISSED, MOVER, MOVER_EDGE, UNKNOWN, blend
 from jaxplore.report.drawing.footer import draw_curve, draw_legend, fonts
-from jaxplore.report.drawing.gif import evenly_chosen, write_gif
+from jaxplore.report.drawing.gif import write_gif
 from jaxplore.report.drawing.palette import (
     FAINT,
     INK,
@@ -123,14 +123,13 @@ def write_path_animation(
     Raises:
         ValueError: less than one frame, or a side below 320 pixels.
     """
-    if max_frames < 1:
-        raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
     canvas = _make_canvas(recording, side)
     write_gif(
         path,
-        evenly_chosen(recording.frames, max_frames),
+        recording.frames,
         partial(_draw, canvas),
         _palette,
+        max_frames,
         on_progress,
     )
 

@@ -89,12 +89,7 @@ class PathMetrics(Metrics):
         Curve("contouring", "contouring error [m]"),
     )
     columns = (
-        Column(
-            "num_finished",
-            "finished",
-            lambda runs: (sum(each.is_finished for each in runs), len(runs)),
-            lambda counts: f"{counts[0]} of {counts[1]}",
-        ),
+        Column.finished(),
         Column.quartiles("finished_at", "after [s]"),
         Column.quartiles(
             "best_lap",

@@ -95,8 +95,7 @@ class MovingObstacles(eqx.Module):
             key: random key of the run.
         """
         drawn = jax.random.uniform(jax.random.fold_in(key, START_OF_MOVING), self.phase.shape)
-        same: MovingObstacles = eqx.tree_at(lambda movers: movers.phase, self, drawn)
-        return same
+        return self.with_phase(drawn)
 
     def at(self, time: Scalar) -> MovingObstacleState:
         """Return the true positions and velocities of the discs at a time since the start [s]."""

@@ -1,7 +1,6 @@
 """Rows of results, one for each run of a comparison on maps."""
 
 import io
-import json
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -184,12 +183,6 @@ def schema() -> Any:
         "binary": pyarrow.binary(),
     }
     return pyarrow.schema([(name, kinds[kind]) for name, kind in COLUMNS.items()])
-
-
-def row_settings(row: Row) -> dict[str, Any]:
-    """Return the settings of a row, from which `jaxplore run --settings` repeats the run."""
-    entries: dict[str, Any] = json.loads(row["settings"])
-    return entries
 
 
 def _first_columns(episode: MapEpisode, error: str | None) -> Row:
