@@ -96,7 +96,7 @@ def test_the_explorer_sees_and_does_in_it_what_it_does_in_a_run(make, controls) 
         state, outcome = advance(environment, state, jnp.asarray(recording.records.control[k]))
         np.testing.assert_array_equal(state.loop.task.robot, recording.records.state[k])
     moves = np.linalg.norm(np.diff(recording.positions, axis=0), axis=1)
-    np.testing.assert_allclose(outcome.tally.path_length, moves.sum(), rtol=1e-5)
+    np.testing.assert_allclose(outcome.statistics.path_length, moves.sum(), rtol=1e-5)
 
 
 def test_an_action_is_as_many_shorter_ones(controls, wander) -> None:
@@ -138,7 +138,7 @@ def test_a_contact_costs_by_the_second_and_successive_steps_are_one(controls) ->
     free = controls(collision_penalty=0.0)
     dear, fine = controls(collision_penalty=2.0), controls(action_period=0.02)
     (state, _), (fined, _), (slow, _) = reset(free), reset(dear), reset(fine)
-    is_contact, tallies = [False], []
+    is_contact, statistics = [False], []
     for _ in range(20):
         state, outcome = advance(free, state, AHEAD)
         fined, paid = advance(dear, fined, AHEAD)
@@ -150,10 +150,10 @@ def test_a_contact_costs_by_the_second_and_successive_steps_are_one(controls) ->
         np.testing.assert_allclose(
             outcome.reward - paid.reward, 2.0 * 0.02 * contact.sum(), atol=1e-5
         )
-        tallies.append(outcome.tally)
+        statistics.append(outcome.statistics)
     assert any(is_contact)
-    assert int(tallies[-1].collision_steps) == sum(is_contact)
-    assert int(tallies[-1].collisions) == (np.diff(np.array(is_contact, int)) == 1).sum()
+    assert int(statistics[-1].collision_steps) == sum(is_contact)
+    assert int(statistics[-1].collisions) == (np.diff(np.array(is_contact, int)) == 1).sum()
 
 
 def test_the_observation_is_of_where_the_robot_is(controls, scenario, wander) -> None:
@@ -294,7 +294,7 @@ def test_waypoints_are_reached_around_walls_without_touching(scenario) -> None:
         state, outcome = advance(environment, state, jnp.asarray(turn @ offset, jnp.float32))
     assert distances[-1] < 0.3
     assert max(distances) > distances[0] + 0.3  # it had to go back first
-    assert int(outcome.tally.collision_steps) == 0
+    assert int(outcome.statistics.collision_steps) == 0
 
 
 def test_bad_input_is_refused(make, controls, scenario) -> None:

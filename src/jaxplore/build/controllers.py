@@ -5,7 +5,7 @@ import math
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.build.parts import build_robot
-from jaxplore.build.place import Place
+from jaxplore.build.world import RunWorld
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
@@ -32,14 +32,14 @@ from jaxplore.settings.exploration import BASELINES, Settings
 
 
 def build_controller(
-    settings: Settings, robot: Dynamics, place: Place, perception: Perception
+    settings: Settings, robot: Dynamics, world: RunWorld, perception: Perception
 ) -> Controller:
     """Build the controller of an architecture.
 
     Args:
         settings: settings of the run.
         robot: model of the robot.
-        place: world of the run.
+        world: world of the run.
         perception: perception of the scenario.
 
     Raises:
@@ -48,21 +48,21 @@ def build_controller(
     if settings.architecture == "explorer":
         return explorer(robot, **arguments(settings.controller, explorer))
     if settings.architecture == "portfolio":
-        return _portfolio(settings, place)
+        return _portfolio(settings, world)
     if settings.architecture in BASELINES:
         return target_explorer(
             robot,
             settings.architecture,
             perception,
-            place.world,
+            world.grid,
             every=max(1, round(settings.rates.control / settings.rates.fields)),
             **arguments(settings.controller, explorer),
         )
-    return _quadrotor_controller(settings, robot, place, perception)
+    return _quadrotor_controller(settings, robot, world, perception)
 
 
 def _quadrotor_controller(
-    settings: Settings, robot: Dynamics, place: Place, perception: Perception
+    settings: Settings, robot: Dynamics, world: RunWorld, perception: Perception
 ) -> Controller:
     """Build informative MPPI or one of its baselines."""
     given = settings.informative
@@ -74,7 +74,7 @@ def _quadrotor_controller(
     )
     if settings.architecture == "random-walk":
         return random_walk(robot, flight)
-    goal = place.goal
+    goal = world.goal
     if goal is not None and "z" not in robot.state_names:
         goal = goal[:2]
     if settings.architecture == "goal":
@@ -86,8 +86,8 @@ def _quadrotor_controller(
     return informative_mppi(
         robot,
         "parallel" if settings.architecture == "parallel" else "two-layer",
-        target_choice=_zone_choice(settings, place, perception, view) if is_sequential else None,
-        resolution=place.world.resolution,
+        target_choice=_zone_choice(settings, world, perception, view) if is_sequential else None,
+        resolution=world.grid.resolution,
         sensor_model=perception.sensor_model,
         goal=goal,
         flight=flight,
@@ -101,30 +101,30 @@ def _quadrotor_controller(
 
 
 def _zone_choice(
-    settings: Settings, place: Place, perception: Perception, view: float
+    settings: Settings, world: RunWorld, perception: Perception, view: float
 ) -> TargetChoice:
-    if place.goal is None or not place.zones:
+    if world.goal is None or not world.zones:
         raise ValueError(
             "architecture is 'sequential', which goes from zone to zone and then to the goal; "
             "accepted: a world with both"
         )
     return zone_choice(
-        Zones.from_rectangles(place.zones, place.world),
-        place.goal[:2],
+        Zones.from_rectangles(world.zones, world.grid),
+        world.goal[:2],
         perception,
         Lidar(settings.lidar.num_beams, settings.lidar.max_range, view),
         **arguments(settings.informative, zone_choice),
     )
 
 
-def _portfolio(settings: Settings, place: Place) -> Portfolio:
+def _portfolio(settings: Settings, world: RunWorld) -> Portfolio:
     given = settings.portfolio
-    goal = None if place.goal is None else place.goal[:2]
+    goal = None if world.goal is None else world.goal[:2]
     return ground_portfolio(
         # Within a plan Euler's error is millimetres, and it saves a fifth of the time.
         build_robot(settings.robot, Euler()),
         Mission(
-            goal, has_terrain=place.ground is not None, has_moving_obstacles=bool(place.movers)
+            goal, has_terrain=world.ground is not None, has_moving_obstacles=bool(world.movers)
         ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),

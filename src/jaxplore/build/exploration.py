@@ -8,7 +8,7 @@ from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
-from jaxplore.build.place import Place, build_place
+from jaxplore.build.world import RunWorld, build_world
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
@@ -28,25 +28,25 @@ def build_exploration(settings: Settings) -> Experiment:
             rejects.
     """
     robot = build_robot(settings.robot)
-    place = build_place(settings, float(robot.radius))
+    world = build_world(settings, float(robot.radius))
     sensors = build_sensors(settings)
-    perception = _perception(settings, robot, place, sensors)
-    ground = place.ground
+    perception = _perception(settings, robot, world, sensors)
+    ground = world.ground
     scenario = ExplorationScenario(
-        place.world if ground is None else TerrainMap(place.world, ground),
+        world.grid if ground is None else TerrainMap(world.grid, ground),
         robot,
         sensors,
-        place.start,
+        world.start,
         perception=perception,
-        prior=place.prior,
-        goal=None if place.goal is None else place.goal[:2],
+        prior=world.prior,
+        goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
-        targets=place.targets or None,
-        moving_obstacles=MovingObstacles(place.movers) if place.movers else None,
+        targets=world.targets or None,
+        moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     )
-    controller = build_controller(settings, robot, place, perception)
+    controller = build_controller(settings, robot, world, perception)
     return Experiment(
         set_parameters(controller, settings.parameters),
         scenario,
@@ -56,9 +56,9 @@ def build_exploration(settings: Settings) -> Experiment:
 
 
 def _perception(
-    settings: Settings, robot: Dynamics, place: Place, sensors: tuple[Sensor, ...]
+    settings: Settings, robot: Dynamics, world: RunWorld, sensors: tuple[Sensor, ...]
 ) -> Perception:
-    goal = None if place.goal is None else place.goal[:2]
+    goal = None if world.goal is None else world.goal[:2]
     watch = settings.watch
     # When absent, the default of `Perception` applies, not that of the scenario.
     unknown: dict[str, Any] = (
@@ -66,11 +66,11 @@ def _perception(
     )
     return Perception(
         sensors,
-        place.world.resolution,
+        world.grid.resolution,
         robot.radius,
         sensor_model=build_sensor_model(settings.sensor_model),
         goal=goal,
-        ground=place.ground,
+        ground=world.ground,
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         **arguments(settings.fields, Perception),
@@ -93,8 +93,8 @@ def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
     if make_exploration_settings(entries).architecture == "portfolio":
         return ("explorer", "portfolio")
     settings = make_exploration_settings({**entries, "architecture": "two-layer"})
-    place = build_place(settings, settings.robot.radius)
-    has_goal, has_zones = place.goal is not None, bool(place.zones)
+    world = build_world(settings, settings.robot.radius)
+    has_goal, has_zones = world.goal is not None, bool(world.zones)
     allowed = {
         "two-layer": True,
         "parallel": True,

@@ -15,7 +15,7 @@ class Task(NamedTuple):
     """A kind of task.
 
     Args:
-        place: setting that names the map or path; its presence in the entries selects this kind.
+        selector: setting that names the map or path; its presence in the entries selects this kind.
         settings: class of its settings.
         check: function from entries to checked settings.
         build: function from settings to an experiment.
@@ -23,7 +23,7 @@ class Task(NamedTuple):
             a task without architectures.
     """
 
-    place: str
+    selector: str
     settings: type[RunSettings]
     check: Callable[[dict[str, Any]], RunSettings]
     build: Callable[[Any], Experiment]
@@ -62,9 +62,9 @@ def find_task(entries: dict[str, Any]) -> Task:
         ValueError: a path beside a map.
     """
     entries = _with_path(entries)
-    named = [task for task in TASKS.values() if task.place in entries]
+    named = [task for task in TASKS.values() if task.selector in entries]
     if len(named) > 1:
-        given = " beside ".join(f"the {task.place} {entries[task.place]!r}" for task in named)
+        given = " beside ".join(f"the {task.selector} {entries[task.selector]!r}" for task in named)
         raise ValueError(f"settings have {given}; accepted: one of them")
     return named[0] if named else TASKS["exploration"]
 

@@ -12,7 +12,7 @@ from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison import comparison_options, run_comparison
-from jaxplore.cli._options import option_entries, path_options, place_name, with_options
+from jaxplore.cli._options import folder_name, option_entries, path_options, with_options
 from jaxplore.cli._runner import runner_options
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._tune import run_tune
@@ -73,7 +73,7 @@ def run(
     """
     entries = option_entries(options)
     settings = make_settings(entries)
-    folder = free_name(Path("runs") / place_name(entries)) if out is None else out
+    folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiment = build(settings)
     result = simulate(

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._options import option_entries, place_name
+from jaxplore.cli._options import folder_name, option_entries
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison
 from jaxplore.report.console import progress_bar
@@ -136,7 +136,7 @@ def _in_one_place(
     settings = {name: make_settings(merge_entries(entries, own)) for name, own in variants.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
-    folder = free_name(Path("runs") / f"{place_name(entries)}-comparison") if out is None else out
+    folder = free_name(Path("runs") / f"{folder_name(entries)}-comparison") if out is None else out
     check_folder(folder, overwrite=overwrite)
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     first = common.seed

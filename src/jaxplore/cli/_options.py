@@ -154,7 +154,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     given = dict(options)
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     entries = {} if settings_file is None else read_settings(settings_file)
-    entries = _with_place(entries, given.pop("map_"), given.pop("path_file"))
+    entries = _with_map(entries, given.pop("map_"), given.pop("path_file"))
     along_path = PATH in entries
     for name, value in given.items():
         if value is None:
@@ -174,7 +174,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     return entries
 
 
-def _with_place(entries: dict[str, Any], map_: str | None, file: str | None) -> dict[str, Any]:
+def _with_map(entries: dict[str, Any], map_: str | None, file: str | None) -> dict[str, Any]:
     """Add the map or the path that the options name to settings entries."""
     if file is not None and map_ not in (None, PATH):
         raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
@@ -182,15 +182,15 @@ def _with_place(entries: dict[str, Any], map_: str | None, file: str | None) -> 
         return {**entries, PATH: str(Path(file).absolute())}
     if map_ == PATH:
         return {PATH: TRACK, **entries}
-    return entries if map_ is None else {**place_entries(map_), **entries}
+    return entries if map_ is None else {**map_entries(map_), **entries}
 
 
-def place_name(entries: Mapping[str, Any]) -> str:
+def folder_name(entries: Mapping[str, Any]) -> str:
     """Return a name for folders from the map or path of settings entries."""
     return Path(str(entries.get(PATH, entries.get("map")))).stem
 
 
-def place_entries(name: str) -> dict[str, Any]:
+def map_entries(name: str) -> dict[str, Any]:
     """Return settings entries for a map, a world or a scenario, given by its file or name."""
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}

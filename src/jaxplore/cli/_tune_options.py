@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from jaxplore.cli._options import option_entries, place_entries, place_name
+from jaxplore.cli._options import folder_name, map_entries, option_entries
 from jaxplore.settings.exploration import merge_entries, read_settings
 from jaxplore.settings.path import PATH
 from jaxplore.study.tuning.optimizers import NAMES
@@ -137,7 +137,7 @@ def scenario_entries(
         common = option_entries({**options, "map_": None})
         if "map" not in first:
             raise ValueError("map is missing; accepted: the YAML file of a ROS map, or a name")
-        name = place_name(first)
+        name = folder_name(first)
     scenarios = {name: first}
     for place in also:
         label = Path(place).stem
@@ -148,7 +148,7 @@ def scenario_entries(
         elif along_path:
             scenarios[label] = {**common, PATH: str(Path(place).absolute())}
         else:
-            scenarios[label] = {**place_entries(place), **common}
+            scenarios[label] = {**map_entries(place), **common}
     where = PATH if along_path else "map"
     is_one_place = all(each[where] == first[where] for each in scenarios.values())
     return scenarios, first if is_one_place else common

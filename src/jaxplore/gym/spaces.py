@@ -110,14 +110,14 @@ def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
 
 def facts(environment: Environment, outcome: StepResult, state: EnvironmentState) -> dict[str, Any]:
     """Return the entries of Gymnasium's `info`, for one or more environments."""
-    tally = outcome.tally
+    statistics = outcome.statistics
     arrays = jax.device_get(
         {
             **outcome.facts,
-            "path_length": tally.path_length,
+            "path_length": statistics.path_length,
             "is_collision": outcome.is_collision,
-            "collisions": tally.collisions,
-            "collision_steps": tally.collision_steps,
+            "collisions": statistics.collisions,
+            "collision_steps": statistics.collision_steps,
             "scenario": state.choice,
         }
     )

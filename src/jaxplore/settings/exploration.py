@@ -40,7 +40,7 @@ from jaxplore.settings.sections import (
     RunSettings,
     Section,
     Share,
-    validated,
+    checked_section,
 )
 from jaxplore.settings.sections import read_settings as read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
@@ -303,7 +303,7 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return validated(Settings, _with_defaults(entries))
+    return checked_section(Settings, _with_defaults(entries))
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:

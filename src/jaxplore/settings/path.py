@@ -18,7 +18,7 @@ from jaxplore.settings.sections import (
     RunSettings,
     Section,
     Steering,
-    validated,
+    checked_section,
 )
 from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
@@ -150,4 +150,4 @@ def make_path_settings(entries: dict[str, Any]) -> PathSettings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return validated(PathSettings, entries)
+    return checked_section(PathSettings, entries)

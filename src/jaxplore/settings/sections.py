@@ -64,7 +64,7 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
     return entries
 
 
-def validated[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
+def checked_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, Any]) -> Checked:
     """Check settings entries against a section.
 
     Raises:

@@ -50,7 +50,7 @@ class EnvironmentState(NamedTuple):
         perceived: state of the task after that perception.
         moment: time of that perception, and the state that was observed.
         belief: the robot's belief at that time.
-        tally: statistics of the episode so far.
+        statistics: statistics of the episode so far.
         key: random key of the run.
         choice: number of the scenario.
     """
@@ -59,7 +59,7 @@ class EnvironmentState(NamedTuple):
     perceived: Any
     moment: Moment
     belief: Any
-    tally: EpisodeStatistics
+    statistics: EpisodeStatistics
     key: Key
     choice: Count
 
@@ -75,7 +75,7 @@ class StepResult(NamedTuple):
         is_collision: whether the robot was in contact during the action.
         facts: numbers about the task, by name; see `AgentView.facts`.
         num_steps: control periods since the start.
-        tally: statistics of the episode so far.
+        statistics: statistics of the episode so far.
     """
 
     observation: dict[str, Array]
@@ -85,7 +85,7 @@ class StepResult(NamedTuple):
     is_collision: Flag
     facts: dict[str, Scalar]
     num_steps: Count
-    tally: EpisodeStatistics
+    statistics: EpisodeStatistics
 
 
 class Environment(eqx.Module):
@@ -185,7 +185,7 @@ class Environment(eqx.Module):
             perceived=loop.task,
             moment=moment_at(scenario, loop),
             belief=belief,
-            tally=EpisodeStatistics(jnp.zeros(()), zero, zero, jnp.array(False)),
+            statistics=EpisodeStatistics(jnp.zeros(()), zero, zero, jnp.array(False)),
             key=key,
             choice=choice,
         )
@@ -213,7 +213,7 @@ class Environment(eqx.Module):
             num_steps: number of control periods of the action, fewer if the episode ends; with 0
                 the robot only perceives. The periods between actions when absent.
         """
-        scenario, before = self.scenario(state.choice), state.tally
+        scenario, before = self.scenario(state.choice), state.statistics
         view = scenario.agent_view(self.view_cells)
         steps = self.steps_per_action if num_steps is None else num_steps
         controller = self.mode.controller(action, state.moment, state.belief, scenario)
@@ -222,7 +222,7 @@ class Environment(eqx.Module):
         # the next decision. So the loop makes one step more and keeps its perception only; the next
         # action repeats that step.
         def advance(course: _Course) -> _Course:
-            at, tally = course.ahead, course.tally
+            at, statistics = course.ahead, course.statistics
             measure_key, _ = step_keys(state.key, at.step)
             moment = moment_at(scenario, at)
             perceived, belief = scenario.perceive(at.task, moment, measure_key)
@@ -231,7 +231,7 @@ class Environment(eqx.Module):
             )
             position = scenario.robot.position
             moved = position(at.task.robot) - position(course.at.task.robot)
-            is_new = course.is_hit & ~tally.is_contact
+            is_new = course.is_hit & ~statistics.is_contact
             return _Course(
                 done=course.done + 1,
                 at=at,
@@ -240,11 +240,11 @@ class Environment(eqx.Module):
                 moment=moment,
                 belief=belief,
                 is_hit=view.is_contact(record),
-                tally=EpisodeStatistics(
-                    path_length=tally.path_length + jnp.sqrt(jnp.sum(moved * moved)),
-                    collisions=tally.collisions + is_new.astype(jnp.int32),
-                    collision_steps=tally.collision_steps + course.is_hit.astype(jnp.int32),
-                    is_contact=jnp.where(course.done == 0, tally.is_contact, course.is_hit),
+                statistics=EpisodeStatistics(
+                    path_length=statistics.path_length + jnp.sqrt(jnp.sum(moved * moved)),
+                    collisions=statistics.collisions + is_new.astype(jnp.int32),
+                    collision_steps=statistics.collision_steps + course.is_hit.astype(jnp.int32),
+                    is_contact=jnp.where(course.done == 0, statistics.is_contact, course.is_hit),
                 ),
             )
 
@@ -266,7 +266,7 @@ class Environment(eqx.Module):
                 moment=state.moment,
                 belief=state.belief,
                 is_hit=jnp.array(False),
-                tally=before,
+                statistics=before,
             ),
         )
         after = EnvironmentState(
@@ -274,11 +274,11 @@ class Environment(eqx.Module):
             perceived=course.perceived,
             moment=course.moment,
             belief=course.belief,
-            tally=course.tally,
+            statistics=course.statistics,
             key=state.key,
             choice=state.choice,
         )
-        contact = (course.tally.collision_steps - before.collision_steps).astype(jnp.float32)
+        contact = (course.statistics.collision_steps - before.collision_steps).astype(jnp.float32)
         penalty = self.collision_penalty * scenario.control_period * contact
         earned = view.reward(state.perceived, after.perceived)
         is_terminated = has_ended(course)
@@ -290,7 +290,7 @@ class Environment(eqx.Module):
             is_collision=contact > 0.0,
             facts=view.facts(after.perceived),
             num_steps=course.at.step,
-            tally=course.tally,
+            statistics=course.statistics,
         )
 
 
@@ -305,4 +305,4 @@ class _Course(NamedTuple):
     moment: Moment
     belief: Any
     is_hit: Flag
-    tally: EpisodeStatistics
+    statistics: EpisodeStatistics

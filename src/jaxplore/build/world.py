@@ -12,11 +12,11 @@ from jaxplore.settings.exploration import OFFICE, ZONES, Settings
 from jaxplore.simulation.exploration.reachability import open_spot
 
 
-class Place(NamedTuple):
+class RunWorld(NamedTuple):
     """The true world of a run, the start and the goal, and the map known in advance.
 
     Args:
-        world: true map.
+        grid: true map.
         start: start pose (x, y, yaw) [m, m, rad].
         prior: map that is known in advance; nothing when absent.
         goal: goal position (x, y) or (x, y, z) [m].
@@ -26,7 +26,7 @@ class Place(NamedTuple):
         movers: moving obstacles.
     """
 
-    world: OccupancyGrid
+    grid: OccupancyGrid
     start: tuple[float, float, float]
     prior: OccupancyGrid | None = None
     goal: tuple[float, ...] | None = None
@@ -36,7 +36,7 @@ class Place(NamedTuple):
     movers: tuple[MovingObstacle, ...] = ()
 
 
-def build_place(settings: Settings, radius: float) -> Place:
+def build_world(settings: Settings, radius: float) -> RunWorld:
     """Build the world of a run.
 
     Args:
@@ -52,7 +52,7 @@ def build_place(settings: Settings, radius: float) -> Place:
     if settings.map == OFFICE:
         grid = office(**arguments(settings.office, office), **arguments(settings, office))
         start = start_pose(grid) if settings.start is None else settings.start
-        return Place(grid, start, goal=settings.goal)
+        return RunWorld(grid, start, goal=settings.goal)
     if settings.map == ZONES:
         return _in_world(three_zones(), settings)
     if is_world_file(settings.map):
@@ -60,7 +60,7 @@ def build_place(settings: Settings, radius: float) -> Place:
     return _on_map(settings, radius)
 
 
-def _in_world(world: World, settings: Settings) -> Place:
+def _in_world(world: World, settings: Settings) -> RunWorld:
     given = settings.terrain
     if given.height_map is not None:
         raise ValueError(
@@ -68,7 +68,7 @@ def _in_world(world: World, settings: Settings) -> Place:
             "hills; accepted: a height map with a ROS map"
         )
     options = arguments(given, Ground)
-    return Place(
+    return RunWorld(
         world.truth(),
         world.start if settings.start is None else settings.start,
         world.prior(),
@@ -80,7 +80,7 @@ def _in_world(world: World, settings: Settings) -> Place:
     )
 
 
-def _on_map(settings: Settings, radius: float) -> Place:
+def _on_map(settings: Settings, radius: float) -> RunWorld:
     """Build the world of a ROS map, with its height map if there is one."""
     given = settings.terrain
     grid, ground = OccupancyGrid.from_ros(settings.map), None
@@ -99,4 +99,4 @@ def _on_map(settings: Settings, radius: float) -> Place:
         raise ValueError(
             f"start is missing; accepted: a pose in free space, for example {x:.2f} {y:.2f} 0"
         )
-    return Place(grid, settings.start, goal=settings.goal, ground=ground)
+    return RunWorld(grid, settings.start, goal=settings.goal, ground=ground)
