@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import (
@@ -297,15 +297,7 @@ class ExplorationScenario(Scenario):
         truth = self.true_world(state, moment._replace(time=moment.time + period))
         reach = self.clearance_reach
         robot, is_collision = truth.stopped(model, state.robot, moved, reach)
-        is_over = (state.finished > 0) | is_finished(
-            model.position(robot),
-            progress,
-            state.is_seen,
-            self.target_coverage,
-            self.goal,
-            self.goal_radius,
-            self.max_unknown,
-        )
+        is_over = self._is_finished(robot, progress, state.is_seen) | (state.finished > 0)
         record = ExplorationRecord(
             state=robot,
             control=control,
@@ -392,3 +384,9 @@ class ExplorationScenario(Scenario):
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
         return TrueWorld(grid, self.ground, state.moving_obstacles, moment.time)
+
+    def _is_finished(
+        self, robot: StateVector, progress: MapProgress, is_seen: Bool[Array, " M"]
+    ) -> Flag:
+        end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
+        return is_finished(self.robot.position(robot), progress, is_seen, *end)
