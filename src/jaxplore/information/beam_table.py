@@ -18,7 +18,7 @@ Without noise, and with no return counted, this reduces to one multiplication an
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import equinox as eqx
 import jax
@@ -38,7 +38,7 @@ UNROLL = 8
 NEGLIGIBLE = 1e-6
 """Probabilities of a reading in a cell below this are set to zero."""
 
-Read = Callable[[int, Array], Array]
+Read = Callable[[int, Sequence[Array]], Array]
 """Function from a channel and a start index to the channel's values (rows, columns)."""
 
 
@@ -164,7 +164,7 @@ class BeamTable(eqx.Module):
             first: cell (row, column) of node (0, 0) in `maps`.
             shape: rows and columns of nodes.
         """
-        passing = self._read(maps, shape)(0, self._starts(first, jnp.zeros(2, jnp.int32)))
+        passing = self._read(maps, shape)(0, list(self._starts(first, jnp.zeros(2, jnp.int32))))
         return passing >= 1.0 - OCCUPIED_THRESHOLD
 
     def beams(
@@ -201,10 +201,11 @@ class BeamTable(eqx.Module):
     def _read(self, maps: CellMaps, shape: tuple[int, int]) -> Read:
         """Return a function that slices (rows, columns) of a channel at a start index."""
 
-        def read(channel: int, start: Array) -> Array:
-            phase, row, column = (jax.lax.index_in_dim(start, k, keepdims=False) for k in range(3))
-            values = maps.channels[channel]
-            return jax.lax.dynamic_slice(values, (phase, row, column), (1, *shape))[0]
+        def read(channel: int, start: Sequence[Array]) -> Array:
+            # The margins keep every start at 0 or above. Otherwise each slice would wrap negative
+            # indices around, which makes the program longer by a quarter.
+            values, sizes = maps.channels[channel], (1, *shape)
+            return jax.lax.dynamic_slice(values, start, sizes, allow_negative_indices=False)[0]
 
         return read
 
@@ -216,7 +217,8 @@ class BeamTable(eqx.Module):
 
         def nearer(block: Array, value: Array) -> Array:
             nearest = (blocks - 1 - block) * UNROLL
-            cells, shares = (_parts(rows, nearest, UNROLL) for rows in (starts, weights))
+            cells = [list(start) for start in _parts(starts, nearest, UNROLL)]
+            shares = _parts(weights, nearest, UNROLL)
             for cell, share in zip(reversed(cells), reversed(shares), strict=True):
                 value = share * read(1, cell) + read(0, cell) * value
             return value
@@ -242,9 +244,8 @@ class BeamTable(eqx.Module):
             nearest = (blocks - 1 - block) * UNROLL
             # Information C of a reading in each cell of the window, summed from its first cell.
             passed, before, worth, free = jnp.zeros(shape), [], [], []
-            cells, shares = (
-                _parts(rows, nearest, UNROLL + 2 * width) for rows in (starts, weights)
-            )
+            cells = [list(start) for start in _parts(starts, nearest, UNROLL + 2 * width)]
+            shares = _parts(weights, nearest, UNROLL + 2 * width)
             for cell, share in zip(cells, shares, strict=True):
                 before.append(passed)
                 worth.append(share * read(1, cell) + passed)
@@ -313,7 +314,7 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
 
 def _parts(values: Array, first: Array, count: int) -> list[Array]:
     """Return `count` entries of an array as a list, starting at index `first`."""
-    some: Array = jax.lax.dynamic_slice_in_dim(values, first, count)
+    some: Array = jax.lax.dynamic_slice_in_dim(values, first, count, allow_negative_indices=False)
     return [jax.lax.index_in_dim(some, part, keepdims=False) for part in range(count)]
 
 

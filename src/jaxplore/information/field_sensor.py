@@ -290,7 +290,8 @@ class FieldSensor(eqx.Module):
         def evaluate(number: Array, sectors: Array) -> Array:
             beams = self.table.beams(maps, corner, size, order[number])
             beams = jnp.where(is_open, beams, 0.0)[None]
-            return jax.lax.dynamic_update_slice(sectors, beams, (order[number], node[0], node[1]))
+            at = order[number], node[0], node[1]
+            return jax.lax.dynamic_update_slice(sectors, beams, at, allow_negative_indices=False)
 
         count = jnp.sum(is_stale, dtype=jnp.int32)
         sectors: Array = jax.lax.fori_loop(0, count, evaluate, values.sectors)
@@ -329,8 +330,12 @@ def _add_up(sectors: Array, cumulative: Array, node: Array, size: tuple[int, int
         so_far, cumulative = carry
         for part in range(count):
             index = first + part
-            so_far = so_far + jax.lax.dynamic_slice(sectors, (index, row, column), (1, *size))
-            cumulative = jax.lax.dynamic_update_slice(cumulative, so_far, (index + 1, row, column))
+            so_far = so_far + jax.lax.dynamic_slice(
+                sectors, (index, row, column), (1, *size), allow_negative_indices=False
+            )
+            cumulative = jax.lax.dynamic_update_slice(
+                cumulative, so_far, (index + 1, row, column), allow_negative_indices=False
+            )
         return so_far, cumulative
 
     blocks, rest = divmod(sectors.shape[0], SUMS)
