@@ -1,53 +1,155 @@
-"""A robot on the ground that chooses zones, from settings to records as `jaxplore run` makes them.
+"""Whole flights as `jaxplore run` makes them, in short: each architecture and robot, and what goes
+wrong in flight."""
 
-The other architectures fly in `tests/planning/test_architectures.py`, and that settings give the
-same controllers is checked in `tests/build/test_defaults.py`.
-"""
+import functools
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
+from jaxplore import Faults
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
-STEPS = 50
-ON_THE_GROUND = {
+SHORT: dict[str, Any] = {
     "map": "zones",
-    "architecture": "sequential",
-    "robot": {"model": "differential_drive", "radius": 0.3, "max_speed": 1.0},
     "resolution": 0.2,
-    "rates": {"control": 25.0, "sensing": 12.5, "fields": 5.0},
+    "rates": {"control": 25.0, "sensing": 25.0, "fields": 5.0},
     "lidar": {"num_beams": 12},
     "fields": {"num_directions": 12},
     "informative": {
         "horizon": 20,
         "dt": 0.08,
-        "num_samples": 32,
+        "num_samples": 96,
         "field_beams": 6,
         "field_range": 6.0,
         "field_noise": 0.0,
         "field_spacing": 1.0,
     },
 }
+STEPS = 60
+SECOND = 25
+DELAYS = {"two-layer": 2, "parallel": 0}
+"""Control periods of 40 ms between a command and its effect."""
+ARCHITECTURES = pytest.mark.parametrize("architecture", DELAYS)
 
 
-def test_a_robot_on_the_ground_goes_from_zone_to_zone() -> None:
-    experiment = build(make_settings(ON_THE_GROUND))
-    scenario = experiment.scenario
-    controller = experiment.controller.at_period(scenario.control_period)
+class Flight(NamedTuple):
+    records: ExplorationRecord
+    positions: np.ndarray
+    belief: np.ndarray
+    initial_unknown: float
+
+
+def fly(flight: Experiment, faults: Faults | None = None, steps: int = STEPS) -> Flight:
+    scenario: ExplorationScenario = flight.scenario
+    if faults is not None:
+        scenario = eqx.tree_at(
+            lambda each: each.faults, scenario, faults, is_leaf=lambda leaf: leaf is None
+        )
+    controller = flight.controller.at_period(scenario.control_period)
     before = initial_loop_state(controller, scenario)
     after, records, done = run_chunk(
-        controller, scenario, before, experiment.key, jnp.asarray(STEPS), STEPS
+        controller, scenario, before, flight.key, jnp.asarray(steps), STEPS
     )
-    assert int(done) == STEPS
-    records = jax.tree.map(np.asarray, records)
+    records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
+    positions = np.concatenate([np.asarray(scenario.start)[None], records.state])[:, :2]
+    belief = np.asarray(after.task.belief.grid.probability)
+    return Flight(records, positions, belief, float(before.task.progress.unknown))
+
+
+def check(flight: Flight) -> None:
+    """It stays finite and touches nothing."""
+    records = flight.records
+    assert len(records.state) > SECOND
     assert np.isfinite(records.state).all()
     assert np.isfinite(records.control).all()
     assert not records.is_collision.any()
-    belief = np.asarray(after.task.belief.grid.probability)
-    assert belief.min() >= 0.0
-    assert belief.max() <= 1.0
-    travelled = records.state[-1, :2] - np.asarray(scenario.start)[:2]
-    assert np.linalg.norm(travelled) > 0.3
-    assert records.unknown[-1] < float(before.task.progress.unknown)
+    assert flight.belief.min() >= 0.0
+    assert flight.belief.max() <= 1.0
+
+
+def experiment(**changes: Any) -> Experiment:
+    return build(make_settings({**SHORT, **changes}))
+
+
+def test_a_random_walk_flies() -> None:
+    check(fly(experiment(architecture="random-walk")))
+
+
+def test_a_robot_on_the_ground_goes_from_zone_to_zone() -> None:
+    robot = {"model": "differential_drive", "radius": 0.3, "max_speed": 1.0}
+    found = fly(experiment(architecture="sequential", robot=robot))
+    check(found)
+    assert np.linalg.norm(found.positions[-1] - found.positions[0]) > 0.3
+    assert found.records.unknown[-1] < found.initial_unknown
+
+
+@functools.cache
+def flight_of(architecture: str) -> Experiment:
+    return experiment(architecture=architecture)
+
+
+def nothing(architecture: str) -> np.ndarray:
+    return np.zeros(flight_of(architecture).scenario.world.shape, bool)
+
+
+def with_faults(architecture: str, **faults: Any) -> Flight:
+    """Return a flight with faults; all of an architecture are one compiled program."""
+    given = {"walls": nothing(architecture), "control_delay": DELAYS[architecture], **faults}
+    return fly(flight_of(architecture), Faults(**given))
+
+
+@functools.cache
+def free_flight(architecture: str) -> Flight:
+    return with_faults(architecture)
+
+
+@ARCHITECTURES
+@pytest.mark.parametrize(
+    ("faults", "steps"),
+    [
+        ({}, 0),
+        ({"scan_dropout": (1.0, 2.0)}, SECOND),
+        ({"lost_odometry": (1.0, 1.5)}, SECOND // 2),
+        ({"frozen_odometry": (1.0, 1.5)}, SECOND // 2),
+    ],
+)
+def test_flies_on_through_faults(architecture: str, faults: dict, steps: int) -> None:
+    flight = with_faults(architecture, **faults) if faults else free_flight(architecture)
+    check(flight)
+    assert abs(int(flight.records.is_faulty.sum()) - steps) <= 1
+    assert flight.records.unknown[-1] < flight.initial_unknown
+    assert bool(flight.records.is_finite.all()) != ("lost_odometry" in faults)
+    late = DELAYS[architecture]
+    hovering = np.asarray(flight_of(architecture).scenario.robot.default_control)
+    np.testing.assert_array_equal(flight.records.control[:late], np.tile(hovering, (late, 1)))
+
+
+@ARCHITECTURES
+def test_stops_before_a_wall_that_appears(architecture: str) -> None:
+    """Across the way of the flight without it, where it is in sight and there is time to stop."""
+    free = free_flight(architecture)
+    path, begin = free.positions, SECOND
+    travelled = np.cumsum(np.linalg.norm(np.diff(path[begin:], axis=0), axis=1))
+    at = begin + int(np.argmax(travelled >= 2.0))
+    assert at > begin  # otherwise nothing would be in the way
+    ahead = path[at] - path[at - 5]
+    across = np.array([-ahead[1], ahead[0]]) / np.linalg.norm(ahead)
+    walls, frame = nothing(architecture), flight_of(architecture).scenario.world.frame
+    points = path[at] + np.linspace(-0.6, 0.6, 25)[:, None] * across
+    rows, columns = np.asarray(frame.to_cell(jnp.asarray(points, jnp.float32))).T
+    walls[rows, columns] = True
+    assert (walls & (free.belief < 0.25)).sum() > 3  # it is in what would be free
+    met = with_faults(architecture, walls=walls, walls_from=1.0)
+    check(met)
+    assert (met.belief[walls] > 0.65).any()
+    np.testing.assert_array_equal(met.positions[:begin], path[:begin])
+    both = min(len(path), len(met.positions))
+    assert np.abs(met.positions[:both] - path[:both]).max() > 0.3
