@@ -67,7 +67,7 @@ def number(
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
-    # The negated comparison also refuses NaN.
+    # The negated comparison also refuses NaN. `float` would accept a bool as 0 or 1.
     if (
         isinstance(value, bool)
         or not abs(result) <= LARGEST
@@ -140,6 +140,7 @@ def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
         if array.ndim != ndim or array.size == 0:
             shape = "(n,) with n" if ndim == 1 else "(H, W) with H, W"
             raise ValueError(f"{name} has shape {array.shape}; accepted: {shape} >= 1")
+        # The negated comparison also refuses NaN.
         if not ((array >= 0) & (array <= 1)).all():
             raise ValueError(
                 f"{name} spans {array.min()} to {array.max()}; accepted: values in [0, 1]"

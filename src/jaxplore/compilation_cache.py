@@ -117,6 +117,7 @@ def _make_private(folder: Path) -> None:
         ValueError: it belongs to another user, or others can write to it.
     """
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    # Windows has neither user ids nor these modes: there is nothing to check.
     if not hasattr(os, "geteuid"):
         return
     # Without following links: a link itself may belong to another user.
@@ -154,6 +155,7 @@ def _remove_broken(folder: Path) -> None:
 
 def _is_whole(entry: bytes) -> bool:
     """Check whether an entry can be decompressed. JAX uses Zstandard if installed, else zlib."""
+    # Every Zstandard frame begins with this magic number.
     if not entry.startswith(b"\x28\xb5\x2f\xfd"):
         try:
             return bool(zlib.decompress(entry))
@@ -194,6 +196,7 @@ def _silence() -> None:
     """Hide JAX's warnings about entries that cannot be read or written: it compiles instead."""
     for message in _NOISE:
         warnings.filterwarnings("ignore", message, UserWarning)
+    # Child processes take their filters from the environment.
     given = os.environ.get("PYTHONWARNINGS", "")
     rules = [rule for rule in given.split(",") if rule]
     rules += [rule for message in _NOISE if (rule := f"ignore:{message}") not in rules]

@@ -105,6 +105,7 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
     # A right last name with a wrong path is the most frequent mistake: list those first.
     last = name.rpartition(".")[2]
     exact = [each for each in known if each.rpartition(".")[2] == last]
+    # Without a cutoff the message lists names however different they are.
     close = difflib.get_close_matches(name, list(known), n=number, cutoff=0.0)
     return ", ".join(list(dict.fromkeys([*exact, *close]))[:number])
 
@@ -146,6 +147,7 @@ type _Found = tuple[tuple[str, ...], tuple[str | int, ...], Array]
 
 def _walk(tree: Any, names: tuple[str, ...], steps: tuple[str | int, ...]) -> Iterator[_Found]:
     """Yield the parameters of a pytree; `names` and `steps` lead to it from the root."""
+    # Costs are dataclasses too, so they come first: wrappers of a cost are left out of the path.
     if isinstance(tree, Cost):
         yield from _walk_cost(tree, names, steps)
     elif isinstance(tree, jax.Array):
@@ -157,6 +159,7 @@ def _walk(tree: Any, names: tuple[str, ...], steps: tuple[str | int, ...]) -> It
         for key, inner in tree.items():
             yield from _walk(inner, (*names, str(key)), (*steps, key))
     elif isinstance(tree, tuple | list):
+        # The path has the field names of a named tuple, but the step to a leaf is an index.
         keys = getattr(tree, "_fields", range(len(tree)))
         for index, (key, inner) in enumerate(zip(keys, tree, strict=True)):
             yield from _walk(inner, (*names, str(key)), (*steps, index))
@@ -176,6 +179,7 @@ def _walk_cost(
         name, weights, term, there = _unwrapped(each, at)
         seen[name] = seen.get(name, 0) + 1
         here = (*names, f"{name}-{seen[name]}" if seen[name] > 1 else name)
+        # A sum with a name or weight of its own is one term, and its terms are listed below it.
         if isinstance(term, SumCost):
             yield from _walk_cost(each, here, at)
         else:

@@ -116,6 +116,7 @@ def contributions(
         if noise is not None:
             hit = noise.measured(hit, edges, cell_size)
             hit = hit if in_range is None else jnp.where(in_range, hit, 0.0)
+        # Sum from the far end: as 1 minus a sum from the near end, small values would cancel.
         behind = jnp.append(jnp.cumsum(hit[::-1])[::-1][1:], 0.0)
         behind = behind + passed[-1] if no_return else behind
     return gains.occupied * hit + gains.free * behind
@@ -164,12 +165,14 @@ def cauchy_schwarz_information(
     weight = jnp.append(values * values / square, 1.0) * passed_square
     centre = jnp.append(0.5 * (edges[1:] + edges[:-1]), edges[-1])
     between = (centre[:, None] - centre[None, :]) / deviation
+    # The exponent of N(d; 2 s^2) is -d^2 / (4 s^2). Its factor in front cancels in I_CS.
     density = jnp.exp(-0.25 * between * between)
     information = (
         jnp.log(weight.sum())
         + jnp.log(first_hit @ density @ first_hit)
         - 2.0 * jnp.log(first_hit @ density @ weight)
     )
+    # The divergence is never negative, but rounding can make it so.
     return jnp.maximum(information, 0.0)
 
 

@@ -36,7 +36,7 @@ from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 UNROLL = 8
 """Cells per pass over the map: values in between stay in registers, twice as fast as one cell."""
 NEGLIGIBLE = 1e-6
-"""Probabilities of a reading in a cell below this are set to zero."""
+"""Probabilities of a reading in a cell below this are set to zero, which keeps the band narrow."""
 
 Read = Callable[[int, Sequence[Array]], Array]
 """Function from a channel and a start index to the channel's values (rows, columns)."""
@@ -128,6 +128,8 @@ class BeamTable(eqx.Module):
         if self.is_simple:
             channels = [1.0 - probability, expected_gain(probability, sensor)]
             if interest is not None:
+                # The gain is averaged over hit and pass, and interest counts only where the beam
+                # passes.
                 channels[1] = channels[1] + (1.0 - probability) * interest
         else:
             channels = [1.0 - probability, *cell_gains(probability, sensor)]
@@ -140,6 +142,7 @@ class BeamTable(eqx.Module):
         barrier = jax.lax.optimization_barrier
         stacked: Array = barrier(jnp.stack(channels))  # type: ignore[no-untyped-call]
         step = self.stride
+        # The phases have equal sizes only if the padded map is a multiple of the stride.
         fill = [
             -(sum(pair) + size) % step for pair, size in zip(margin, probability.shape, strict=True)
         ]
@@ -164,6 +167,7 @@ class BeamTable(eqx.Module):
             first: cell (row, column) of node (0, 0) in `maps`.
             shape: rows and columns of nodes.
         """
+        # Channel 0 is the probability that a beam passes: 1 - p, and 0 off the map.
         passing = self._read(maps, shape)(0, list(self._starts(first, jnp.zeros(2, jnp.int32))))
         return passing >= 1.0 - OCCUPIED_THRESHOLD
 
@@ -233,6 +237,7 @@ class BeamTable(eqx.Module):
         width = taps // 2
         end = 1.0 if self.no_return else 0.0
         sides = (width, width)
+        # The noise reaches `width` cells beyond both ends of the ray. The shares there are 0.
         starts = jnp.pad(_padded(start), (sides, (0, 0)))
         weights = jnp.pad(_padded(self.weight[direction]), sides)
         readings, kepts = _padded(self.reading[direction]), _padded(self.kept[direction])
@@ -259,6 +264,8 @@ class BeamTable(eqx.Module):
                 of_hit = functools.reduce(jnp.add, terms) - kept[part] * before[here]
                 of_pass = free[here] * counted + value
                 value = (1.0 - passing) * of_hit + passing * of_pass
+                # V is still 0 in the padding at the far end, but K starts at `end` and must stay
+                # there.
                 through = kept[part] * (1.0 - passing) + passing * counted
                 counted = jnp.where(nearest + part < length, through, counted)
             return value, counted
@@ -291,6 +298,7 @@ def window_maps(
     )
     height, width = belief.shape
     is_row, is_column = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
+    # Off the map the clipped indices repeat the border, which `is_inside` masks.
     piece = belief.probability[jnp.clip(rows, 0, height - 1)]
     piece = piece[:, jnp.clip(columns, 0, width - 1)]
     is_inside = is_row[:, None] & is_column[None, :]
@@ -335,9 +343,11 @@ def _readings(
     directions, size = exit_.shape
     if noise is None:
         return np.where(is_cell, 1.0, 0.0)[..., None]
+    # Padding cells get length zero, so that no reading falls into them.
     farthest = np.where(is_cell, exit_, 0.0).max(axis=1, keepdims=True)
     edges = np.concatenate([np.zeros((directions, 1)), np.where(is_cell, exit_, farthest)], axis=1)
 
+    # The noise of a certain hit in each cell in turn gives the whole of G.
     @jax.jit
     def spread(line: Array) -> Array:
         return jax.vmap(lambda hit: noise.measured(hit, line, resolution))(jnp.eye(size))

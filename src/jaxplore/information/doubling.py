@@ -47,6 +47,7 @@ def is_faster(length: float, stride: int, spacing: float | None) -> bool:
         stride: number of cells between nodes; doubling evaluates every cell whatever the stride.
         spacing: angle between beams [rad]; None if near cells are not shared among beams.
     """
+    # Nearer than 1 / spacing, where beams are less than a cell apart, doubling saves nothing.
     near = 0.0 if spacing is None else 1.0 / spacing
     return length - near > WORTHWHILE * stride * stride
 
@@ -102,11 +103,14 @@ class Doubling(eqx.Module):
         for angle in angles:
             vector = _shortest_period(angle, tolerance)
             step = math.hypot(*vector)
+            # Rays are tabulated for the first quadrant; for the others `facing` flips the map.
             positive = math.atan2(abs(vector[0]), abs(vector[1]))
             # Split the ray into cells near the sensor, whole periods, and the rest.
             ray = ray_offsets(np.array([positive]), length)
             offset, entry, leave = ray.offset[0], ray.entry[0], ray.exit[0]
             size = int(np.isfinite(leave).sum())
+            # The table holds only cells that a ray leaves within its length. A length of one cell
+            # more than the period includes the cell in which the next period begins.
             one = ray_offsets(np.array([positive]), step + 1.0).offset[0].tolist()
             cells = one.index([abs(vector[0]), abs(vector[1])])
             num_near = math.ceil(near_length / step - 1e-9)
@@ -188,6 +192,7 @@ class Doubling(eqx.Module):
             row, column = jnp.minimum(offset.astype(jnp.int32), farthest)
             return jax.lax.dynamic_slice(buffer, (row, column), shape)
 
+        # The barrier makes XLA compute the padded maps once, not once per slice that reads them.
         buffers: tuple[Array, Array] = jax.lax.optimization_barrier(  # type: ignore[no-untyped-call]
             (put(empty, passing), put(empty, gain))
         )

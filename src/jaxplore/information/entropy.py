@@ -129,6 +129,8 @@ class EntropyFan(eqx.Module):
     def _at_pose(
         self, grid: OccupancyGrid, entropy: GridValues, position: Position, heading: Scalar
     ) -> Scalar:
+        # Converting NaN to a cell is undefined, so a pose that is not finite is replaced here and
+        # masked at the end.
         is_finite = jnp.isfinite(position).all() & jnp.isfinite(heading)
         start = grid.frame.to_grid(jnp.where(is_finite, position, 0.0))
         here = grid.at_cell(jnp.floor(start).astype(jnp.int32))
@@ -140,6 +142,7 @@ class EntropyFan(eqx.Module):
         height, width = grid.shape
 
         def beam(angle: Scalar) -> Scalar:
+            # Grid coordinates are (row, column): rows are along y, so the sine comes first.
             direction = jnp.stack([jnp.sin(angle), jnp.cos(angle)])
             cell = jnp.floor(start + depth[:, None] * direction).astype(jnp.int32)
             # Samples off the map read an index out of bounds, which is filled with 0.
@@ -156,6 +159,7 @@ class EntropyFan(eqx.Module):
     def _sight(self, grid: OccupancyGrid, start: Position, angle: Scalar) -> Scalar:
         """Return the distance at which a beam leaves the first occupied cell [cells]."""
         cells = traverse(start, angle, self.lidar.max_range / grid.resolution)
+        # A beam that only touches the corner of a wall passes it.
         is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
         return jnp.where(is_wall, cells.exit, jnp.inf).min()
 

@@ -62,7 +62,10 @@ class InformationField(eqx.Module):
         # A full circle needs no interpolation over direction, and does not depend on the heading.
         if view >= 2.0 * math.pi - 1e-6:
             return gather(self.cumulative, nodes, 0.0, self.sectors.shape[0])
+        # Converting NaN to an index is undefined, so a heading that is not finite is replaced here
+        # and masked at the end.
         is_finite = jnp.isfinite(heading)
+        # Sectors are counted from the x axis of the lattice, not of the world.
         centre = jnp.where(is_finite, heading, 0.0) - self.frame.origin[2]
         upper, lower = (self._until(nodes, centre + part * view) for part in (0.5, -0.5))
         return jnp.where(is_finite, upper - lower, 0.0)
@@ -106,6 +109,8 @@ class InformationField(eqx.Module):
         sectors = self.sectors.shape[0]
         sector = angle * (sectors / (2.0 * math.pi))
         turns = jnp.floor(sector / sectors)
+        # Rounding may give a whole turn, or slightly more. It belongs to the end of the last
+        # sector, because `cumulative` has no entry behind that.
         within = jnp.clip(sector - turns * sectors, 0.0, float(sectors))
         first = jnp.minimum(within.astype(jnp.int32), sectors - 1)
         share = within - first.astype(within.dtype)

@@ -203,6 +203,7 @@ class FieldSensor(eqx.Module):
                 f"field has {field.sectors.shape[1:]} nodes; accepted: {shape}, those of the map"
             )
         if self.doubling is not None:
+            # Doubling works on whole maps only.
             return self.field(belief, sensor)
         tiles = tuple(-(-count // TILE) for count in shape)
         changed = self._changed_blocks(field.source != belief.probability, tiles)
@@ -212,6 +213,8 @@ class FieldSensor(eqx.Module):
             changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
         )
         count = jnp.sum(touched, dtype=jnp.int32)
+        # Shapes are static, so the list has room for all tiles. The loop visits only the first
+        # `count`.
         (order,) = jnp.nonzero(touched.reshape(-1), size=tiles[0] * tiles[1], fill_value=0)
         maps = self._maps(belief, sensor)
 

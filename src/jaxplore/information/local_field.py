@@ -74,6 +74,7 @@ class LocalFieldSensor(eqx.Module):
         which = np.empty(len(order), int)
         which[order] = np.cumsum(is_new) - 1
         first = order[is_new]
+        # A single beam has no neighbours with which it would share near cells.
         has_spacing = pose.near_weight and pose.lidar.num_beams > 1
         self.table = BeamTable(
             beams.reshape(-1)[first],
@@ -110,6 +111,8 @@ class LocalFieldSensor(eqx.Module):
         stride, count = self.table.stride, self.num_nodes
         # Round rows up to whole vector registers: extra nodes cost less than a remainder loop.
         shape = (count, -(-count // LANES) * LANES)
+        # Converting NaN to a cell is undefined, so a position that is not finite is replaced here
+        # and masked at the end.
         is_finite = jnp.isfinite(position).all()
         here = grid.frame.to_cell(jnp.where(is_finite, position, 0.0))
         first = here - stride * (count // 2)

@@ -79,12 +79,14 @@ class GaussianNoise(RangeNoise):
         n = hit.shape[0]
         width = n
         if self.reach is not None and cell_size is not None:
-            # A ray of length d lies in at most sqrt(2) d + 3 cells.
+            # A ray of length d lies in at most sqrt(2) d + 3 cells, one of them the hit cell
+            # itself. It begins in the middle of that cell, up to 0.71 cells before its end.
             width = math.ceil(math.sqrt(2.0) * (self.reach / cell_size + 0.75)) + 2
         if width >= n:
             return hit @ self._share(jnp.broadcast_to(edges, (n, n + 1)), middle[:, None])
         # Store the band by offset, row j for cells j - width ... j + width, and sum its diagonals.
         near = jnp.arange(n)[:, None] + jnp.arange(-width, width + 2)
+        # Beyond both ends of the beam the last edge repeats: cells of length zero get no reading.
         share = self._share(edges[jnp.clip(near, 0, n)], middle[:, None])
         spread = jnp.pad(hit[:, None] * share, ((width, width), (0, 0)))
         total = jnp.zeros(n)
@@ -125,6 +127,7 @@ class ToeplitzNoise(RangeNoise):
                 raise ValueError(
                     f"weights has shape {values.shape}; accepted: an odd number of them"
                 )
+            # In single precision weights that add up to 1 may exceed it by rounding.
             if not ((values >= 0.0).all() and values.sum() <= 1.0 + 1e-5):
                 raise ValueError(f"weights is {weights!r}; accepted: values >= 0 with a sum <= 1")
         self.weights = jnp.asarray(weights, jnp.float32)
@@ -159,6 +162,7 @@ class ToeplitzNoise(RangeNoise):
         padded = jnp.pad(hit, width)
         total = jnp.zeros(n)
         for shift in range(2 * width + 1):
+            # A reading in cell k comes from the hit in cell k + shift - width, so g runs backwards.
             total = total + self.weights[2 * width - shift] * padded[shift : shift + n]
         return total
 

@@ -107,6 +107,8 @@ class PoseInformation(eqx.Module):
         """
         resolution = grid.resolution
         length = self.lidar.max_range / resolution
+        # Converting NaN to a cell is undefined, so a pose that is not finite is replaced here and
+        # masked by `is_open`.
         is_finite = jnp.isfinite(position).all() & jnp.isfinite(heading)
         start = grid.frame.to_grid(jnp.where(is_finite, position, 0.0))
         angles = jnp.where(is_finite, heading, 0.0) - grid.frame.origin[2]
@@ -146,6 +148,7 @@ def _only_crossed(cells: RayCells) -> RayCells:
 
     `UniformNoise` and `ToeplitzNoise` count cells, and must not count these.
     """
+    # The sort is stable: the cells that count stay in the order of their distance.
     order = jnp.argsort(~cells.is_crossed)
     cell, entry, exit_, is_crossed = (part[order] for part in cells)
     end = cells.exit[-1]

@@ -109,6 +109,7 @@ class TrajectoryInformation(eqx.Module):
             raise ValueError(
                 f"headings has shape {headings.shape}; accepted: {positions.shape[:1]}"
             )
+        # Headings come before the stride: those between every n-th position would cut corners.
         headings = path_headings(positions) if headings is None else headings
         positions, headings = positions[:: self.every], headings[:: self.every]
         if self.method == "occlusion":
@@ -117,6 +118,7 @@ class TrajectoryInformation(eqx.Module):
         if self.method == "direct":
             return values
         if self.method == "temporal":
+            # The discount counts steps of the trajectory, not evaluated poses.
             steps = self.every * jnp.arange(values.shape[0], dtype=jnp.float32)
             return values * self.discount**steps
         before, is_first = self._overlap(grid, positions, headings)
@@ -189,6 +191,8 @@ class TrajectoryInformation(eqx.Module):
         is_narrower = ahead * ahead >= square * (edge * edge)
         is_ahead = ahead >= 0.0
         in_view = is_ahead & is_narrower if edge >= 0.0 else is_ahead | ~is_narrower
+        # Cells straight behind lie on the edge of a full circle, where the test above excludes
+        # them.
         if self.pose.lidar.is_full_circle:
             in_view = jnp.ones_like(in_view)
         in_range = square <= (self.pose.lidar.max_range / grid.resolution) ** 2
@@ -211,7 +215,11 @@ class _Window:
         return jnp.zeros((height + 2 * self.reach, width + 2 * self.reach), dtype)
 
     def first(self, position: Position) -> Int[Array, "2"]:
-        """Return the middle cell of a window, clipped to the map."""
+        """Return the middle cell of a window, clipped to the map.
+
+        On the padded map it is the index at which the window begins.
+        """
+        # A pose off the map sees nothing, but its window still has to lie within the padded map.
         cell = self.grid.frame.to_cell(jnp.where(jnp.isfinite(position), position, 0.0))
         return jnp.clip(cell, 0, jnp.asarray(self.grid.shape, jnp.int32) - 1)
 
@@ -219,6 +227,7 @@ class _Window:
         """Sum the values of equal cells over a window; cells outside of it are dropped."""
         local = cell + self.reach - first
         inside = ((local >= 0) & (local < self.size)).all(axis=-1)
+        # Cells outside get an index past the end, which `mode="drop"` leaves out.
         index = jnp.where(inside, local[..., 0] * self.size + local[..., 1], self.size**2)
         total = jnp.zeros(self.size**2)
         total = total.at[index.reshape(-1)].add(value.reshape(-1), mode="drop")
@@ -243,6 +252,8 @@ def path_headings(positions: Float[Array, "T 2"]) -> Float[Array, " T"]:
     if positions.shape[0] == 1:
         return jnp.zeros(1)
     step = jnp.diff(positions, axis=0)
+    # A step below a micrometre has no direction. The gradient of `arctan2` is NaN at (0, 0), so
+    # such a step is replaced by (1, 0).
     moves = jnp.sum(step * step, axis=-1) > 1e-12
     angle = jnp.arctan2(jnp.where(moves, step[:, 1], 0.0), jnp.where(moves, step[:, 0], 1.0))
 

@@ -29,6 +29,7 @@ def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) ->
         frame: pose and cell size of the map.
         max_distance: upper bound of the distance [m]; static.
     """
+    # The distance is reduced by half a cell below, so the search reaches that much farther.
     reach = max(1, math.ceil(max_distance / frame.resolution + 0.5))
     far = float((reach + 1) ** 2)
     # Start with a value beyond the bound instead of infinity, which would spoil the sums.

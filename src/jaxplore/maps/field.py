@@ -48,6 +48,7 @@ def stencil(shape: tuple[int, int], grid: Float[Array, "2"], margin: float = 0.5
     slack = margin + 1e-4
     inside = (row >= -slack) & (row <= height - 1 + slack)
     inside &= (column >= -slack) & (column <= width - 1 + slack)
+    # A point outside, which may be NaN, still needs valid nodes; `gather` replaces its value.
     row = jnp.clip(jnp.where(inside, row, 0.0), 0.0, height - 1.0)
     column = jnp.clip(jnp.where(inside, column, 0.0), 0.0, width - 1.0)
     # On the last node take the interval before it, and on an axis of one node the node itself.

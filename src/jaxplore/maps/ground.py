@@ -181,6 +181,7 @@ class Ground(eqx.Module):
         return jnp.where(self.contains(cell), layer[row, column], 0.0)
 
 
+# Outside of `jit` each of the many slices would be compiled as a program of its own.
 @jax.jit
 def _relief(elevation: GridValues, resolution: Scalar | float) -> tuple[GridValues, GridValues]:
     """Return the slope [m/m] and the roughness [m] of each cell."""
@@ -256,4 +257,5 @@ def _traversability(value: ArrayLike, shape: tuple[int, ...]) -> GridValues:
             f"traversability has shape {np.shape(value)}; accepted: the elevation's, {shape}"
         )
     given = _checks.probabilities("traversability", value, 2)
+    # Only traced values can fail this test; others have been checked.
     return jnp.clip(jnp.where(jnp.isnan(given), 0.0, given), 0.0, 1.0)

@@ -181,6 +181,7 @@ def _cells_near(low: Points, high: Points, mask: Mask, frame: GridFrame) -> tupl
     # The grid may have a yaw: take the bounding box of the corners in grid coordinates.
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     grid = _to_grid(corners, frame)
+    # One more cell on each side makes up for rounding.
     first = np.clip(np.floor(grid.min(axis=0)) - 1, 0, mask.shape).astype(int)
     last = np.clip(np.ceil(grid.max(axis=0)) + 1, 0, mask.shape).astype(int)
     window = slice(first[0], last[0]), slice(first[1], last[1])

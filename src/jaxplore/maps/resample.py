@@ -9,6 +9,7 @@ CELL_LIMIT = 64_000_000
 """Largest map that is created [cells]."""
 
 _OCCUPIED_THRESHOLD = 0.65
+"""The `OCCUPIED_THRESHOLD` of `occupancy_grid`, which imports this module."""
 SLIVER = 1e-6
 """Parts of a cell below this are rounding errors: 0.15 m is not 3 x 0.05 m in binary [cells]."""
 

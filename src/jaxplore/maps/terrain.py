@@ -348,6 +348,7 @@ def _least(
     padded = np.pad(values, padding, constant_values=1.0)
     bounds = np.stack([first, stop], axis=-1).ravel()
     both = np.minimum.reduceat(padded, bounds, axis=axis)
+    # Every second result is the minimum between one new cell's end and the next one's start.
     return np.take(both, np.arange(0, 2 * new_size, 2), axis=axis)
 
 

@@ -196,6 +196,8 @@ class World:
             ValueError: a world that takes more YAML than `from_yaml` reads.
             OSError: the file cannot be written; an earlier file stays untouched.
         """
+        # The width keeps each row of numbers on one line; by default YAML breaks lines at 80
+        # characters.
         text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None, width=2**31)
         if len(text) > untrusted.YAML_LIMIT:
             raise ValueError(
@@ -222,6 +224,7 @@ class World:
         It is 0.99 in known obstacles, else 0.5 in zones, else 0.01. Hidden obstacles are absent.
         """
         return self._painted(
+            # Later layers cover earlier ones: known obstacles inside a zone are known.
             (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
             (self._solid(self.known), SOLID_PROBABILITY),
         )
@@ -276,6 +279,7 @@ class World:
 
     def _check_zones(self) -> None:
         (x, y), (width, height) = self.origin, self.size
+        # Maxima change their sign, so that one comparison tests all four sides.
         bounds = np.array([x, y, -x - width, -y - height]) - TOLERANCE
         for index, zone in enumerate(self.zones):
             if (np.array(zone) * [1, 1, -1, -1] < bounds).any():

@@ -90,6 +90,7 @@ def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:
         opaque = None if clear is None else grey != clear
         if not alpha_is_shade or opaque is None:
             return Greys(levels, maxval or 65535, opaque)
+        # nav2 averages red, green, blue and alpha. In a grey image the three colours are equal.
         return Greys(3 * levels.astype(np.int32) + 65535 * opaque, 4 * 65535, opaque)
     has_alpha = image.has_transparency_data
     # Grey images are weighted by 3, so that their levels are comparable with sums of three colours.

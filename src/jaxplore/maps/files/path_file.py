@@ -15,6 +15,7 @@ CSV_LIMIT = 10_000_000
 YAML_LIMIT = 1_000_000
 """Largest YAML file that is read [bytes]: about 5000 poses."""
 MOST_WAYPOINTS = 100_000
+"""Greatest number of waypoints of a path."""
 COLUMNS = {
     2: "x, y",
     3: "x, y and a column that is not read",
@@ -93,6 +94,7 @@ def _csv_rows(file: FilePath) -> np.ndarray:
     where = printable_path(file)
     data = read_bytes(file, "a path's CSV", CSV_LIMIT)
     try:
+        # Spreadsheets may write a byte order mark before the first number.
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         raise ValueError(f"{where} is not text; accepted: numbers in UTF-8") from None

@@ -67,9 +67,9 @@ def read_map(
     # Convert a table of grey levels: it is exact in float64 without a float64 copy of the map.
     shade = np.arange(greys.full + 1) / greys.full
     probability = _probability(shade, settings).astype(np.float32)[greys.level]
-    # Row 0 of a map is at its origin, the bottom row of the image.
     if settings.mode == "scale" and greys.opaque is not None:
         probability[~greys.opaque] = _UNKNOWN
+    # Row 0 of a map is at its origin, the bottom row of the image.
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
 
 
@@ -143,6 +143,7 @@ def write_map(
     )
     image = io.BytesIO()
     _grey_image(values[::-1], mode).save(image, format="PNG" if mode == "scale" else "PPM")
+    # The image is first, so that the YAML file never names one that is not there.
     replace_files([(image_path, image.getvalue()), (path, text.encode())])
 
 

@@ -229,6 +229,7 @@ def touches_solid(
     # Nothing intersects, so the distances of ends and corners decide.
     from_end = np.maximum(np.abs(ends[:, None] - centres) - half, 0.0)
     corners = centres[:, None] + half * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    # The ends of an obstacle that stands still coincide: keep the division finite.
     squared = max(float(along @ along), np.finfo(np.float64).tiny)
     share = np.clip((corners - ends[0]) @ along / squared, 0.0, 1.0)
     from_corner = corners - ends[0] - share[..., None] * along

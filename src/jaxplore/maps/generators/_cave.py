@@ -32,6 +32,7 @@ def cave(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution
         share = (low + high) / 2
         part = widest_part(inner & (rise > np.quantile(rise, 1.0 - share)), radius, resolution)
         is_enough = bool(np.count_nonzero(part) >= wanted)
+        # If no share is enough, the greatest one is taken.
         if is_enough or not was_enough:
             best = part
         was_enough |= is_enough

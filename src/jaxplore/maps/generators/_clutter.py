@@ -18,6 +18,7 @@ def between(easy: float, hard: float, difficulty: float) -> float:
 
 def wall_cells(resolution: float) -> int:
     """Return the thickness of a wall of about 0.15 m [cells]."""
+    # Round half up. The margin is for 0.15 / 0.1, which is slightly less than 1.5 in binary.
     return max(1, math.floor(0.15 / resolution + 0.5 + 1e-9))
 
 
@@ -32,7 +33,8 @@ def clearance_cells(radius: float, resolution: float) -> float:
 
 def passage_cells(breadth: float, resolution: float) -> int:
     """Return the number of cells across a passage of a width [m] that the robot fits through."""
-    # Round up, unless the remainder is less than a quarter of a cell.
+    # Round up, unless the remainder is less than a quarter of a cell. The robot fits where the
+    # middle cell of an odd width is a clearance away from both walls.
     wanted = math.ceil(breadth / resolution - 0.25)
     return max(wanted, 2 * math.ceil(clearance_cells(ROBOT_RADIUS, resolution)) - 1)
 
@@ -45,6 +47,7 @@ def widest_part(free: Mask, radius: float, resolution: float) -> Mask:
     from scipy import ndimage  # slow to import, and few need it
 
     reach = clearance_cells(radius, resolution)
+    # The padding makes the edge of the map a wall.
     pieces, count = ndimage.label(ndimage.distance_transform_edt(np.pad(free, 1)) >= reach)
     if not count:
         return np.zeros_like(free)

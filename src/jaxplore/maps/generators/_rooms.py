@@ -15,7 +15,9 @@ from jaxplore.maps.generators._clutter import (
 from jaxplore.maps.generators.office import Box
 
 _DOOR_CLEARANCE = 0.9
+"""Distance from a door within which no furniture stands [m]."""
 _JAMB = 0.3
+"""Least distance of a door from the corners of a room [m]."""
 
 
 def rooms(rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float) -> None:

@@ -8,15 +8,18 @@ import numpy as np
 from jaxplore.maps.generators._clutter import Clutter, Mask, between, block, wall_cells
 
 _SHELF = 1.0
+"""Depth of a row of shelves [m]."""
 _BLOCK = 8.0
+"""Length of a row of shelves between two cross aisles, roughly [m]."""
 _PALLET = (1.2, 0.8)
+"""Sides of a Euro pallet [m]."""
 
 
 def warehouse(
     rng: np.random.Generator, occupied: Mask, difficulty: float, resolution: float
 ) -> None:
     """Place rows of shelves with aisles between them, and pallets in the aisles."""
-    # Transpose some maps, so that aisles run along either axis.
+    # Transpose some maps, so that aisles run along either axis. The view writes into the same map.
     if rng.random() < 0.3:
         occupied = occupied.T
     height, width = occupied.shape

@@ -24,7 +24,9 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
 
 KINDS = ("rooms", "office", "maze", "cave", "warehouse", "hall", "open")
-"""Kinds of maps that `generate_map` can draw."""
+"""Kinds of maps that `generate_map` can draw.
+
+The position of a kind is part of its seed, so new kinds are added at the end."""
 
 _SIZES = {
     "rooms": (18.0, 14.0),
@@ -104,6 +106,7 @@ def generate_map(
     else:
         occupied = np.zeros((round(height / resolution), round(width / resolution)), bool)
         wall = wall_cells(resolution)
+        # Writing through the transposed view closes the other two sides.
         for edge in (occupied, occupied.T):
             edge[:wall] = edge[-wall:] = True
     # Kinds with the same seed get independent random numbers.

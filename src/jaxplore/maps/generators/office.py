@@ -16,7 +16,9 @@ START_CLEARANCE = 0.5
 """Least distance from the walls at the start pose [m]."""
 
 _DOOR_CLEARANCE = 0.9
+"""Distance from a door within which no furniture stands [m]."""
 _AISLE = 0.8
+"""Least passage between two pieces of furniture [m]."""
 # Furniture: kind, sides [m], least area of a room for it [m^2], whether it stands at a wall.
 _FURNITURE = (
     ("table", (1.8, 1.0), 16.0, False),
@@ -75,6 +77,7 @@ def office(
     rng = np.random.default_rng(number)
     occupied = np.zeros((round(height / resolution), round(width / resolution)), bool)
     wall = max(1, math.floor(0.15 / resolution + 0.5 + 1e-9))
+    # Writing through the transposed view closes the other two sides.
     for edge in (occupied, occupied.T):
         edge[:wall] = edge[-wall:] = True
 
@@ -109,6 +112,7 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
 
     free = np.asarray(grid.is_free)
     position = np.arange(1, free.shape[1] + 1)
+    # The last blocked cell up to each cell, counted from 1, gives the free run that ends there.
     blocked_at = np.maximum.accumulate(np.where(free, 0, position), axis=1)
     run = position - blocked_at
     row, last = _middle_longest(run)
@@ -122,6 +126,7 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
         )
     if not is_wide[row, last + 1 - run[row, last] : last + 1].any():
         wide_at = np.maximum.accumulate(np.where(is_wide, position, 0), axis=1)
+        # Only runs in which the last wide cell is behind the last blocked one count.
         row, last = _middle_longest(np.where(wide_at > blocked_at, run, 0))
     first = last - int(run[row, last]) + 1
     wide = np.flatnonzero(is_wide[row, first : last + 1])
@@ -224,6 +229,7 @@ def _furnish(
     area = (high - low) * (right - left) * resolution**2
     aisle = math.ceil(_AISLE / resolution)
     pieces = np.zeros_like(occupied[low:high, left:right])
+    # Large rooms are furnished from the list more than once.
     for kind, sides, smallest_room, at_wall in _FURNITURE * (1 + int(area // 40.0)):
         if area < smallest_room or rng.random() < 0.2:
             continue
@@ -288,6 +294,7 @@ def _is_connected(occupied: NDArray[np.bool_], room: Box, wall: int, resolution:
     from scipy import ndimage  # slow to import, and few need it
 
     low, high, left, right = room
+    # Whether the robot fits into a doorway depends on what stands outside of the room, too.
     margin = math.ceil(ROBOT_RADIUS / resolution) + 2
     rows = slice(max(0, low - wall - margin), high + wall + margin)
     columns = slice(max(0, left - wall - margin), right + wall + margin)
