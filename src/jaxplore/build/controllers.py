@@ -55,6 +55,7 @@ def build_controller(
             settings.architecture,
             perception,
             world.grid,
+            # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
             **arguments(settings.controller, explorer),
         )

@@ -72,6 +72,7 @@ def _perception(
         goal=goal,
         ground=world.ground,
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
+        # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         **arguments(settings.fields, Perception),
         **unknown,
@@ -92,6 +93,7 @@ def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:
     """
     if make_exploration_settings(entries).architecture == "portfolio":
         return ("explorer", "portfolio")
+    # The architectures below are those of a quadrotor, so its defaults apply.
     settings = make_exploration_settings({**entries, "architecture": "two-layer"})
     world = build_world(settings, settings.robot.radius)
     has_goal, has_zones = world.goal is not None, bool(world.zones)

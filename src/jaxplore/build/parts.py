@@ -35,6 +35,7 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             max_speed=given.max_speed, max_turn_rate=given.max_turn_rate, radius=given.radius
         )
     if given.model == "ackermann":
+        # The body reaches equally far beyond both axles. The origin is the middle of the rear axle.
         overhang = 0.5 * (given.length - given.wheelbase)
         if overhang < 0.0:
             raise ValueError(
@@ -67,6 +68,7 @@ def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
     """Build the sensors. The first, primary one is the camera if there is one, else the lidar."""
     given, seen = settings.lidar, settings.camera
     view = math.radians(given.field_of_view_degrees)
+    # `arguments` returns angles in degrees, as settings have them.
     lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view})
     if seen is None:
         return (lidar,)

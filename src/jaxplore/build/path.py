@@ -84,6 +84,7 @@ def _path(settings: PathSettings) -> Path:
 def _robot(given: PathRobotSettings) -> Dynamics:
     if given.model != "bicycle":
         return build_robot(given)
+    # Settings have no centre of gravity: it is taken half-way between the axles.
     half = 0.5 * given.wheelbase
     return KinematicBicycle(
         half,

@@ -47,6 +47,7 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
     Raises:
         ValueError: a map, world or height map that cannot be read; a start that is missing.
     """
+    # Beside a `world`, the map is only a name.
     if settings.world is not None:
         return _in_world(World.from_dict(settings.world), settings)
     if settings.map == OFFICE:
@@ -89,6 +90,7 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
         terrain = TerrainMap.from_ros(
             settings.map, given.height_map, elevation_scale=given.elevation_scale, **options
         )
+        # The tolerance is for rounding: equal resolutions are not resampled.
         if terrain.resolution < settings.resolution * (1.0 - 1e-6):
             terrain = terrain.resample(settings.resolution)
         grid, ground = terrain.grid, terrain.ground

@@ -109,6 +109,7 @@ def descriptions(owner: Owner) -> dict[str, str]:
         begins = _ARGUMENT.fullmatch(line)
         if begins:
             found[begins[1]] = begins[2]
+        # Further lines of a description are indented more. Anything else ends the section.
         elif line.startswith(8 * " ") and found:
             found[next(reversed(found))] += " " + line.strip()
         else:
@@ -143,6 +144,7 @@ def setting(
     default = convert(parameter_default(owner, name))
     if differs is not None:
         default = DIFFERENCES[differs].value
+    # `arguments` finds the settings of an owner by this entry of the schema.
     return Field(
         default=default,
         description=descriptions(owner)[name],

@@ -308,6 +308,7 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Merge the entries over the defaults of their architecture and map."""
+    # Saved settings contain the world beside the name of the scenario, which is then not read.
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
         entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
@@ -322,6 +323,7 @@ def merge_entries(defaults: dict[str, Any], entries: dict[str, Any]) -> dict[str
     merged = {**defaults, **entries}
     for name, section in defaults.items():
         given = merged[name]
+        # An entry that is no section stays as it is, and the check refuses it.
         if isinstance(section, dict) and isinstance(given, dict):
             merged[name] = {**section, **given}
     return merged

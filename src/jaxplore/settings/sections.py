@@ -73,6 +73,7 @@ def checked_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, 
     try:
         return kind.model_validate(entries)
     except ValidationError as error:
+        # Messages have one line, so only the first error is reported.
         first = error.errors()[0]
         where, given = first["loc"], (first["type"], first["input"], first["msg"])
         raise ValueError(_one_line(kind, where, *given)) from None

@@ -17,6 +17,7 @@ from jaxplore.costs.base import Cost
 def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
     """Stack N costs of one kind into one cost whose arrays have a leading axis of N."""
     given = tuple(costs)
+    # Costs are stacked array by array, which needs the same arrays of the same shapes in each.
     structures = {
         (jax.tree.structure(cost), tuple(jnp.shape(leaf) for leaf in jax.tree.leaves(cost)))
         for cost in given
@@ -64,6 +65,7 @@ def normalised_weights(
         try:
             given = np.asarray(weights, np.float32)
         except (TypeError, ValueError):
+            # The check of the shape below refuses it, with the message that names what is accepted.
             given = np.zeros(0, np.float32)
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != len(objectives):
         raise ValueError(

@@ -108,6 +108,7 @@ class Contextual(Fusion):
         centres = position + footprint.offsets[:, None] * ahead
         room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
         field = belief.information
+        # Per beam, so that the threshold holds for sensors with any number of beams.
         information = field(position, heading) / field.num_beams
         # A rule that holds gets a threshold that is easier to meet.
         wider, narrower = 1.0 + self.hysteresis, 1.0 / (1.0 + self.hysteresis)

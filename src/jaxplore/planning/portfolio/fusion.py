@@ -92,6 +92,7 @@ def least_finite(costs: Float[Array, " N"]) -> Count:
 
 def weighted_mean(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
     """Average the plans with these votes (N,), or with equal weights if all votes are 0."""
+    # All votes are 0 if no cost is finite. The plans are finite even then, so their mean is safe.
     total = jnp.sum(votes)
     alike = jnp.full_like(votes, 1.0 / votes.shape[0])
     shares = jnp.where(total > 0.0, votes / jnp.where(total > 0.0, total, 1.0), alike)

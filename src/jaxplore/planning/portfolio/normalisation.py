@@ -52,7 +52,7 @@ class Normalisation(eqx.Module):
             axis: name of the mapped axis of members.
         """
         # Rollouts that collide do not count, as long as others are left: the depth of a collision
-        # would hide the differences between the rollouts that are worth choosing from.
+        # would hide the differences between the rollouts that may be chosen.
         is_free = hard <= 0.0
         num_free = jax.lax.psum(  # type: ignore[no-untyped-call]
             jnp.sum(is_free, dtype=jnp.float32), axis

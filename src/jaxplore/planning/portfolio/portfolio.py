@@ -220,6 +220,8 @@ class Portfolio(Controller):
         each = min(
             max(1, num_trajectories // len(self.member_names)), self.members.mppi.num_samples
         )
+        # Evenly spaced, because a proposal may put special samples first, such as those of a
+        # reference.
         chosen = np.linspace(0, self.members.mppi.num_samples - 1, each).round().astype(int)
         objective = self._common_objective(state, spread, observation, belief)
 

@@ -97,6 +97,7 @@ def waypoint_mppi(
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.
     """
+    # No term of the cost holds an altitude.
     if "z" in robot.state_names:
         raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
     return _ground_mppi(

@@ -37,7 +37,7 @@ ROLE_WEIGHTS: Weights = {
     "exploiter": {"information": 0.1, "goal": 0.7, "safety": 0.2},
     "cautious": {"information": 0.2, "goal": 0.2, "safety": 0.4, "terrain": 0.2},
 }
-"""Weights of the four roles by objective."""
+"""Weights of the four roles by objective, from the design notes for ground vehicles."""
 HORIZONS = {"short": 0.5, "middle": 1.0, "long": 2.0}
 """Horizons of a temporal decomposition, as multiples of the horizon of the template."""
 REGIONS = {"left": 0.5 * math.pi, "forward": 0.0, "right": -0.5 * math.pi}
@@ -53,9 +53,13 @@ FLOORS = {
     "effort": 0.05,
     "region": 0.02,
 }
-"""Lower bound of the spread of each objective, per step of the horizon [unit of the objective]."""
+"""Lower bound of the spread of each objective, per step of the horizon [unit of the objective].
+
+For information and goal it is 2 cm of the cost to go. Safety costs 1 per step at an obstacle."""
 COLLISION = 100.0
-"""Cost of a rollout that is 5 cm deep in an obstacle in all steps, in spreads of an objective."""
+"""Cost of a rollout that is 5 cm deep in an obstacle in all steps, in spreads of an objective.
+
+An objective varies by about its spread, so no weighting of the objectives makes up for it."""
 
 
 class Mission(NamedTuple):
@@ -93,6 +97,7 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     chosen: dict[str, Cost] = {
         "information": 2.0 * InformationCost(is_fading=True) + GuidanceCost(),
         "goal": GuidanceCost() if mission.goal is None else ToGoalCost(),
+        # Collisions are part of the hard cost instead, which no weight can reduce.
         "safety": ObstacleCost(clearance, collision=0.0),
     }
     if mission.has_terrain:
@@ -172,6 +177,8 @@ def ground_portfolio(
         terms["region"] = [RegionCost(REGIONS[name]) for name in weights]
         weights = {name: {**row, "region": REGION_WEIGHT} for name, row in weights.items()}
     if common is None:
+        # Members with weights of their own may have none of the exploiter's objectives. Effort
+        # alone could not tell which plan is better.
         weighed = {name for row in weights.values() for name, weight in row.items() if weight > 0.0}
         wanted = {"effort": effort, **_fitted(ROLE_WEIGHTS["exploiter"], mission)}
         wanted = {name: weight for name, weight in wanted.items() if name in weighed}
@@ -181,6 +188,7 @@ def ground_portfolio(
     return Portfolio(
         _template(
             robot,
+            # COLLISION is the cost of a whole rollout, and costs are sums over its steps.
             (COLLISION / horizon) * CollisionCost(margin),
             horizon=horizon,
             num_samples=num_samples,

@@ -94,6 +94,7 @@ def augmented_mppi(
         disturbance=disturbance,
         num_outcomes=num_outcomes,
         risk=risk,
+        # No likelihood ratio: it would draw the plan towards the default control.
         weighting=Softmax(temperature, importance=0.0),
     )
 
@@ -193,15 +194,16 @@ def mpcc(
         risk: risk measure over the costs of the outcomes; their mean when absent.
 
     Raises:
-        ValueError: a path without half widths beside `corridor`, one that is narrower than the
-                robot, negative weights, a robot without a `max_speed` if none is given, a robot
-                without a time derivative with a `comfort_weight`, or a value that a part rejects.
+        ValueError: a corridor for a path without half widths, a path that is narrower than the
+            robot, negative weights, a robot without a `max_speed` if none is given, a
+            `comfort_weight` for a robot without a time derivative, or a value that a part rejects.
     """
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
     gain = _checks.scalar("progress_weight", progress_weight, at_least=0.0)
     total: Cost = _checks.scalar("contouring_weight", contouring_weight, at_least=0.0) * contouring
     total = total + _checks.scalar("lag_weight", lag_weight, at_least=0.0) * lag
+    # The progress is a rate. Times the step, its sum is the distance along the path in metres.
     total = total + (gain * step) * ProgressCost()
     if path.has_room if corridor is None else corridor:
         keep = CorridorCost(path, margin=corridor_margin)

@@ -127,6 +127,7 @@ class Flight(NamedTuple):
             assert given is not None
             std = given
         parameterisation = parameterisation_by_name(self.parameterisation, horizon)
+        # Scaled so that the sum of the controls over the horizon keeps its spread, see `noise_std`.
         if isinstance(parameterisation, Smooth):
             std = std / (dt * math.sqrt(0.5 * horizon))
         elif isinstance(parameterisation, Knots):
@@ -198,6 +199,7 @@ class FieldNumbers(NamedTuple):
         turn = max(1, round(2.0 * math.pi / near.beam_spacing))
         stride = max(1, round(0.2 / resolution))
         nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
+        # A window can only be computed by the method "scan".
         sensor = FieldSensor(near, resolution, turn, stride, noise=UniformNoise(0), method="scan")
         return ShortRangeField(sensor, nodes, 16)
 

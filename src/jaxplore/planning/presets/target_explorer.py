@@ -21,8 +21,8 @@ def target_explorer(
 ) -> TargetExplorer:
     """Build an explorer that drives from target to target.
 
-    Routes to a target run on the nodes of the perception's fields and keep its clearance. Its least
-    information, `min_information`, decides which positions are worth a scan.
+    Routes to a target run on the nodes of the perception's fields and keep its clearance. A
+    position is a target only if a scan from it has the perception's `min_information`.
 
     Args:
         robot: model of the robot.

@@ -98,6 +98,7 @@ class Follower(eqx.Module):
             return jnp.where(jnp.all(jnp.isfinite(after)), after, state), control
 
         controls: Array
+        # A row minus its interval is the row before, the target at the time of the state.
         _, controls = jax.lax.scan(advance, state, (points - moves, moves / step, times))
         return controls
 
@@ -141,6 +142,7 @@ def approach_gain(gain: Scalar, distance: Scalar, braking: Scalar) -> Scalar:
         distance: distance to the target, d [m], or an angle [rad].
         braking: deceleration [m/s^2] or [rad/s^2].
     """
+    # The guards keep the gradient finite at distance 0.
     near = braking / (gain * gain)
     is_far = distance > near
     divisor = jnp.where(is_far, distance, 1.0)

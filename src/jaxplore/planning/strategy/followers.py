@@ -118,6 +118,7 @@ class DifferentialDriveFollower(Follower):
         )
         turn_gain = approach_gain(self.heading_gain, jnp.abs(turn), turn_braking)
         turn_rate = confidence * turn_gain * turn
+        # The law adds the drag, by which the model reduces both speeds.
         return jnp.stack(
             [
                 self.speed_gain * (speed - v) + model.drag * v,

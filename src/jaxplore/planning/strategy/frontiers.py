@@ -25,9 +25,9 @@ class Frontiers(NamedTuple):
         distance: (H, W) length of the shortest path to each node [m]; infinite where there is none.
         worth: (H, W) information of a scan from each node, discounted by the time spent near it
             [nat].
-        is_frontier: (H, W) frontier nodes that can be reached and are worth a visit.
-        is_view: (H, W) nodes that can be reached and are worth a visit.
-        is_leftover: (H, W) nodes that can be reached and have a little information left.
+        is_frontier: (H, W) frontier nodes among `is_view`.
+        is_view: (H, W) nodes that can be reached and have at least `min_information`.
+        is_leftover: (H, W) nodes that can be reached and have at least `leftover_share` of that.
     """
 
     roads: Roadmap
@@ -55,7 +55,7 @@ def find_frontiers(
         belief: what the robot knows of the world.
         position: position of the robot (x, y) [m].
         required_clearance: clearance that the robot needs [m].
-        min_information: worth below which a place is not visited [nat].
+        min_information: discounted information below which a place is not visited [nat].
         leftover_share: share of `min_information` below which a place has nothing left.
         min_frontier: minimum length of a frontier [m].
         stride: cells between nodes, as in the fields of the belief; static.
@@ -84,7 +84,8 @@ def _frontier_length(
 ) -> Float[Array, "H W"]:
     """Compute the length of the frontier cells within `near` blocks of each node [m]."""
     p = grid.probability
-    # A cell counts as unknown above a variance of half the maximum, p between 0.15 and 0.85.
+    # A cell counts as unknown above a variance of half the maximum, p between 0.15 and 0.85. The
+    # padding does not: the border of the map is no frontier.
     unknown = jnp.pad(4.0 * p * (1.0 - p) > 0.5, 1)
     beside = unknown[2:, 1:-1] | unknown[:-2, 1:-1] | unknown[1:-1, 2:] | unknown[1:-1, :-2]
     (rows, columns), (height, width) = shape, p.shape

@@ -229,6 +229,7 @@ class InformativeMPPI(Controller):
         field = self.potential_sensor.field(belief.grid, position)
         potential = self._remaining(field, belief)
         best = potential.best
+        # `cond` needs a plan of the same shapes as in `init`: one row, which nothing reads.
         if self.reference is None:
             return StrategicPlan(potential, best, jnp.zeros((1, 3)))
         start = jnp.append(position, self.altitude)

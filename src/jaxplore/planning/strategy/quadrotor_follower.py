@@ -123,6 +123,7 @@ class QuadrotorFollower(Follower):
         )
         is_moving = length(velocity[0], velocity[1]) > SLOW
         wz = jnp.where(is_moving, self.yaw_gain * angle(facing, beside), 0.0)
+        # Only the thrust is proportional to |q|^2. The rates are made of angles and ratios.
         return jnp.stack([model.mass * below / squared, wx, scale * ahead, wz])
 
     def _force(

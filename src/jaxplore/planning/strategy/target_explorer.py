@@ -60,7 +60,7 @@ class TargetExplorer(Controller):
         stride: cells between the nodes of the fields of the belief; static.
         required_clearance: clearance that a path needs [m]. The distance between a frontier node
             and unknown space follows from it.
-        min_information: worth below which a place is not visited [nat].
+        min_information: discounted information below which a place is not visited [nat].
         leftover_share: share of `min_information` below which a place has nothing left.
         min_frontier: minimum length of a frontier [m].
         near: length of the path to a target at which it counts as reached [m].
@@ -110,6 +110,8 @@ class TargetExplorer(Controller):
         self.required_clearance = _checks.scalar(
             "required_clearance", required_clearance, above=0.0
         )
+        # The robot keeps its clearance from unknown cells, so a node from which a frontier is
+        # visited is at least that far away from it.
         spacing = frame.resolution * self.stride
         self.nodes_to_unknown = 1 + math.ceil(float(self.required_clearance) / spacing)
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
@@ -125,6 +127,7 @@ class TargetExplorer(Controller):
         """Return the initial state, without a target."""
         rows, columns = (-(-side // self.stride) for side in self.shape)
         lattice = self.frame.coarsen(self.stride, self.stride / 2.0)
+        # The loop needs a state of fixed shapes; a flat cost to go attracts the robot nowhere.
         flat = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
         return TargetState(
             self.tracker.init(),
@@ -203,7 +206,8 @@ class TargetExplorer(Controller):
     def _choose(self, state: TargetState, frontiers: Frontiers, key: Key) -> TargetState:
         """Keep the target or choose a new one, and compute the cost to go to it."""
         candidates = self.rule.candidates(frontiers)
-        # A target that is reached is dropped. A robot that stays keeps it while it is worth a view.
+        # A target that is reached is dropped. A robot that stays keeps it while there is
+        # information.
         away = frontiers.distance > self.near
         if self.stays:
             away |= frontiers.is_view

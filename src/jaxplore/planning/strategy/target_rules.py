@@ -89,6 +89,8 @@ class GainPerCost(TargetRule):
 
     def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
         """Return the information per metre [nat/m]."""
+        # At the node of the robot the distance may be 0: at least a node spacing keeps the ratio
+        # finite.
         return frontiers.worth / jnp.maximum(frontiers.distance, frontiers.roads.frame.resolution)
 
 

@@ -262,6 +262,7 @@ class RemainingInformation(TargetChoice):
             distance = jnp.sqrt((offset * offset).sum(axis=-1))
         else:
             distance = targets.distances(belief, position)
+        # The goal has no uncertainty of its own; `choose` takes it only when no zone remains.
         remaining = jnp.append(targets.zones.remaining(belief.grid), 0.0)
         # Masked before the product: a weight of 0 times an infinite distance is NaN.
         is_reached = jnp.isfinite(distance)
