@@ -76,6 +76,7 @@ def _quadrotor_controller(
     if settings.architecture == "random-walk":
         return random_walk(robot, flight)
     goal = world.goal
+    # A world's goal may have a height, which a robot on the ground has no state for.
     if goal is not None and "z" not in robot.state_names:
         goal = goal[:2]
     if settings.architecture == "goal":

@@ -209,6 +209,7 @@ class Doubling(eqx.Module):
                     offset = segment.offset[direction, index]
                     gained = segment.weight[direction, index] * shifted(gains, offset)
                     beyond = gained + shifted(passings, offset) * value
+                    # Padding has offset (0, 0), whose cell must not reduce the value.
                     value = jnp.where(segment.is_cell[direction, index], beyond, value)
                 return value
 
@@ -232,6 +233,7 @@ class Doubling(eqx.Module):
         def level(number: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
             """Add 2^number periods if the number of periods has that bit set; then double."""
             through, within, value, position = carry
+            # Periods are added from the far end towards the sensor, as the recursion runs.
             is_part = (self.num_far[direction] >> number) & 1
             position = position - (is_part << number)
             start = position * period

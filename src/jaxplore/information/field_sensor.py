@@ -258,6 +258,8 @@ class FieldSensor(eqx.Module):
         directions = self.table.num_directions
         start = Values(jnp.zeros((directions, *shape)), jnp.zeros((directions + 1, *shape)))
         every = jnp.ones(directions, jnp.bool_)
+        # Equal heights, because a last strip that is moved inwards is computed twice where it
+        # overlaps.
         count = -(-shape[0] // TILE)
         height = -(-shape[0] // count)
 

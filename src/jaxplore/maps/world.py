@@ -299,6 +299,7 @@ class World:
         for prefix, shapes in (("", self.known), ("hidden.", self.hidden)):
             for kind in SHAPES:
                 for index, row in enumerate(getattr(shapes, kind)):
+                    # One shape at a time, so that the message can name the one that is off the map.
                     mask = self._cells(kind, (row,))
                     if not mask.any():
                         raise ValueError(

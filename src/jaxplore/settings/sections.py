@@ -88,6 +88,7 @@ def _one_line(
 ) -> str:
     name = ".".join(str(part) for part in where)
     if kind == "extra_forbidden":
+        # The accepted names are those of the section that holds the unknown one.
         section = settings
         for part in where[:-1]:
             inner = section_class(section.model_fields[str(part)].annotation)

@@ -220,8 +220,7 @@ class Portfolio(Controller):
         each = min(
             max(1, num_trajectories // len(self.member_names)), self.members.mppi.num_samples
         )
-        # Evenly spaced, because a proposal may put special samples first, such as those of a
-        # reference.
+        # A mixture orders its samples by component, so the first few show one component only.
         chosen = np.linspace(0, self.members.mppi.num_samples - 1, each).round().astype(int)
         objective = self._common_objective(state, spread, observation, belief)
 

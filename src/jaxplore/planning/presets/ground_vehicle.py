@@ -261,6 +261,8 @@ def _weights(
                 f"members is {dict(members)!r} beside the decomposition {decomposition!r}; "
                 "accepted: weights of one's own with 'roles'"
             )
+        # The portfolio refuses a row of zeros too, but the effort that is added below would hide
+        # it.
         for name, row in members.items():
             if not any(row.values()):
                 raise ValueError(

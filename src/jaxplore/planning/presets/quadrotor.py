@@ -285,6 +285,8 @@ def informative_mppi(
     else:
         cost = cost + reference_weight * StrategyReferenceCost()
         follower = follower_for(robot)
+        # Only the shape of these controls matters: every step replaces them by those of the
+        # reference.
         default = jnp.broadcast_to(robot.default_control, (flight.horizon, robot.control_size))
         proposal = BiasedProposal(
             flight.noise(robot), default, bias_fraction, likelihood_ratio=likelihood_ratio
