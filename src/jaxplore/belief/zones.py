@@ -102,6 +102,7 @@ class Zones(eqx.Module):
             ValueError: no rectangles, a rectangle that is not four finite numbers, a minimum that
                 is not below its maximum, a rectangle without a cell of the grid.
         """
+        # The numbers of traced rectangles are unknown, so neither they nor their cells are checked.
         bounds = rectangles if isinstance(rectangles, Tracer) else _checked_rectangles(rectangles)
         height, width = grid.shape
         rows, columns = jnp.mgrid[:height, :width]
@@ -174,6 +175,7 @@ class Zones(eqx.Module):
     def _mean(self, name: str, values: Float[Array, "H W"]) -> Float[Array, " Z"]:
         if values.shape != self.member.shape[1:]:
             raise ValueError(f"{name} has shape {values.shape}; accepted: {self.member.shape[1:]}")
+        # A mask of the caller or a traced rectangle may give a zone without cells: avoid 0 / 0.
         total = jnp.where(self.member, values, 0.0).sum(axis=(1, 2))
         return total / jnp.maximum(self.num_cells, 1).astype(jnp.float32)
 
