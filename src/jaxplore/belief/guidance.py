@@ -20,7 +20,7 @@ ROOMY = 3.0
 TILE = 24
 """Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
 SWEEPS = 4
-"""Sweeps between two checks for convergence, each of which costs as much as a sweep."""
+"""Sweeps between two checks for convergence; a check costs as much as a sweep."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 """Steps (row, column) to the neighbours: the straight ones first, then the diagonal ones."""
 

@@ -335,6 +335,7 @@ class MPPI(Controller):
         nominal = self.parameterisation.update(state.nominal, mean, context.space)
         controls = self.parameterisation.controls(nominal, context.space)
         if self.smoothing is not None:
+            # A fitted polynomial may exceed the bounds that the controls keep.
             controls = context.space.clip(self.smoothing.smooth(state.past, controls))
         memory = self.proposal.adapt(state.proposal, context, weights, samples)
         info = Info(
