@@ -39,8 +39,8 @@ class Belief(eqx.Module):
         information: expected information of a scan at any pose [nat].
         guidance: cost to go to the remaining information [m], and the direction to it.
         dwell: (rows, columns) time recently spent near each node of the guidance field [s].
-        is_explored: whether no scan would gain enough information any more, so that a robot with a
-            goal goes there.
+        is_explored: whether little of the map is unknown, or no scan within reach would gain enough
+            information, so that the robot goes to its goal; false without a goal.
         patience: dwell time after which the information near a position counts 1/e [s].
         pose: pose (x, y, yaw) of the robot at the last update of the fields [m, m, rad].
         ground: terrain, known in advance; level and traversable when absent.

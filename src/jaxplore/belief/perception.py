@@ -57,9 +57,9 @@ class Perception(eqx.Module):
 
     over positions s in free space. I(s) is the information of a full circle of beams. d is the
     length of the shortest path that keeps the robot's clearance from all cells that are not free;
-    length counts up to double where the robot just fits. U is the negative logarithm of the
-    geodesic spread of `W exp(-d / decay_length)`. It has local minima only at places with
-    information.
+    length counts up to double where the robot just fits. U is also `-decay_length` times the
+    logarithm of the greatest `W(s) exp(-d(x, s) / decay_length)`. It has local minima only at
+    places with information.
 
     `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
     and regains it later, so the robot gives up what it cannot observe. Places with W below

@@ -110,6 +110,7 @@ class Ackermann(ContinuousDynamics):
         _, _, yaw, v, steering = self.project(state)
         a, steering_rate = control
         sin_yaw, cos_yaw = sin_cos(yaw)
+        # The tangent is sin / cos, because tan is slow on a CPU: see `KinematicBicycle`.
         sin_steering, cos_steering = sin_cos(steering)
         return jnp.stack(
             [

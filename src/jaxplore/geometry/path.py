@@ -278,6 +278,7 @@ class Path(eqx.Module):
         table: Float[Array, "N 2"], row: Array
     ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         # Return components, not vectors: mapped over K samples, each component is one vector of K.
+        # `_locate` returns rows within the table, so the bounds need no check in each look-up.
         def value(index: Array, column: int) -> Scalar:
             return table.at[index, column].get(
                 mode="promise_in_bounds", wrap_negative_indices=False
@@ -298,6 +299,7 @@ def errors_at(point: PathPoint, position: Position) -> PathErrors:
 def count_nodes(length: float, curvature: np.ndarray) -> int:
     """Return the number of table nodes for a path of a length [m] and given curvatures [1/m]."""
     sharpest = float(np.max(np.abs(curvature), initial=0.0))
+    # Bounded before it is rounded up: the curvature of a cusp is infinite.
     wanted = 1 + math.ceil(min(NODES_PER_RADIUS * sharpest * length, MOST_NODES))
     return min(max(wanted, LEAST_NODES), MOST_NODES)
 
