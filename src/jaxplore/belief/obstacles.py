@@ -256,6 +256,7 @@ class Obstacles(eqx.Module):
             outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
             centres=centres,
             velocities=jnp.where(takes, measured_velocities, later.velocities),
+            # As of the last measurement: `predicted_covariance` adds the growth since then.
             covariance=jnp.where(takes[:, None], exactness, self.covariance),
             age=age,
             is_known=(self._known | is_measured) & (age <= self.memory),

@@ -44,7 +44,7 @@ LAYERS = 4
 LEFTOVER_SHARE = 0.03
 """Share of `min_information` below which a place is ignored."""
 MAX_UNKNOWN = 0.05
-"""Default share of unknown cells below which a map counts as explored."""
+"""Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
 
 class Perception(eqx.Module):

@@ -70,6 +70,7 @@ def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lid
     is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
     # The face of the first wall is visible, so a beam sees up to the entry of that cell.
     sight = jnp.where(is_wall, cells.entry, jnp.inf).min(axis=-1, keepdims=True)
+    # `traverse` may add cells beyond the range, so the entry is compared with the range as well.
     is_seen = cells.is_crossed & (cells.entry <= sight) & (cells.entry < length) & is_open
     index = cells.cell[..., 0] * width + cells.cell[..., 1]
     # Cells that are not seen are scattered to an index out of bounds, which is dropped.

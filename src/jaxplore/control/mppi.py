@@ -265,6 +265,7 @@ class MPPI(Controller):
             perturbations=perturbations,
         )
         if self.mesh is not None:
+            # Sharded before decoding, so that each device decodes the samples that it rolls out.
             samples = devices.shard_samples(samples, self.mesh)
         controls, samples = self.parameterisation.decode(state.nominal, samples, context.space)
         # The samples are used by the rollouts and by the mean. Unless they are materialised here,

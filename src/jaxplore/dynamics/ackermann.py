@@ -88,6 +88,7 @@ class Ackermann(ContinuousDynamics):
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
+            # The number of discs is given, because it cannot be derived from a traced wheelbase.
             footprint = Rectangle(self.wheelbase + overhang, overhang, width, num_discs=2)
         # Stored under another name, because `footprint` is a property of every model.
         self.outline = footprint

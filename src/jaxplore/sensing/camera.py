@@ -130,6 +130,7 @@ class Camera(Sensor):
         """Return for each cell whether its ground is visible if the cell is free, and whether the
         cell is visible if it is solid."""
         half = 0.5 * self.vertical_view
+        # Traced angles are not checked. Beyond a right angle the tangent would change its sign.
         bottom = jnp.tan(jnp.clip(self.tilt - half, -STEEPEST, STEEPEST))
         top = jnp.tan(jnp.clip(self.tilt + half, -STEEPEST, STEEPEST))
         # The bound keeps the distance from being 0 in the camera's own cell.
