@@ -299,7 +299,6 @@ def errors_at(point: PathPoint, position: Position) -> PathErrors:
 def count_nodes(length: float, curvature: np.ndarray) -> int:
     """Return the number of table nodes for a path of a length [m] and given curvatures [1/m]."""
     sharpest = float(np.max(np.abs(curvature), initial=0.0))
-    # Bounded before it is rounded up: the curvature of a cusp is infinite.
     wanted = 1 + math.ceil(min(NODES_PER_RADIUS * sharpest * length, MOST_NODES))
     return min(max(wanted, LEAST_NODES), MOST_NODES)
 
