@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     _Present = TypeVar("_Present")
     Part = Annotated[_Present, "None where the belief has no such part"]
 else:
+    # At run time a part may be None, which checks of types at run time must accept.
     Part = Optional
 
 
@@ -38,9 +39,9 @@ class Belief(eqx.Module):
         information: expected information of a scan at any pose [nat].
         guidance: cost to go to the remaining information [m], and the direction to it.
         dwell: (rows, columns) time recently spent near each node of the guidance field [s].
-        is_explored: whether no scan would gain enough information any more, so that a robot with a
-            goal goes there.
-        patience: time near a position after which its attraction has fallen to 1/e [s].
+        is_explored: whether little of the map is unknown, or no scan within reach would gain enough
+            information, so that the robot goes to its goal; false without a goal.
+        patience: dwell time after which the information near a position counts 1/e [s].
         pose: pose (x, y, yaw) of the robot at the last update of the fields [m, m, rad].
         ground: terrain, known in advance; level and traversable when absent.
         to_goal: cost to go to the goal [m] through cells that are not known to be occupied, and
@@ -65,7 +66,7 @@ class Belief(eqx.Module):
 
     @property
     def pull(self) -> ScalarField:
-        """Factor of the attraction that is left after the time spent near a position.
+        """Discount of the information near a position by the time spent there.
 
         It is `dwell_discount`; 1 off the map.
         """
@@ -74,7 +75,7 @@ class Belief(eqx.Module):
 
     @property
     def worth(self) -> Float[Array, "rows columns"]:
-        """Value of a scan from each node: its information times the attraction left [nat]."""
+        """Information of a scan from each node, times `dwell_discount` [nat]."""
         return self.information.total * dwell_discount(self.dwell, self.patience)
 
 
@@ -104,6 +105,7 @@ class StrategicBelief(Belief):
 
         Linear between rows; before the first and after the last row, that row.
         """
+        # Row 0 is due one period after the reference was made, not when it was made.
         last = self.reference.shape[0] - 1
         row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)
         before = jnp.floor(row)

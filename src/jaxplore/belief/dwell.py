@@ -36,6 +36,7 @@ def add_dwell(
     distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
     stay = elapsed * jnp.exp(-0.5 * (distance / DWELL_RADIUS) ** 2)
     dwell = dwell * jnp.exp(-elapsed / memory)
+    # A lost robot has no finite pose. A NaN would stay in the dwell times of all later updates.
     return dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)
 
 

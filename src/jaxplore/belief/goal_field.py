@@ -8,7 +8,8 @@ from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 TIGHT = 5.0
-"""Additional cost per metre where the robot just fits, relative to open space."""
+"""Additional cost per metre where the robot just fits, relative to open space. Most rollouts
+collide there."""
 
 
 def goal_field(

@@ -14,13 +14,15 @@ from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
 from jaxplore.maps.frame import GridFrame
 
 DIAGONAL = 2.0**0.5
+"""Length of a step to a diagonal neighbour [node spacings]."""
 ROOMY = 3.0
 """Ratio of clearance to required clearance above which a path has no extra cost."""
 TILE = 24
 """Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
 SWEEPS = 4
-"""Sweeps between two checks for convergence, each of which costs as much as a sweep."""
+"""Sweeps between two checks for convergence; a check costs as much as a sweep."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Steps (row, column) to the neighbours: the straight ones first, then the diagonal ones."""
 
 
 class GuidanceField(eqx.Module):
@@ -92,6 +94,7 @@ def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
     room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
     spare = (room - required) / required
     tightness = jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
+    # The tolerance absorbs rounding: a passage of exactly the required width is open.
     return Roadmap(frame, tightness, room >= required - 1e-4)
 
 
@@ -113,6 +116,7 @@ def descent_field(
         values=extend(distance, num_layers, jnp.asarray(3.0 * frame.resolution)),
         descent=jnp.stack(direction),
         frame=frame,
+        # Costlier than any place on the map, leftovers a kilometre away included.
         outside=jnp.asarray(1e4),
     )
 
@@ -134,6 +138,7 @@ def point_sources(
     centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
     offset = centres - point
     distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+    # With the nearest node alone, paths from other sides would pass the point and come back.
     is_nearest = distance <= distance.min() + frame.resolution
     return jnp.where(is_nearest, distance, jnp.inf)
 
@@ -177,6 +182,7 @@ def _by_tiles(start: Array, half: Array) -> Array:
     """Relax tile by tile until no tile has a neighbour that changed since its last visit."""
     height, width = start.shape
     rows, columns = -(-height // TILE), -(-width // TILE)
+    # The closed margin gives every tile neighbours on all sides, and completes the last tiles.
     margins = ((1, 1 + rows * TILE - height), (1, 1 + columns * TILE - width))
     start, half = (jnp.pad(part, margins, constant_values=jnp.inf) for part in (start, half))
     tiles = start[1:-1, 1:-1].reshape(rows, TILE, columns, TILE)
@@ -203,10 +209,12 @@ def _by_tiles(start: Array, half: Array) -> Array:
             [left, jnp.inf, right],
             [below[0], below.min(), below[-1]],
         ]
+        # The tile is settled. Only a value that falls in a neighbour makes it due again.
         due = due.at[row + 1, column + 1].set(jnp.inf)
         others = jnp.minimum(jax.lax.dynamic_slice(due, (row, column), (3, 3)), jnp.asarray(around))
         due = jax.lax.dynamic_update_slice(due, others, (row, column))
         value = jax.lax.dynamic_update_slice(value, after, (corner[0] + 1, corner[1] + 1))
+        # The margin holds no tiles: a value that falls at the map's edge makes nothing due.
         return value, jnp.where(is_tile, due, jnp.inf)
 
     value, _ = jax.lax.while_loop(lambda carry: jnp.isfinite(carry[1]).any(), visit, (start, due))
@@ -329,6 +337,7 @@ def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"
         vector = vector + fall * unit[:, None, None]
 
     def normalise(vectors: Array) -> Array:
+        # The inverse root of infinity is 0: where slopes cancel, the direction is 0 and not NaN.
         square = jnp.sum(vectors * vectors, axis=0)
         return vectors * jax.lax.rsqrt(jnp.where(square > 1e-12, square, jnp.inf))
 

@@ -33,7 +33,7 @@ class Obstacles(eqx.Module):
 
     (The constant-turn model with known rate of Li and Jilkov, "Survey of maneuvering target
     tracking. Part I: dynamic models", IEEE TAES 2003, section V.B.1. Its errors here are unknown
-    constants, not white noise: they last.)
+    constants, not white noise: they do not average out over time.)
 
     An unknown obstacle, one that was never seen or is forgotten, is predicted far away (`FAR`),
     without uncertainty or extent. So it costs nothing, whatever its numbers are.
@@ -99,6 +99,7 @@ class Obstacles(eqx.Module):
             if velocities is None
             else array("velocities", velocities, (number, 2), **rows)
         )
+        # Both are given or both are absent, so that one static fact tells whether predictions turn.
         self.turn_rates = self.turn_growth = None
         if turn_rates is not None or turn_growth is not None:
             turn_rates = 0.0 if turn_rates is None else turn_rates
@@ -134,6 +135,7 @@ class Obstacles(eqx.Module):
         """
         sizes = array("radii", radii, ("N",), at_least=0.0, may_be_empty=True)
         number = sizes.shape[0]
+        # With arrays for `age` and `is_known`, `update` does not change the pytree's structure.
         return cls(
             Outlines.discs(jnp.zeros((number, 2)), sizes),
             growth=growth,
@@ -254,6 +256,7 @@ class Obstacles(eqx.Module):
             outlines=Outlines(self._corners_at(elapsed, centres), self.outlines.radii),
             centres=centres,
             velocities=jnp.where(takes, measured_velocities, later.velocities),
+            # As of the last measurement: `predicted_covariance` adds the growth since then.
             covariance=jnp.where(takes[:, None], exactness, self.covariance),
             age=age,
             is_known=(self._known | is_measured) & (age <= self.memory),
@@ -318,6 +321,8 @@ class Obstacles(eqx.Module):
         """Predict the centres (N, 2), those of unknown obstacles included [m]."""
         if self.turn_rates is None:
             return self.centres + t * self.velocities
+        # The chord of the arc has the length v t sinc(w t / 2), which has no pole at w = 0, and is
+        # rotated by w t / 2 from the present velocity.
         half = 0.5 * t * self.turn_rates
         chord = t * jnp.sinc(half / jnp.pi)
         return self.centres + chord[:, None] * _turned(self.velocities, half)
@@ -367,6 +372,7 @@ def _sinc_slope(angle: Float[Array, " N"]) -> Float[Array, " N"]:
 def _root(covariance: Float[Array, "N 2 2"]) -> Float[Array, "N 2 2"]:
     """Return the symmetric square roots (N, 2, 2), (C + s I) / sqrt(tr C + 2 s), s^2 = det C."""
     a, b, c = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
+    # Rounding can make the determinant of a singular covariance negative.
     root = jnp.sqrt(jnp.maximum(a * c - b * b, 0.0))
     size = a + c + 2.0 * root
     scale = jnp.where(size > 0.0, 1.0 / jnp.sqrt(jnp.where(size > 0.0, size, 1.0)), 0.0)

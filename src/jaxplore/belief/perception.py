@@ -44,7 +44,7 @@ LAYERS = 4
 LEFTOVER_SHARE = 0.03
 """Share of `min_information` below which a place is ignored."""
 MAX_UNKNOWN = 0.05
-"""Default share of unknown cells below which a map counts as explored."""
+"""Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
 
 class Perception(eqx.Module):
@@ -57,9 +57,9 @@ class Perception(eqx.Module):
 
     over positions s in free space. I(s) is the information of a full circle of beams. d is the
     length of the shortest path that keeps the robot's clearance from all cells that are not free;
-    length counts up to double where the robot just fits. U is the negative logarithm of the
-    geodesic spread of `W exp(-d / decay_length)`. It has local minima only at places with
-    information.
+    length counts up to double where the robot just fits. U is also `-decay_length` times the
+    logarithm of the greatest `W(s) exp(-d(x, s) / decay_length)`. It has local minima only at
+    places with information.
 
     `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
     and regains it later, so the robot gives up what it cannot observe. Places with W below
@@ -74,8 +74,8 @@ class Perception(eqx.Module):
 
     An unmeasured cell has probability 1/2, which represents ignorance. If expected beams used this
     value, every second unknown cell would stop them: unknown space would be a rim of two cells, and
-    a gap behind a shelf would be worth as much as an unexplored hall. Therefore information is
-    computed with the probability `occupancy_prior` for these cells, about the share of occupied
+    a gap behind a shelf would have as much information as an unexplored hall. Therefore information
+    is computed with the probability `occupancy_prior` for these cells, about the share of occupied
     cells in buildings.
 
     With a `watch`, the belief also tracks the idleness of each cell. The interest of observing it
@@ -92,7 +92,7 @@ class Perception(eqx.Module):
             reduced so that no path can jump a wall.
         max_clearance: upper bound of the clearance field [m]; raised if the robot needs more.
         margin: clearance that a path needs beyond the radius [m].
-        decay_length: additional distance that e times the information is worth [m].
+        decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat]; below 3 % of it, a place
             is ignored.
         occupancy_prior: probability of occupancy of an unmeasured cell in expected information, in
@@ -169,7 +169,8 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius)),
         )
         self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
-        # The clearance field must resolve the clearance at which paths have no extra cost.
+        # The clearance field must resolve the clearance at which paths have no extra cost. Whole
+        # metres, because the bound is static: robots of similar radius share a compiled program.
         self.max_clearance = max(
             _checks.number("max_clearance", max_clearance, above=0.0),
             float(math.ceil(ROOMY * float(self.required_clearance))),
@@ -196,6 +197,7 @@ class Perception(eqx.Module):
         The maps of a batch change in different places, and each iteration of a loop over these
         places would copy the fields of all maps. The beliefs are equal.
         """
+        # Modules are frozen, and `eqx.tree_at` sets leaves only, while this field is static.
         same = copy.copy(self)
         object.__setattr__(same, "is_batched", True)
         return same
@@ -213,7 +215,10 @@ class Perception(eqx.Module):
         rows, columns = jnp.mgrid[:height, :width]
         centres = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
         distance = jnp.linalg.norm(centres - pose[:2], axis=-1)
+        # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
+        # give the cell of the robot the clearance that it requires.
         stands_on = distance <= self.required_clearance + 1.5 * grid.resolution
+        # Updated from 0.5 and not from the prior: a decisive model keeps cells that are occupied.
         freed = self.sensor_model.update(
             jnp.full(grid.shape, 0.5), jnp.where(stands_on, self.sensor_model.minimum, 0.0)
         )
@@ -287,6 +292,7 @@ class Perception(eqx.Module):
             guidance=guidance,
             dwell=dwell,
             is_explored=is_explored,
+            # A lost robot has no finite pose. Costs measure from the last finite one.
             pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
             to_goal=self._to_goal(belief.grid),
         )
@@ -331,6 +337,7 @@ class Perception(eqx.Module):
         """
         if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
+        # Half the detour tells sources that have one, the goal and leftovers, from all others.
         # Off the map the cost is `outside`, which says nothing about the sources.
         cost = guidance(pose[:2])
         return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)

@@ -70,6 +70,7 @@ def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lid
     is_wall = cells.is_crossed & (grid.at_cell(cells.cell) > OCCUPIED_THRESHOLD)
     # The face of the first wall is visible, so a beam sees up to the entry of that cell.
     sight = jnp.where(is_wall, cells.entry, jnp.inf).min(axis=-1, keepdims=True)
+    # `traverse` may add cells beyond the range, so the entry is compared with the range as well.
     is_seen = cells.is_crossed & (cells.entry <= sight) & (cells.entry < length) & is_open
     index = cells.cell[..., 0] * width + cells.cell[..., 1]
     # Cells that are not seen are scattered to an index out of bounds, which is dropped.
@@ -102,6 +103,7 @@ class Zones(eqx.Module):
             ValueError: no rectangles, a rectangle that is not four finite numbers, a minimum that
                 is not below its maximum, a rectangle without a cell of the grid.
         """
+        # The numbers of traced rectangles are unknown, so neither they nor their cells are checked.
         bounds = rectangles if isinstance(rectangles, Tracer) else _checked_rectangles(rectangles)
         height, width = grid.shape
         rows, columns = jnp.mgrid[:height, :width]
@@ -174,6 +176,7 @@ class Zones(eqx.Module):
     def _mean(self, name: str, values: Float[Array, "H W"]) -> Float[Array, " Z"]:
         if values.shape != self.member.shape[1:]:
             raise ValueError(f"{name} has shape {values.shape}; accepted: {self.member.shape[1:]}")
+        # A mask of the caller or a traced rectangle may give a zone without cells: avoid 0 / 0.
         total = jnp.where(self.member, values, 0.0).sum(axis=(1, 2))
         return total / jnp.maximum(self.num_cells, 1).astype(jnp.float32)
 

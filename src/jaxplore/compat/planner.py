@@ -174,6 +174,7 @@ def _plan(
     mppi = eqx.tree_at(lambda parts: parts.weighting.temperature, mppi, temperature)
     before = mppi.dynamics.default_control if applied is None else applied
     memory = mppi.init(nominal)._replace(applied=before)
+    # The caller's nominal is already that of this step: `PlannedControl.nominal` is shifted below.
     sampled = mppi.sample(memory, key=key, shift=False)
     costs = mppi.evaluate(sampled, initial, belief)
     _, _, info = mppi.update(sampled, costs)

@@ -16,7 +16,7 @@ class ColouredNoise(Noise):
     The autocovariance is that of a periodic sequence of 2 P values with power `f^-gamma` at the
     frequencies `f = 1, 2, ..., P` and the power of f = 1 at 0, scaled to variance 1. P values are
     drawn from it with the Cholesky factor of their covariance. So the last value is not correlated
-    with the first, as it is if P values come from a Fourier transform of length P.
+    with the first, as it would be in P values from a Fourier transform of length P.
 
     Source: Vlahov, Gibson, Fan, Spieler, Agha-mohammadi, Theodorou, "Low Frequency Sampling in
     Model Predictive Path Integral Control", RA-L 2024; Timmer and König, "On generating power law
@@ -58,6 +58,7 @@ class ColouredNoise(Noise):
         # A real sequence has a symmetric spectrum: all frequencies but the two ends count twice.
         counts = jnp.full(rows + 1, 2.0).at[jnp.asarray([0, rows])].set(1.0)
         power = counts * frequency**-self.exponent
+        # Whole turns are removed in integers: the cosine of a large angle in float32 loses digits.
         turns = jnp.outer(jnp.arange(rows), jnp.arange(rows + 1)) % (2 * rows)
         phase = (jnp.pi / rows) * turns.astype(jnp.float32)
         autocovariance = jnp.cos(phase) @ (power / jnp.sum(power))

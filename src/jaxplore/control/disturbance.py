@@ -106,6 +106,7 @@ class StateNoise(Disturbance):
     ) -> StateVector:
         """Return the state (nx,) after the step, with noise added."""
         reached = dynamics.step_at(state, control, t, dt)
+        # Component by component: mapped over K samples, each component is one vector of K.
         spread = jnp.sqrt(dt) * self.std
         return jnp.stack([x + s * w for x, s, w in zip(reached, spread, drawn, strict=True)])
 
@@ -231,7 +232,8 @@ class UncertainObstacles(Disturbance):
 
     def draw(self, dynamics: Dynamics, horizon: int, num_outcomes: int, *, key: Key) -> Any:
         """Return a random key per outcome, equal at every step, and the draws for the robot."""
-        # One key per outcome keeps the obstacles of an outcome consistent over the horizon.
+        # One key per outcome keeps the obstacles of an outcome consistent over the horizon. Keys
+        # instead of obstacles, because a draw is made without the belief.
         first, second = jax.random.split(key)
         keys = jnp.broadcast_to(jax.random.split(first, num_outcomes), (horizon, num_outcomes))
         if self.robot is None:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 
 CONDITION = 3e4
-"""Greatest condition number of a kernel matrix; times the rounding of float32 it is 2e-3."""
+"""Greatest condition number of a kernel matrix: it amplifies the rounding of float32 to 2e-3."""
 
 Times = Float[Array, " N"]
 Weights = Float[Array, "N P"]
@@ -110,6 +110,7 @@ class Kernel(Interpolation):
         distance = np.abs(knots[:, None] - knots)
 
         def among(length_scale: float) -> np.ndarray:
+            # The length scale is static, so another one is tried by scaling the distances instead.
             scaled = distance * (self.length_scale / length_scale)
             with jax.ensure_compile_time_eval():
                 return np.asarray(self.covariance(jnp.asarray(scaled, jnp.float32)), np.float64)
@@ -177,6 +178,7 @@ class MaternKernel(Kernel):
 
 def _interval(times: Times, num_knots: int, end: float) -> tuple[Array, Array, float]:
     """Return the interval of each time, the fraction passed of it, and the interval's width."""
+    # A single knot or a horizon of one step has an interval of length 0: any width avoids 0 / 0.
     width = end / max(num_knots - 1, 1) or 1.0
     # Multiply before dividing: at a knot the quotient is then exactly a whole number.
     position = times * max(num_knots - 1, 0) / (end or 1.0)
@@ -206,6 +208,7 @@ def _second_derivatives(num_knots: int, width: float) -> np.ndarray:
     """Return the second derivatives (P, P) at the knots of the P natural cardinal splines."""
     import scipy.interpolate  # slow to import, and few need it
 
+    # A natural spline through fewer than three knots is straight.
     if num_knots < 3:
         return np.zeros((num_knots, num_knots))
     knots = width * np.arange(num_knots)

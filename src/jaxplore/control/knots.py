@@ -80,6 +80,7 @@ class Knots(Parameterisation):
 
     def encode(self, nominal: object, controls: Sequence, space: ControlSpace) -> Parameters:
         """Return the nearest knots (least squares), clipped to the bounds."""
+        # The matrix is static: its pseudoinverse is computed at compile time, in double precision.
         nearest = np.linalg.pinv(np.asarray(self._matrix(controls.shape[0]), np.float64))
         deviation = jnp.asarray(nearest, controls.dtype) @ (controls - space.default)
         return space.clip(space.default + deviation)

@@ -17,7 +17,7 @@ from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingConte
 
 
 class OuterProposal(Proposal):
-    """A proposal that changes the samples of an inner one and has its memory; abstract."""
+    """A proposal that changes the samples of an inner one and keeps the memory of it; abstract."""
 
     proposal: eqx.AbstractVar[Proposal]
 

@@ -265,6 +265,7 @@ class MPPI(Controller):
             perturbations=perturbations,
         )
         if self.mesh is not None:
+            # Sharded before decoding, so that each device decodes the samples that it rolls out.
             samples = devices.shard_samples(samples, self.mesh)
         controls, samples = self.parameterisation.decode(state.nominal, samples, context.space)
         # The samples are used by the rollouts and by the mean. Unless they are materialised here,
@@ -335,6 +336,7 @@ class MPPI(Controller):
         nominal = self.parameterisation.update(state.nominal, mean, context.space)
         controls = self.parameterisation.controls(nominal, context.space)
         if self.smoothing is not None:
+            # A fitted polynomial may exceed the bounds that the controls keep.
             controls = context.space.clip(self.smoothing.smooth(state.past, controls))
         memory = self.proposal.adapt(state.proposal, context, weights, samples)
         info = Info(

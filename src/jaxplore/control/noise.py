@@ -138,6 +138,7 @@ class LogNormalNoise(Noise):
         inner = self.noise.covariance(rows)
         if inner is None:
             return None
+        # The factors of two rows are independent, so their product has the mean exp(-s^2 / 2)^2.
         kept = jnp.exp(-self.spread * self.spread)
         return kept * inner + (1.0 - kept) * jnp.diag(jnp.diagonal(inner))
 

@@ -223,6 +223,8 @@ class GaussianProposal(Proposal):
             # lose digits, and the linear rest is cheaper.
             away = mean - context.rest
             pull = self.precision(away)
+            # The difference is (m - r)^T Sigma^-1 (v - mu - (m + r) / 2). Its part without v is
+            # equal for all samples, so it is summed once.
             constant = jnp.sum(pull * (context.rest + self.mean + 0.5 * away))
             return jnp.einsum("pu,puk->k", pull, samples) - constant
         # The scales differ between parameters, so both quadratic forms are needed.

@@ -101,6 +101,7 @@ def _sobol_directions(dimensions: int, digits: int) -> np.ndarray:
 
     found = []
     for digit in range(digits):
+        # The seed is fixed, so the directions are constants. Only the shift of a step is random.
         sequence = scipy.stats.qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
         if digit:
             sequence.fast_forward(2**digit - 1)
@@ -114,6 +115,7 @@ def _halton_points(dimensions: int, samples: int) -> np.ndarray:
     """Return the first points of the sequence (dimensions, samples) as uint32 of BITS bits."""
     import scipy.stats  # slow to import, and few need it
 
+    # The seed is fixed, so the points are constants. Only the shift of a step is random.
     sequence = scipy.stats.qmc.Halton(dimensions, scramble=True, rng=np.random.default_rng(0))
     return np.ascontiguousarray(_whole(sequence.random(samples)).T)
 

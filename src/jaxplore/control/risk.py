@@ -69,6 +69,7 @@ class MeanVariance(Risk):
         """Return the discounted variance of the step (K,)."""
         if paid.shape[0] == 1:
             return jnp.zeros(paid.shape[1])
+        # The step that ends at t = dt has the index 0. The quotient is whole up to rounding.
         return self.discount ** (jnp.round(t / dt) - 1.0) * jnp.var(paid, axis=0, ddof=1)
 
 
@@ -154,7 +155,8 @@ class Entropic(Risk):
         mean = jnp.mean(totals, axis=0)
         exponent = self.theta * (totals - mean)
         # For small exponents the logarithm of a mean of numbers near 1 would lose all digits, so
-        # use expm1 and log1p. For large ones logsumexp avoids overflow.
+        # use expm1 and log1p. For large ones logsumexp avoids overflow, and the clip keeps
+        # the unused branch finite.
         near = jnp.log1p(jnp.mean(jnp.expm1(jnp.clip(exponent, -1.0, 1.0)), axis=0))
         far = jax.nn.logsumexp(exponent, axis=0) - np.float32(np.log(totals.shape[0]))
         is_near = jnp.max(jnp.abs(exponent), axis=0) < 1.0

@@ -144,6 +144,7 @@ def _totals(
     def advance(carry: _Carry, inputs: tuple[Array, Array, Any]) -> tuple[_Carry, None]:
         components, totals, variations = carry
         control, t, draw = inputs
+        # Without the cut, each output of the step would pad the controls again.
         control = cut(jnp.pad(control, ((0, 0), (0, lanes - num_samples))))
         reached, paid = step_all(components, control, t, draw)
         if outcomes is not None:
@@ -214,7 +215,8 @@ class _RolloutTask(NamedTuple):
     def step(
         self, components: _Values, control: Array, t: Array, draw: Any
     ) -> tuple[Array, tuple[Array, ...]]:
-        """Advance one rollout by one step; return its state and what each cost takes for it."""
+        """Advance one rollout by one step; return the state reached and each stage cost there."""
+        # `t` is the end of the step, which costs read. A model takes its beginning, t - dt.
         dynamics, dt, state = self.dynamics, self.dt, jnp.stack(components)
         if self.outcomes is None:
             reached = dynamics.step_at(state, control, t - dt, dt)
@@ -260,6 +262,7 @@ class _RolloutTask(NamedTuple):
         ending = jax.vmap(terminal, in_axes=(0, None))
         if self.outcomes is not None:
             ending = jax.vmap(ending, in_axes=(self.outcome_axis, 0))
+        # The terminal cost reads the belief of the last step.
         total = total + ending(last, jax.tree.map(lambda rows: rows[-1], self.drawn))
         if self.outcomes is not None:
             # One outcome that diverges makes the sequence infinitely expensive under any risk.

@@ -10,7 +10,7 @@ from jaxplore.control.parameterisations import Sequence
 
 
 class SavitzkyGolay(eqx.Module):
-    """Savitzky-Golay filter: fits a polynomial to a window around each control, takes its middle.
+    """Savitzky-Golay filter: the middle of a polynomial fitted to a window around each control.
 
     The window reaches back over applied controls, so that the first planned control has a full
     window and continues the applied ones smoothly. Only the applied controls are smoothed, not the

@@ -1,4 +1,4 @@
-"""One rollout with everything that it passes through, to draw and to explain a plan."""
+"""Roll out one control sequence, with all states and each term of the cost, for inspection."""
 
 from typing import Any, NamedTuple
 

@@ -92,6 +92,7 @@ class AdaptiveSoftmax(Weighting):
         is_finite = jnp.isfinite(costs)
         least = jnp.min(jnp.where(is_finite, costs, jnp.inf))
         spread = jnp.max(jnp.where(is_finite, costs, -jnp.inf)) - least
+        # If all costs are equal or none is finite there is no spread, and any scale will do.
         scale = jnp.log(jnp.where(jnp.isfinite(spread) & (spread > 0.0), spread, 1.0))
         offset = self.importance * log_ratio
 
@@ -109,6 +110,7 @@ class AdaptiveSoftmax(Weighting):
             # One penalty may exceed the differences that matter by 30 decades, so the interval is
             # wide; its ends keep the exponential within float32.
             ends = (jnp.maximum(start - 100.0, -80.0), jnp.minimum(start + 18.0, 85.0))
+            # 30 halvings of an interval of at most 118 leave 1e-7.
             ends, _ = jax.lax.scan(halve, ends, None, length=30)
             return 0.5 * (ends[0] + ends[1])
 

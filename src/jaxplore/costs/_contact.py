@@ -25,6 +25,7 @@ def levers(state: State) -> tuple[Lever, ...]:
 
 def shifted(components: tuple[Scalar, ...], lever: Lever) -> tuple[Scalar, ...]:
     """Add an offset to a vector; a third component, the height, does not change."""
+    # `zip` stops at the shorter vector: the lever of a single disc is empty, and none has a height.
     moved = tuple(a + b for a, b in zip(components, lever, strict=False))
     return moved + components[len(moved) :]
 

@@ -79,6 +79,7 @@ class CollisionCost(Cost):
             distance: Scalar = field(centre)
             return distance
 
+        # Reduced pairwise and not as an array, which XLA would reduce sample by sample.
         deep = depth(functools.reduce(jnp.minimum, map(clearance, parts)), too_close)
         total = deep * deep
         obstacles = belief.obstacles
@@ -96,6 +97,7 @@ class CollisionCost(Cost):
             within = jnp.maximum(too_close + speed * t - gap(now, radius), 0.0)
             return inside * inside + self.reach * within * within
 
+        # The reachable set grows from the present outline: the obstacle may turn at once.
         expected, now = obstacles.predicted(t), obstacles.predicted(jnp.zeros(()))
         spreads = self.caution * obstacles.deviation(t)
         things = (expected.corners, now.corners, expected.radii, spreads, obstacles.speeds)

@@ -156,6 +156,7 @@ class ControlJerkCost(ControlDifferenceCost):
         changes = controls[1:] - controls[:-1]
         bends = changes[1:] - changes[:-1]
         paid = jnp.sum(bends * bends, axis=0)
+        # A horizon of one step has no second difference.
         if self.include_applied and controls.shape[0] > 1:
             first = changes[0] - (controls[0] - applied)
             paid = paid + first * first
@@ -190,6 +191,7 @@ def _check_no_reward(weights: Array) -> None:
     if _checks.is_traced(weights):
         return
     given = np.asarray(weights, np.float64)
+    # A quadratic form depends on the symmetric part of its matrix alone.
     matrix = np.diag(given) if given.ndim == 1 else 0.5 * (given + given.T)
     lowest = np.linalg.eigvalsh(matrix).min()
     # Rounding to float32 can make a zero eigenvalue slightly negative.

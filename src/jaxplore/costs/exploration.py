@@ -140,6 +140,7 @@ class StrategyReferenceCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief
     ) -> Scalar:
         """Compute the squared distance at the time when the state is reached."""
+        # Only for its error, which names a reference that is missing.
         part(belief, "reference")
         position, wanted = state.position, belief.reference_at(t)
         x, y = position[0] - wanted[0], position[1] - wanted[1]
@@ -147,7 +148,7 @@ class StrategyReferenceCost(Cost):
 
 
 class HomingCost(Cost):
-    """Distance to the goal once nothing worthwhile is left to see, and 0 before [m].
+    """Distance to the goal once the belief counts as explored (`is_explored`), and 0 before [m].
 
     Source: the quadrotor design notes, where the goal attracts only after exploration.
 

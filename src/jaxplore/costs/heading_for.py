@@ -47,15 +47,15 @@ class ToGoalCost(Cost):
 class RegionCost(Cost):
     """Distance travelled in other directions than a preferred one, `|d| - d . n` [m].
 
-    d is the displacement from the current position, and n the unit vector at the angle `direction`
-    from the current heading. The cost is 0 for motion along n and twice the distance for motion
-    against it. With a different direction for each member of a `Portfolio`, such as ahead, left and
-    right, the members search different regions.
+    d is the displacement from the robot's position at the last update of the fields, `Belief.pose`,
+    and n the unit vector at the angle `direction` from the heading there. The cost is 0 for motion
+    along n and twice the distance for motion against it. With a different direction for each member
+    of a `Portfolio`, such as ahead, left and right, the members search different regions.
 
     Source: the design notes for ground vehicles, "regional decomposition".
 
     Args:
-        direction: angle from the current heading, counter-clockwise [rad].
+        direction: angle from the heading of that pose, counter-clockwise [rad].
 
     Raises:
         ValueError: a direction that is not a finite number.
@@ -71,7 +71,7 @@ class RegionCost(Cost):
         position = state.position
         pose: Pose = part(belief, "pose")
         x, y = position[0] - pose[0], position[1] - pose[1]
-        # Relative to the pose at the start of the rollout, so that the direction is fixed.
+        # Relative to one pose for the whole rollout, so that the direction is fixed.
         angle = pose[2] + self.direction
         sin, cos = sin_cos(angle)
         return length(x, y) - (x * cos + y * sin)

@@ -171,6 +171,7 @@ class MovingObstacleCost(Cost):
             corners, radius = outlines.corners, outlines.radii
             if self.caution is not None:
                 entries = covariance[:, 0, 0], 2.0 * covariance[:, 0, 1], covariance[:, 1, 1]
+                # The factor of the deviation is squared here, once for all samples.
                 variances = self.caution**2 * jnp.stack(entries, axis=-1)
         return _Obstacle(centre, form, corners, radius, variances)
 
@@ -217,6 +218,7 @@ def _gaussian(obstacle: _Obstacle, points: list[tuple[Scalar, ...]]) -> Scalar:
     for here in points:
         x, y = here[0] - middle_x, here[1] - middle_y
         exponents.append(p * x * x + q * x * y + r * y * y)
+    # The greatest exponent is that of the greatest Gaussian, so one exponential suffices.
     return jnp.exp(functools.reduce(jnp.maximum, exponents))
 
 

@@ -205,6 +205,7 @@ def _check_reach(path: Path, dynamics: Dynamics) -> None:
     if _checks.is_traced(virtual.end, path.length):
         return
     end, length = float(virtual.end), float(path.length)
+    # The tolerance absorbs the rounding of both lengths to float32.
     if length > end * (1.0 + 1e-5):
         raise ValueError(
             f"path is {length:.4g} m long, beyond the bound of its PathParameter; accepted: at "

@@ -15,7 +15,7 @@ class TerrainCost(Cost):
 
         (slope / steep)^2 + roughness / rough
 
-    The robot then drives around a hill if the detour is worth it, and prefers smooth ground. Reads
+    The robot then drives around a hill if the detour costs less, and prefers smooth ground. Reads
     `belief.ground`; without it the ground is level and the cost is 0.
 
     Args:

@@ -292,6 +292,7 @@ class StateCost(ErrorCost):
         names_within("angles", angles, self.weights)
         given = by_name("target", target)
         self.target = {name: given.get(name, jnp.zeros(())) for name in self.weights}
+        # The names are static: sorted, so that another order does not recompile.
         self.angles = tuple(sorted(set(angles)))
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)
 

@@ -11,6 +11,7 @@ from jaxplore._types import ControlVector, Scalar, Vector
 def speed_range(min_speed: ArrayLike, max_speed: ArrayLike) -> tuple[Scalar, Scalar]:
     """Return both speeds as float32 scalars; requires max_speed > 0 and min_speed < max_speed."""
     highest = _checks.scalar("max_speed", max_speed, above=0.0)
+    # A traced maximum has no number that the minimum could be compared with.
     below = None if _checks.is_traced(max_speed) else float(np.asarray(max_speed).item())
     return _checks.scalar("min_speed", min_speed, below=below), highest
 

@@ -88,6 +88,7 @@ class Ackermann(ContinuousDynamics):
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
+            # The number of discs is given, because it cannot be derived from a traced wheelbase.
             footprint = Rectangle(self.wheelbase + overhang, overhang, width, num_discs=2)
         # Stored under another name, because `footprint` is a property of every model.
         self.outline = footprint
@@ -110,6 +111,7 @@ class Ackermann(ContinuousDynamics):
         _, _, yaw, v, steering = self.project(state)
         a, steering_rate = control
         sin_yaw, cos_yaw = sin_cos(yaw)
+        # The tangent is sin / cos, because tan is slow on a CPU: see `KinematicBicycle`.
         sin_steering, cos_steering = sin_cos(steering)
         return jnp.stack(
             [

@@ -95,6 +95,7 @@ class KinematicBicycle(ContinuousDynamics):
         turn = sine / (wheelbase * cosine)
         tan_beta = self.rear_length * turn
         cos_beta = 1.0 / jnp.sqrt(1.0 + tan_beta * tan_beta)
+        # All stages of the integrator read these. Without the cut each would compute them again.
         cos_beta, sin_beta, bend = cut((cos_beta, tan_beta * cos_beta, cos_beta * turn))
 
         def rate(state: StateVector, control: ControlVector) -> StateVector:

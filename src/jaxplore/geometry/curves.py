@@ -103,7 +103,7 @@ def clothoid_path(
 
     Raises:
         ValueError: no pieces, a piece that is not a positive length and two finite curvatures, a
-            piece that is too long for its curvature, a closed path that does not end at its start.
+            closed path that does not end at its start.
     """
     x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
     rows = [
@@ -208,6 +208,7 @@ def path_through(
             index = np.clip(np.searchsorted(fine, values, side="right") - 1, 0, fine.size - 2)
             passed = arc[index] + _between(speed, fine[index], values)
             rate = speed(values)
+            # At a clamped end the speed is 0, and a Newton step would be infinite.
             step = np.where(rate > 0.0, (phi - passed) / np.where(rate > 0.0, rate, 1.0), 0.0)
             values = np.clip(values + step, at[0], at[-1])
         return np.asarray(values)
@@ -221,7 +222,8 @@ def path_through(
         tangent = np.where(still[:, None], second(values) * _sign_at(values, at), tangent)
         return np.asarray(tangent / np.hypot(*tangent.T)[:, None])
 
-    # The table must resolve the sharpest bend, so its size follows from the curvature.
+    # The table must resolve the sharpest bend, so its size follows from the curvature. The bound on
+    # the speed keeps the curvature finite at a clamped end.
     first, bend = slope(fine), second(fine)
     size = np.maximum(np.hypot(*first.T), 1e-3)
     curvature = (first[:, 0] * bend[:, 1] - first[:, 1] * bend[:, 0]) / size**3
@@ -311,6 +313,7 @@ def _widths_along(
 
 
 NODES, WEIGHTS = leggauss(8)
+"""Points and weights of Gauss-Legendre quadrature, exact for polynomials up to degree 15."""
 
 
 def _between(rate: Function, low: np.ndarray, high: np.ndarray) -> np.ndarray:

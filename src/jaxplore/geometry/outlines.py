@@ -85,6 +85,7 @@ class Outlines(eqx.Module):
         )
 
     def __add__(self, other: "Outlines") -> "Outlines":
+        # Repeating the last corner changes no shape: see `polygons`.
         most = max(self.corners.shape[1], other.corners.shape[1])
         corners = [
             jnp.concatenate([each, jnp.repeat(each[:, -1:], most - each.shape[1], axis=1)], axis=1)
@@ -179,7 +180,7 @@ def nearest(corners: Float[Array, "V 2"], radius: Scalar, x: Scalar, y: Scalar) 
 
 
 def _nearest_of_disc(centre: Float[Array, "2"], radius: Scalar, x: Scalar, y: Scalar) -> Nearest:
-    """Return how far a point is from a disc, without the edges of a polygon."""
+    """Return the signed distance and the offset from a disc to a point, without edges."""
     ahead, beside = x - centre[0], y - centre[1]
     square = ahead * ahead + beside * beside
     # So far away that the square is infinite, there is no direction, as for a polygon.

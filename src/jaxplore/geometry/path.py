@@ -278,6 +278,7 @@ class Path(eqx.Module):
         table: Float[Array, "N 2"], row: Array
     ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
         # Return components, not vectors: mapped over K samples, each component is one vector of K.
+        # `_locate` returns rows within the table, so the bounds need no check in each look-up.
         def value(index: Array, column: int) -> Scalar:
             return table.at[index, column].get(
                 mode="promise_in_bounds", wrap_negative_indices=False

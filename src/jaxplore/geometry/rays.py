@@ -51,6 +51,7 @@ def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells
     base = jnp.floor(start)
     # Work relative to the first cell, so that distances stay exact far from the map's corner.
     fraction = start - base
+    # A ray along an axis crosses no line of one family: its first line is then at the distance FAR.
     moves = jnp.abs(direction) > 1e-9
     spacing = jnp.where(moves, 1.0 / jnp.where(moves, jnp.abs(direction), 1.0), FAR)
     to_first = jnp.where(moves, jnp.where(direction > 0, 1.0 - fraction, fraction), 1.0)
@@ -83,6 +84,7 @@ def traverse(start: Float[Array, "2"], angle: Scalar, length: float) -> RayCells
 
 def max_cells(length: float) -> int:
     """Return the greatest number of cells that a ray of a length [cells] can enter."""
+    # At most sqrt(2) length + 2 lines are crossed, one cell for each, after the cell of the start.
     return math.ceil(math.sqrt(2.0) * length) + 3
 
 
@@ -118,6 +120,7 @@ def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
     rays = []
     for angle in angles:
         direction = np.array([math.sin(angle), math.cos(angle)])
+        # The bound avoids a division by 0: a ray along an axis meets no line of one family.
         distance = np.concatenate([lines / max(abs(part), 1.0 / FAR) for part in direction])
         order = np.argsort(distance, kind="stable")
         is_row = order < len(lines)

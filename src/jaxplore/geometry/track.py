@@ -42,10 +42,13 @@ def race_track(
     bends = _checks.whole_number("num_bends", num_bends, at_least=2)
     rng = np.random.default_rng(_checks.whole_number("seed", seed, at_least=0))
     waves = np.arange(2, bends + 1)
+    # Amplitudes fall with the frequency, whose square the curvature grows with.
     sizes = rng.uniform(0.3, 1.0, len(waves)) / waves
     phases = rng.uniform(0.0, 2.0 * np.pi, len(waves))
+    # With 40 corners per shortest wave, the spline bends little more between corners than at them.
     angles = np.linspace(0.0, 2.0 * np.pi, 40 * bends, endpoint=False)
     wave = (sizes * np.cos(np.outer(angles, waves) + phases)).sum(axis=1)
+    # |wave| <= 1 and flat < 1 keep the radius positive.
     wave /= np.abs(wave).max()
     for flat in 0.75 * 0.93 ** np.arange(MAX_ATTEMPTS):
         radius = 1.0 + flat * wave

@@ -123,6 +123,7 @@ class Sensor(eqx.Module):
     @property
     def beam_spacing(self) -> float:
         """Angle between neighbouring beams [rad]."""
+        # On a full circle the last beam is followed by the first: there are as many gaps as beams.
         gaps = self.num_beams if self.is_full_circle else max(1, self.num_beams - 1)
         return self.field_of_view / gaps
 

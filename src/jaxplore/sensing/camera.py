@@ -130,8 +130,10 @@ class Camera(Sensor):
         """Return for each cell whether its ground is visible if the cell is free, and whether the
         cell is visible if it is solid."""
         half = 0.5 * self.vertical_view
+        # Traced angles are not checked. Beyond a right angle the tangent would change its sign.
         bottom = jnp.tan(jnp.clip(self.tilt - half, -STEEPEST, STEEPEST))
         top = jnp.tan(jnp.clip(self.tilt + half, -STEEPEST, STEEPEST))
+        # The bound keeps the distance from being 0 in the camera's own cell.
         middle = jnp.maximum(0.5 * (cells.entry + cells.exit), TOUCH) * resolution
         ground = (-self.height if rise is None else rise) / middle
         # The horizon of a cell is the running maximum over all nearer cells; solid cells are

@@ -83,4 +83,5 @@ def checked_view(name: str, value: float) -> float:
     Raises:
         ValueError: another value.
     """
+    # 2 pi rounded to float32 is slightly greater than 2 pi.
     return _checks.number(name, value, above=0.0, at_most=2.0 * math.pi + 1e-6)

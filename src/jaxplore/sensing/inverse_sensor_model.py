@@ -102,7 +102,7 @@ class InverseSensorModel(eqx.Module):
         This is the update of the quadrotor design notes in log-odds; each update is as large as the
         range of the clamp. A settled cell counts as certain in expected information. Otherwise
         p = 0.01 would predict that one cell in a hundred of a known hall is occupied, and a long
-        view of the hall would be worth more than an unknown corner.
+        view of the hall would have more information than an unknown corner.
 
         Args:
             free: probability of a cell that a beam has passed, in (0, 0.5).
@@ -152,6 +152,7 @@ class InverseSensorModel(eqx.Module):
         """Return the mask of the cells at the clamp; none for a model that is not decisive."""
         if not self.is_decisive:
             return jnp.zeros_like(probability, bool)
+        # Grids store probabilities, whose rounding moves the log-odds slightly off the clamp.
         log_odds = self.log_odds(probability)
         return (log_odds < self.minimum + 1e-3) | (log_odds > self.maximum - 1e-3)
 
