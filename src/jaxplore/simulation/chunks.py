@@ -126,8 +126,7 @@ def run_in_chunks[S, R, F](
         start = time.perf_counter()
         # The number of steps is an array, so that every number runs the same compiled program.
         current, rows, done = run(current, jnp.asarray(steps, jnp.int32))
-        # Reading the count waits for the asynchronous program; otherwise only its dispatch is
-        # timed.
+        # Reading the count waits for the program, which JAX runs asynchronously.
         filled = int(done)
         rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:filled], rows)
         return current, rows, filled, time.perf_counter() - start

@@ -60,6 +60,7 @@ def draw_rollouts(
     """
     known = np.nan_to_num(weights)
     bold = STRONG_SHARE * known.max(initial=0.0)
+    # Heavier rollouts are drawn later, so that they lie on top.
     for index in np.argsort(known):
         is_strong = known[index] > 0.0 and known[index] >= bold
         colour, thickness = (STRONG, 1.5) if is_strong else (FAINT, 1.0)
@@ -100,6 +101,7 @@ def draw_body(
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), ROBOT, PAPER, edge)
     if is_turned:
         unit = np.array([np.cos(heading), np.sin(heading)])
+        # The direction is measured in pixels, because a surface may be rotated or flipped.
         ahead = surface.pixels(position + unit) - surface.pixels(position)
         ahead /= max(float(np.hypot(*ahead)), 1e-6)
         aside = np.array([ahead[1], -ahead[0]])

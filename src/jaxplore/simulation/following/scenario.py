@@ -196,8 +196,7 @@ class PathScenario(Scenario):
         """Measure the obstacles, or predict them during a dropout."""
         known = self._dated(self.obstacles(moment.time, key=key))
         if self.faults is not None and known is not None and state.known is not None:
-            # By `_dated` all obstacles have an age, so measured and predicted ones match leaf by
-            # leaf.
+            # By `_dated` all obstacles have an age, so both have the same leaves to choose from.
             predicted = state.known.after(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
         return state._replace(known=known), _belief(known)
