@@ -60,7 +60,6 @@ def draw_rollouts(
     """
     known = np.nan_to_num(weights)
     bold = STRONG_SHARE * known.max(initial=0.0)
-    # Heavier rollouts are drawn later, so that they lie on top.
     for index in np.argsort(known):
         is_strong = known[index] > 0.0 and known[index] >= bold
         colour, thickness = (STRONG, 1.5) if is_strong else (FAINT, 1.0)

@@ -162,7 +162,6 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
 
 def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
     spikes = np.arange(10)
-    # A star has ten corners, outer and inner in turn; the first one points up.
     angles = np.pi * (spikes / 5.0 - 0.5)
     reach = STAR * SUPERSAMPLING * np.where(spikes % 2, 0.42, 1.0)
     star = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
