@@ -35,6 +35,7 @@ from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
 
 PREDICTIONS = ("constant-turn", "constant-velocity")
+"""Motion models by which the robot may predict obstacles."""
 
 
 class PathScenario(Scenario):

@@ -196,7 +196,9 @@ def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _OWN = ("map", "architecture", "seed")
+"""Settings that belong to each run."""
 _ALIKE = ("robot", "lidar", "camera", "sensor_model", "rates")
+"""Sections that all variants share, so that they are comparable."""
 
 
 def _check_same_robot(settings: Mapping[str, Settings]) -> None:

@@ -134,6 +134,7 @@ def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
 
 
 _NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
+"""Fields of metrics that are no objective: curves, lists, texts and the seed."""
 
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:

@@ -320,7 +320,7 @@ class RibsOptimizer(Optimizer):
         measures = np.array(
             [each.measures if ok else low for each, ok in zip(generation, fine, strict=True)]
         )
-        # The value of a failed candidate is below all others, so that it ranks last.
+        # A failed candidate keeps a low value and is not counted as added, so that it ranks last.
         info = {"status": np.zeros(len(told), np.int32), "value": values - np.ptp(values) - 1.0}
         if fine.any():
             added = self.archive.add(told[fine], values[fine], measures[fine])

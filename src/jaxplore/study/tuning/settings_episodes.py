@@ -39,6 +39,7 @@ PARAMETERS = "parameters"
 _FIXED = ("map", "world", "seed", "start", "goal", "path", "architecture", PARAMETERS)
 """Settings that define the scenario and the task, and are not searched."""
 _OF_CONTROLLERS = ("controller", "portfolio", "informative")
+"""Sections of controllers, of which an architecture reads one."""
 
 
 class SettingsEpisodes(Episodes):

@@ -17,7 +17,9 @@ FORMAT = 1
 STUDY = "study.db"
 """File of Optuna's storage in the folder of a study."""
 _NAME, _ASKED = "jaxplore", "asked"
+"""Name of Optuna's study, and its attribute with the definition of the search."""
 _SQLITE = b"SQLite format 3\0"
+"""First bytes of a SQLite database."""
 
 
 @contextlib.contextmanager
