@@ -74,6 +74,7 @@ def run(
     entries = option_entries(options)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
+    # The folder is checked before the run, which may take minutes.
     check_folder(folder, overwrite=overwrite)
     experiment = build(settings)
     result = simulate(
@@ -188,6 +189,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(str(error))
     except (click.Abort, KeyboardInterrupt):
         click.echo("jaxplore: interrupted", err=True)
+        # Shells report Ctrl-C as 128 plus the number of the signal.
         sys.exit(130)
 
 

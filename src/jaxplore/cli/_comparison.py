@@ -35,11 +35,13 @@ _OF_ONE_PLACE = {
 """Options for a single scenario only."""
 
 _FAILED, _INTERRUPTED = 1, 130
+"""Exit codes: some runs failed; Ctrl-C, as of a shell 128 plus the number of the signal."""
 
 
 def comparison_options(command: Any) -> Any:
     """Add the options for the variants and the maps of a comparison."""
     folder = click.Path(path_type=Path)
+    # Click lists options in the reverse order of their addition.
     for option in (
         click.option(
             "--batch",
@@ -137,7 +139,9 @@ def _in_one_place(
     _check_one_robot(settings)
     common = next(iter(settings.values()))
     folder = free_name(Path("runs") / f"{folder_name(entries)}-comparison") if out is None else out
+    # The folder is checked before the runs, which may take hours.
     check_folder(folder, overwrite=overwrite)
+    # The keys are left out: `compare` makes one for each seed.
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     first = common.seed
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)

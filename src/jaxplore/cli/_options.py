@@ -105,6 +105,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
     ]
 
     def add(command: Any) -> Any:
+        # Click lists options in the reverse order of their addition.
         for option in reversed(added):
             command = option(command)
         return command
@@ -114,6 +115,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
 
 def path_options(command: Any) -> Any:
     """Add the options of a path."""
+    # Click lists options in the reverse order of their addition.
     for option in (
         click.option("--obstacles", type=int, help="Moving obstacles on a path.  [default: 0]"),
         click.option("--laps", type=int, help="Laps of a closed path.  [default: 1]"),
@@ -170,6 +172,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
         # The option sets the number of rollouts of every architecture.
         for section in ("informative", "portfolio"):
             assign(entries, f"{section}.num_samples", given["controller__num_samples"])
+    # `--set` comes last, so that it overrides all other options.
     assign_all(entries, assignments)
     return entries
 
@@ -181,6 +184,7 @@ def _with_map(entries: dict[str, Any], map_: str | None, file: str | None) -> di
     if file is not None:
         return {**entries, PATH: str(Path(file).absolute())}
     if map_ == PATH:
+        # The generated track is only a default: the settings file may name a path.
         return {PATH: TRACK, **entries}
     return entries if map_ is None else {**map_entries(map_), **entries}
 

@@ -12,6 +12,7 @@ RUNNER = ("workers", "ray", "address")
 
 def runner_options(command: Any) -> Any:
     """Add the options of a runner."""
+    # Click lists options in the reverse order of their addition.
     for option in (
         click.option("--address", metavar="HOST:PORT", help="Join a Ray cluster."),
         click.option("--ray", is_flag=True, help="Start a local Ray cluster."),

@@ -13,6 +13,7 @@ from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
 
 _INTERRUPTED = 130
+"""Exit code after Ctrl-C, as of a shell: 128 plus the number of the signal."""
 
 
 def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:

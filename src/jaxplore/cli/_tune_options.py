@@ -112,6 +112,7 @@ _OPTIONS = (
 
 def tune_options(command: Any) -> Any:
     """Add the options of a search."""
+    # Click lists options in the reverse order of their addition, so `_OPTIONS` is in reverse.
     for option in _OPTIONS:
         command = option(command)
     return command

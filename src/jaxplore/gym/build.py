@@ -73,6 +73,7 @@ def build_environment(
     if action == "control":
         mode = ControlMode(first.robot)
     elif action == "waypoint" and isinstance(given, Settings):
+        # Driving to a waypoint earns no information, so its controller has no weight for it.
         numbers = given.controller.model_dump(exclude={"information_weight"})
         mode = WaypointMode(waypoint_mppi(first.robot, **numbers), reach)
         action_period = WAYPOINT_PERIOD if action_period is None else action_period

@@ -90,6 +90,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         choice = None if options is None else options.get("scenario")
         key, number = draw(self.np_random, self.environment, seed, choice)
         self._path.clear()
+        # A reset carries out no control period, so only the shape of its action matters.
         nothing = jnp.zeros(self.action_space.shape or (), jnp.float32)
         state = begin(self.environment, key, number)
         observation, _, _, info = self._advance(state, nothing, jnp.zeros((), jnp.int32))

@@ -67,6 +67,7 @@ def observed(observation: dict[str, Array], space: spaces.Dict) -> Observed:
     """Convert one or more observations to new NumPy arrays within the bounds of the space."""
     arrays = jax.device_get(observation)
     boxes = {name: box for name, box in space.items() if isinstance(box, spaces.Box)}
+    # Rounding may lead out of the bounds, which Gymnasium does not accept.
     return {name: np.clip(arrays[name], box.low, box.high) for name, box in boxes.items()}
 
 
@@ -84,6 +85,7 @@ def draw(
     Raises:
         ValueError: a scenario number out of range.
     """
+    # JAX takes seeds of 32 bits, unless 64-bit numbers are turned on.
     number = int(generator.integers(2**32)) if seed is None else seed % 2**32
     if choice is None:
         several = environment.num_scenarios > 1
@@ -93,6 +95,7 @@ def draw(
             f"option scenario is {choice!r}; accepted: a whole number below "
             f"{environment.num_scenarios}"
         )
+    # The number is an array, so that another scenario does not compile again.
     return jax.random.key(number), jnp.asarray(choice, jnp.int32)
 
 

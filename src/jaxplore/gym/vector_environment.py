@@ -118,6 +118,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         if self._states is None and not mask.all():
             raise gymnasium.error.ResetNeeded("some environments have no state; accepted: all")
         self._begin(mask, seeds, chosen.get("scenario"))
+        # No environment takes a step here, neither those that the mask selects nor the others.
         nothing = jnp.zeros(self.action_space.shape or (), jnp.float32)
         observation, _, _, info = self._advance(nothing, np.ones(self.num_envs, bool))
         return observation, info
@@ -166,6 +167,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         places = [int(index) for index in np.flatnonzero(mask)]
         for place in places:
             generator, seed = self._generators[place], seeds[place]
+            # As in Gymnasium, a seed makes a new generator, and without one the former continues.
             if generator is None or seed is not None:
                 generator, _ = seeding.np_random(seed)
                 self._generators[place] = generator
@@ -174,6 +176,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         if len(fresh) == self.num_envs:
             self._states = _rows(fresh)
             return
+        # Another number of environments to reset would be another program, so each is placed alone.
         for place, state in zip(places, fresh, strict=True):
             self._states = _placed(self.states, jnp.asarray(place, jnp.int32), state)
 
@@ -196,6 +199,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         rewards = np.asarray(outcomes.reward, np.float64)
         info: dict[str, Any] = {}
         for name, values in facts(self.environment, outcomes, self._states).items():
+            # Gymnasium's vector environments mark in `_NAME` which environments have an entry.
             info[name], info[f"_{name}"] = np.array(values), np.ones(self.num_envs, bool)
         return observation, rewards, (terminated, truncated), info
 

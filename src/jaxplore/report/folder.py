@@ -61,9 +61,11 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
         try:
             _make(folder, target)
             yield folder
+            # The check is repeated, because another process may have made the folder meanwhile.
             _check_vacant(target, overwrite)
             _put(folder, target)
         except BaseException:
+            # An interruption counts as well: no half-written folder may stay.
             shutil.rmtree(folder, ignore_errors=True)
             _remove_empty(created)
             raise
@@ -102,6 +104,7 @@ def _make_parents(folder: Path) -> list[Path]:
     created: list[Path] = []
     try:
         for parent in reversed(missing):
+            # Another run may make the same parent at this moment.
             parent.mkdir(exist_ok=True)
             created.append(parent)
     except BaseException:
@@ -119,6 +122,7 @@ def _remove_empty(folders: list[Path]) -> None:
 
 
 def _hidden(target: Path) -> Path:
+    # The folder is beside the target, so on the same file system, where a rename is one operation.
     return target.with_name(f".jaxplore-{secrets.token_hex(6)}")
 
 
@@ -137,6 +141,7 @@ def _put(folder: Path, target: Path) -> None:
     if not os.path.lexists(target):
         folder.rename(target)
         return
+    # A folder cannot be renamed onto one with content, so the former run moves aside first.
     former = _hidden(target)
     target.rename(former)
     try:
@@ -158,12 +163,14 @@ def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) ->
     Raises:
         ValueError: it cannot be written.
     """
+    # The file is made in the folder of its target, because only there the rename is one operation.
     temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
     with in_one_line(what, target):
         try:
             with temporary.open("xb") as file:
                 write(file)
                 file.flush()
+                # Without it a power cut after the rename could leave an empty file.
                 os.fsync(file.fileno())
             os.replace(temporary, target)
         finally:

@@ -70,6 +70,7 @@ class Column(NamedTuple):
             low, median, high = (
                 f"{scale * each:.{digits}f}" if math.isfinite(each) else "-" for each in spread
             )
+            # Equal quartiles, as of a single run, would only repeat the median.
             return median if low == high else f"{median}{separator}[{low}, {high}]"
 
         return cls(name, header, value, shown, applies)
@@ -184,6 +185,7 @@ class Metrics(abc.ABC):
         rows = [("duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}")]
         for name in own:
             value = getattr(self, name)
+            # Mappings and curves do not fit into a line of a table.
             if value is None or isinstance(value, bool | int | float | str):
                 shown = text(value, 3) if value is None or isinstance(value, float) else str(value)
                 rows.append((name.replace("_", " "), shown))

@@ -14,7 +14,7 @@ from jaxplore.report.recording import Recording
 
 DOTS_PER_INCH = 150
 BEFORE_ANIMATION = 0.2
-"""Share of the progress bar for everything but the animation."""
+"""Share of the progress bar for everything but the animation, which takes longest."""
 
 
 def save_run(
@@ -44,6 +44,7 @@ def save_run(
     Raises:
         ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
     """
+    # Both documents are made first, so that a value they cannot hold stops before any file exists.
     document = None if settings is None else settings_document(settings)
     report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
     with run_folder(path, overwrite=overwrite) as folder:

@@ -51,6 +51,7 @@ def quartiles(values: Sequence[float | None]) -> Quartiles:
     if not values:
         raise ValueError("values is empty; accepted: those of at least one run")
     numbers = np.sort([math.inf if value is None else value for value in values])
+    # Interpolation beside an infinite value gives infinity or NaN, so it needs finite values only.
     low, median, high = np.percentile(numbers, [25, 50, 75], method="higher")
     if np.isfinite(numbers).all():
         low, median, high = np.percentile(numbers, [25, 50, 75])
@@ -136,6 +137,7 @@ def paired_difference(
         )
     differences = np.asarray(after, np.float64) - np.asarray(before, np.float64)
     mean = float(differences.mean())
+    # Resampling equal differences would only add rounding errors.
     if np.ptp(differences) == 0.0:
         return Difference(mean, mean, mean)
     means = differences[_draws(len(differences), resamples, seed)].mean(axis=1)

@@ -209,13 +209,16 @@ def _run_chunk(
 
         def one(arrays: tuple[Array, ...], state: LoopState, key: Key) -> tuple[LoopState, Any]:
             controller, scenario = stacked.tree(arrays)
+            # The shared clock has no axis of runs, so `when_due` stays a branch under vmap.
             return closed_loop_step(controller, scenario, state._replace(step=clock), key)
 
         after, record = jax.vmap(one, in_axes=axes)(stacked.arrays, states, keys)
+        # A finished run keeps its state while the others continue.
         choose = functools.partial(jax.vmap(jnp.where), _unfinished(stacked, states))
         return RunBatch(jax.tree.map(choose, after, states), clock + 1), record
 
     size = batch.states.step.shape[0]
+    # All runs have records of the same shape, so those of the first one stand for all.
     controller, scenario = stacked.at(0)
     first = _run_at(batch.states, 0)
     blank = jax.tree.map(

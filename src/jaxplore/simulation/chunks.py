@@ -18,7 +18,7 @@ from jaxplore._types import Count, Flag
 from jaxplore.report.compute import Timing
 
 CHUNK_SECONDS = 0.5
-"""Simulated time of a chunk [s]."""
+"""Simulated time of a chunk [s]: frames, progress and Ctrl-C wait for the end of a chunk."""
 STEPWISE_CHUNKS = 10
 """One chunk in this many is run step by step, by the same compiled program, to time steps."""
 MAX_FRAMES = 240
@@ -124,13 +124,17 @@ def run_in_chunks[S, R, F](
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:
         start = time.perf_counter()
+        # The number of steps is an array, so that every number runs the same compiled program.
         current, rows, done = run(current, jnp.asarray(steps, jnp.int32))
+        # Reading the count waits for the program, which JAX runs asynchronously.
         filled = int(done)
         rows = jax.tree.map(lambda leaf: np.asarray(leaf)[:filled], rows)
         return current, rows, filled, time.perf_counter() - start
 
+    # A call with zero steps compiles the program, so that no timed step includes the compilation.
     state, rows, _, _ = advance(state, 0)
     compile_seconds = time.perf_counter() - began
+    # The empty records of that call stay in the list, so that a run without a step has records too.
     pieces, frames, step_seconds = [rows], [frame(state, 0)], []
     loop_seconds, loop_steps, total, chunks, every, shown = 0.0, 0, 0, 0, 1, 0
     started = time.perf_counter()
@@ -144,6 +148,8 @@ def run_in_chunks[S, R, F](
                 state, rows, done, seconds = advance(state, size)
                 pieces.append(rows)
                 total += done
+                # Steps that are timed one at a time return to Python each time, so they stay out of
+                # the loop's mean.
                 if stepwise:
                     step_seconds.append(seconds)
                 else:
@@ -151,13 +157,17 @@ def run_in_chunks[S, R, F](
                 finished = not bool(is_unfinished(state))
                 if finished:
                     break
+            # Frames are made at the end of a chunk only: the compiled loop does not return to
+            # Python within.
             if chunks % every == 0:
                 frames.append(frame(state, total))
                 shown = total
+            # The interval doubles with the dropped frames, so that frames stay evenly spaced.
             if len(frames) > MAX_FRAMES:
                 frames, every = frames[::2], every * 2
             on_chunk(state, total, time.perf_counter() - started)
         is_interrupted = stop_requested()
+    # A run may end between two regular frames, and its last frame must show the end.
     if shown != total:
         frames.append(frame(state, total))
     return ChunkedRun(
@@ -172,7 +182,7 @@ def run_in_chunks[S, R, F](
 
 @contextmanager
 def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield a function that tells whether Ctrl-C was pressed; a second press interrupts at once."""
+    """Yield a function that says whether Ctrl-C was pressed; a second press interrupts at once."""
     requested = threading.Event()
 
     def request(_: int, __: FrameType | None) -> None:
@@ -180,6 +190,7 @@ def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         requested.set()
 
+    # Python allows signal handlers in the main thread only.
     if threading.current_thread() is not threading.main_thread():
         yield requested.is_set
         return

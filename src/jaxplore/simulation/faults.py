@@ -12,6 +12,7 @@ from jaxplore._types import ControlVector, Flag, GridMask, Scalar, StateVector, 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 NEVER = (0.0, 0.0)
+"""Interval of length 0: the fault never happens."""
 
 
 class Faults(eqx.Module):
@@ -85,6 +86,7 @@ class Faults(eqx.Module):
             period: time since that observation [s].
         """
         frozen = self.frozen_odometry
+        # The first observation of the fault is still the true state, and later ones repeat it.
         is_stuck = _during(frozen, time) & _during(frozen, time - period)
         told = jnp.where(is_stuck, last, state)
         return jnp.where(_during(self.lost_odometry, time), jnp.nan, told)
@@ -105,6 +107,7 @@ class Faults(eqx.Module):
 
 def _interval(name: str, value: Vector) -> Array:
     given = _checks.vector(name, value, 2)
+    # The value of a traced array is not known yet.
     if not _checks.is_traced(given) and not 0.0 <= float(given[0]) <= float(given[1]):
         raise ValueError(
             f"{name} is {given.tolist()}; accepted: beginning and end [s], 0 <= beginning <= end"

@@ -28,6 +28,7 @@ def step_keys(key: Key, step: Count) -> tuple[Key, Key]:
 def moment_at(scenario: Scenario, state: LoopState) -> Moment:
     """Return the time of the next step, and the state that the controller observes."""
     period, faults = scenario.control_period, scenario.faults
+    # Time is a multiple of the period and not a sum of periods, so rounding does not accumulate.
     time = period * state.step.astype(jnp.float32)
     truth = state.task.robot
     if faults is None:
@@ -157,6 +158,7 @@ def frame_arrays(
         num_trajectories: number of rollouts in the frame; with 0 the controller is not compiled
             again.
     """
+    # These are the keys of the coming step, so the frame shows the scan and the plan of that step.
     measure_key, control_key = step_keys(key, state.step)
 
     def inspect(observed: StateVector, belief: Any) -> Any:

@@ -121,6 +121,7 @@ def simulate(
         def show(now: RunProgress) -> None:
             speed = now.time / max(now.seconds, 1e-9)
             left = (now.time_limit - now.time) / speed
+            # A run ends when its task is finished or at the time limit, whichever is nearer.
             share = max(now.share, now.time / now.time_limit)
             advance(
                 min(max(share, 0.0), 1.0),
@@ -136,6 +137,7 @@ def simulate(
             on_progress=show,
             num_trajectories=num_trajectories,
         )
+    # The last word of a key's data is the seed that `jax.random.key` was given.
     seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
     return Run(recording, recording.metrics(seed=seed))
 
@@ -166,6 +168,7 @@ def record_run(
     rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
     period = scenario.period
     controller = controller.at_period(scenario.control_period)
+    # The preparations compile programs as well, so their time counts as compilation.
     began = time.perf_counter()
     state = initial_loop_state(controller, scenario, key)
     chunk = max(1, round(CHUNK_SECONDS / period))

@@ -182,6 +182,7 @@ class Scenario(eqx.Module):
         """Allocate a buffer of zero records, with a leading axis of `capacity` steps."""
         nothing = jnp.zeros(())
         members = None
+        # The record has one row per member, so its shape depends on the controller.
         if controller is not None and controller.member_names:
             members = Members.blank(len(controller.member_names), self.robot.control_size)
         info = Info(
@@ -286,6 +287,7 @@ class AgentView(eqx.Module):
             trail: (N, 2) positions of the robot so far [m].
         """
         task = self.scenario
+        # Without a plan, the key decides only about the noise of a scan that a frame may draw.
         arrays = task.frame(state, moment, None, jax.random.key(0))
         frame = task.make_frame(int(moment.step), arrays)
         blank = jax.tree.map(
@@ -308,6 +310,8 @@ def state_bounds(robot: Dynamics) -> tuple[np.ndarray, np.ndarray]:
     low, high = np.full(size, -np.inf, np.float32), np.full(size, np.inf, np.float32)
     if isinstance(robot, ContinuousDynamics):
         for bound, far in ((low, -FAR), (high, FAR)):
+            # One component is far at a time: a projection of all together would share a bound, as
+            # that of a point mass's speed does.
             held = np.diagonal(jax.vmap(robot.project)(far * jnp.eye(size)))
             is_bound = np.abs(held) < FAR
             bound[is_bound] = held[is_bound]

@@ -23,7 +23,8 @@ class Stacked(eqx.Module):
     Args:
         arrays: leaves, with a leading axis where `differs`.
         differs: whether each leaf differs; static.
-        rest: leaves that are not arrays; static.
+        structure: structure of a pytree of the array leaves; static.
+        rest: leaves that are not arrays, the same in all pytrees.
     """
 
     arrays: tuple[Array, ...]
@@ -90,4 +91,5 @@ class Stacked(eqx.Module):
 
 
 def _is_same(one: Array, other: Array) -> bool:
+    # Identity comes first: a large shared map is then not compared cell by cell.
     return one is other or np.array_equal(np.asarray(one), np.asarray(other), equal_nan=True)

@@ -69,6 +69,7 @@ class Runner:
                 self._scheduler = Scheduler(self._make_pool())
             self._scheduler.run(tasks, on_result)
         except BaseException:
+            # Workers may still run tasks of this call, whose results would reach the next one.
             self.close()
             raise
 

@@ -80,6 +80,7 @@ def _value(text: str) -> Any:
 def _entry(name: str, value: Any) -> dict[str, Any]:
     """Return the settings entries that assign a setting or a controller parameter."""
     section, _, rest = name.partition(".")
+    # A name that is no section of the settings is the path of a controller parameter.
     if section not in {*Settings.model_fields, *PathSettings.model_fields}:
         return {"parameters": {name: value}}
     return {section: {rest: value} if rest else value}

@@ -37,6 +37,7 @@ def draw_legend(image: Image.Image, entries: Sequence[tuple[str, Colour]]) -> in
     # Two lines of three; with more entries the lines move closer together.
     lines, above, apart = (2, 20, 30) if len(entries) <= 6 else (3, 11, 23)
     end = LEGEND + COLUMN * -(-len(entries) // lines)
+    # In a narrow picture the curve takes the place of the legend.
     if image.width - end < LEAST_CURVE:
         return LEGEND - 22
     draw, (_, small) = ImageDraw.Draw(image), fonts()
@@ -69,9 +70,11 @@ def draw_curve(
     """
     width = min(CURVE, image.width - 12 - left)
     height = FOOTER - 24
+    # Pillow draws lines without smoothing, so they are drawn larger and reduced.
     factor = 2 * SUPERSAMPLING
     box = Image.new("RGB", (width * factor, height * factor), PAPER)
     draw = ImageDraw.Draw(box)
+    # A run without a step has no duration to divide by.
     duration = float(time[-1]) or 1.0
 
     def spots(seconds: np.ndarray, share: np.ndarray) -> list[tuple[float, float]]:
@@ -83,6 +86,7 @@ def draw_curve(
     draw.line(spots(ends, np.zeros(2)), PALE, factor)
     if level is not None:
         draw.line(spots(ends, np.full(2, level)), HIDDEN_WALL, factor)
+    # More than a few points per column of pixels cannot be seen.
     kept = np.unique(np.linspace(0, step, min(step + 1, 4 * width)).round().astype(int))
     curve = spots(time[kept], shares[kept])
     if len(curve) > 1:

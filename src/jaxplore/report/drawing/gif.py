@@ -35,6 +35,7 @@ def write_gif[F](
     """
     if max_frames < 1:
         raise ValueError(f"max_frames is {max_frames!r}; accepted: a whole number >= 1")
+    # One palette must exist before the first frame is quantised, so a few frames are drawn twice.
     chosen = evenly_chosen(frames, max_frames)
     palette = colours([draw(frame) for frame in evenly_chosen(chosen, LOOKS)])
     pictures = []

@@ -31,7 +31,7 @@ def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> 
     sheet = Image.new("RGB", (width, height * len(pictures)))
     for index, picture in enumerate(pictures):
         sheet.paste(picture, (0, index * height))
-    # One of the 256 entries stays free: in a GIF it marks unchanged pixels.
+    # One of the entries stays free: in a GIF it marks unchanged pixels.
     found = sheet.quantize(NUM_COLOURS - 1 - len(given), dither=Image.Dither.NONE).getpalette()
     palette = Image.new("P", (1, 1))
     palette.putpalette([channel for colour in given for channel in colour] + (found or []))

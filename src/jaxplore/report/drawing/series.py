@@ -25,9 +25,11 @@ def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
     end = np.minimum(np.arange(count) - width // 2 + width, count)
 
     def sums(each: np.ndarray) -> np.ndarray:
+        # Differences of a running sum cost the same for any width.
         until = np.concatenate([np.zeros((1, *each.shape[1:])), np.cumsum(each, axis=0)])
         return np.asarray(until[end] - until[first])
 
+    # Values that are not finite count neither in the sum nor in the number.
     total, number = sums(np.where(is_finite, values, 0.0)), sums(is_finite.astype(np.float64))
     return np.where(number > 0.0, total / np.maximum(number, 1.0), np.nan)
 

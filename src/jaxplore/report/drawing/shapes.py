@@ -100,6 +100,7 @@ def draw_body(
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), ROBOT, PAPER, edge)
     if is_turned:
         unit = np.array([np.cos(heading), np.sin(heading)])
+        # The direction is measured in pixels, because a surface may be rotated or flipped.
         ahead = surface.pixels(position + unit) - surface.pixels(position)
         ahead /= max(float(np.hypot(*ahead)), 1e-6)
         aside = np.array([ahead[1], -ahead[0]])

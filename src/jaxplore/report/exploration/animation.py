@@ -115,6 +115,7 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     """
     drawn = np.ix_(*canvas.sample)
     level = canvas.window.crop(frame.probability, 128.0)[drawn]
+    # Sixteen levels instead of 256 make a small file; the last one is drawn as fully occupied.
     colours = belief_colours()[level // 16 * 16 + (level >= 240) * 15].astype(np.float32)
     unknown = np.abs(level.astype(int) - 128) < 8
     colours[unknown] = belief_colours()[128]
@@ -122,6 +123,7 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     information = _smooth(np.nan_to_num(frame.information)).ravel()[canvas.corners]
     heat = np.clip((information * canvas.shares).sum(0) / canvas.brightest, 0.0, 1.0)
     alpha = np.round(heat * HEAT_LEVELS) / HEAT_LEVELS * MAX_HEAT
+    # Only known-free cells, those below a quarter of 255, can be entered to gain information.
     alpha = np.where(level < 64, alpha, 0.0)[..., None]
     colours += alpha * (np.asarray(HEAT, np.float32) - colours)
     closed = canvas.closed & (level < 192)

@@ -115,6 +115,7 @@ def _field_stencil(
         axis=-1,
     )
     spot = to_frame(world, recording.field_origin)[..., ::-1] / recording.field_resolution - 0.5
+    # Cells beyond the outermost nodes take the value of the nearest one.
     spot = np.clip(spot, 0.0, np.asarray(nodes) - 1.0)
     lower = np.floor(spot).astype(int)
     upper = np.minimum(lower + 1, np.asarray(nodes) - 1)

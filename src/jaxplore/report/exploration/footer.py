@@ -33,6 +33,7 @@ def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> 
     time, coverage, _, path = canvas.progress
     top, step = canvas.map_size[1], min(frame.step, len(time) - 1)
     draw, large, small = ImageDraw.Draw(image), *fonts()
+    # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
     percent = (
         100.0 * float(coverage[step]) if frame.step else 100.0 * canvas.recording.initial_coverage
     )
@@ -45,6 +46,7 @@ def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> 
     draw.text((100, top + second), f"{path[step]:.1f} m", INK, small)
     if len(targets):
         seen = canvas.recording.records.targets_seen
+        # A frame is drawn before the step of its number: its last record is one step earlier.
         count = int(seen[min(frame.step, len(seen)) - 1]) if frame.step else 0
         draw.text((16, top + 59), f"targets {count} of {len(targets)}", INK, small)
     end = draw_legend(image, _legend(canvas))

@@ -61,6 +61,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     idle = window.crop(np.asarray(recording.idleness, np.float64), 0.0)
     counts = window.crop(np.asarray(recording.reachable, bool), False)
     shown = place.imshow(
+        # Cells that were never seen have an infinite idleness, which no colour scale can show.
         np.ma.masked_where(~counts, np.minimum(idle, duration)),
         cmap="YlOrRd",
         vmin=0.0,
@@ -68,6 +69,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
         origin="lower",
         interpolation="nearest",
     )
+    # Without a cell to show, the colour scale has no data for its upper end.
     if not counts.any():
         shown.set_clim(0.0, duration)
     track = window.place(recording.positions) + window.corner

@@ -148,6 +148,7 @@ class ExplorationMetrics(Metrics):
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the main metrics as (name, text), for tables."""
+        # A patrol has no end, so it can be neither finished nor unfinished.
         ends = (
             self.target_coverage is not None or self.num_targets or self.goal_distance is not None
         )
@@ -225,6 +226,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
     """
     records, period, steps = recording.records, recording.control_period, recording.num_steps
     time, coverage, entropy, path = progress(recording)
+    # The coverage is float32, so the level is rounded in the same way before the comparison.
     reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
     in_contact = np.asarray(records.is_collision, bool)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
@@ -286,6 +288,7 @@ def _finished_at(recording: ExplorationData, coverage: float) -> float | None:
     target = recording.target_coverage
     if recording.goal is not None or len(recording.targets) or target is None:
         return None
+    # A run that begins at the target coverage takes no step.
     return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
 
 

@@ -79,6 +79,7 @@ def _add_contours(axes: "Axes", elevation: np.ndarray, window: Window) -> None:
     if min(height.shape) < 2 or not np.isfinite(height).any():
         return
     lowest, highest = float(np.nanmin(height)), float(np.nanmax(height))
+    # A contour at the lowest or the highest point would be a point and not a line.
     levels = np.asarray(MaxNLocator(CONTOURS).tick_values(lowest, highest))
     levels = levels[(levels > lowest) & (levels < highest)]
     if highest - lowest < LEAST_RELIEF or not levels.size:

@@ -43,6 +43,7 @@ def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
 
     labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
     seen = np.unique(labels[np.asarray(recording.reachable, bool)])
+    # A rim of cells outside closes the outline at the border of the map.
     inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)
     row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
     upright = np.stack([column, row, column, row + 1], axis=-1)
@@ -192,6 +193,7 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     for level, colour in zip(LEVELS, ("#7fb7be", "#3d9a8b", "#2a7f5f", "#14532d"), strict=True):
         seconds, metres = metrics.time_to[str(level)], metrics.path_to[str(level)]
         if seconds is None or metres is None:
+            # The level stays in the legend, so that all figures have the same entries.
             axes.plot([], [], "o", color="0.8", label=f"{level} %: not reached")
             continue
         axes.plot([seconds, seconds], [0.0, level], color=colour, linewidth=0.8, linestyle=":")

@@ -52,7 +52,9 @@ def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
         positions: (N + 1, 2) positions of the robot [m].
         coverage: (N + 1,) coverage at the same instants.
     """
+    # Noise can lower the coverage, and a return to a former value is no rise.
     best = np.maximum.accumulate(coverage).tolist()
+    # With each axis negated as well, all queues keep maxima: their sums are the window's extents.
     axes = [signed.tolist() for axis in positions.T for signed in (axis, -axis)]
     queues: list[deque[int]] = [deque() for _ in axes]
     first = longest = 0

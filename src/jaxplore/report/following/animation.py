@@ -187,6 +187,7 @@ def _dashes(recording: PathData, length: float) -> np.ndarray:
     """Return the dashes (D, 3, 2) of the path, each of a length [m]."""
     nodes = np.linspace(0.0, recording.length, len(recording.centre))
     begins = np.arange(0.0, recording.length, 2.0 * length)
+    # A dash has a point in its middle, so that it bends with the path.
     along = begins[:, None] + length * np.array([0.0, 0.5, 1.0])
     along = np.minimum(along, recording.length)
     axes = [np.interp(along, nodes, axis) for axis in recording.centre.T.astype(np.float64)]
@@ -195,6 +196,7 @@ def _dashes(recording: PathData, length: float) -> np.ndarray:
 
 def _draw(canvas: PathCanvas, frame: PathFrame) -> Image.Image:
     view = canvas.view(frame.position)
+    # The run is drawn into the ground, so each frame needs a copy.
     ground = canvas.course.copy() if canvas.course else _draw_course(canvas, view)
     _draw_run(canvas, view, frame, ImageDraw.Draw(ground, "RGBA"))
     columns, rows = canvas.size
@@ -247,6 +249,7 @@ def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.
     draw_line(view, draw, frame.plan, PLAN, 2.0)
     for step in canvas.contacts[canvas.contacts < frame.step].tolist():
         middle = view.pixels(recording.positions[step + 1])
+        # The white cross below is a rim that keeps the mark visible on the trail.
         for thickness, colour in ((4.5, PAPER), (2.5, MISSED)):
             for arm in (np.array([1.0, 1.0]), np.array([1.0, -1.0])):
                 reach = (4.0 + 0.25 * thickness) * SUPERSAMPLING * arm
@@ -264,6 +267,7 @@ def _draw_obstacle(
         return
     places = view.pixels(corners)
     edge = 1.5 * SUPERSAMPLING
+    # A small obstacle keeps a visible size.
     reach = max(radius * view.scale * SUPERSAMPLING, edge if len(places) > 2 else 2.0 * edge)
     for colour, around in ((MOVER_EDGE, reach), (MOVER, reach - edge)):
         if around > 0.0:
@@ -311,6 +315,7 @@ def _legend(canvas: PathCanvas) -> list[tuple[str, Colour]]:
 
 
 def _palette(pictures: Sequence[Image.Image]) -> Image.Image:
+    # Thin lines have few pixels, and a palette by frequency would lose their colours.
     lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, INK, PALE, MISSED)
     given: list[Colour] = [PAPER, FREE, BEYOND, MOVER_EDGE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]

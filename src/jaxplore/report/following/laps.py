@@ -27,6 +27,7 @@ def lap_starts(recording: PathData) -> np.ndarray:
         if not has_passed.any():
             break
         after = int(has_passed.argmax())
+        # A robot that starts beyond the line has no step before it to interpolate from.
         if after == 0:
             starts.append(0.0)
             continue

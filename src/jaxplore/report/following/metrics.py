@@ -183,6 +183,7 @@ def compute_path_metrics(recording: PathData, *, seed: int | None = None) -> Pat
         name: np.concatenate([[np.nan], values])
         for name, values in measured.items()
     }
+    # The loop ends with the step that reaches the end.
     finished_at = steps * period if progress[-1] >= recording.end else None
     return PathMetrics(
         **recording.common_metrics(finished_at=finished_at, seed=seed),

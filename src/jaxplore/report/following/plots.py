@@ -73,11 +73,12 @@ def worst_steps(margins: ArrayLike) -> np.ndarray:
 
 
 def path_figure(recording: PathData) -> "Figure":
-    """Draw the course, the trail coloured by speed, and the obstacles.
+    """Draw the course (path and corridor), the trail coloured by speed, and the obstacles.
 
     Obstacles are dark at their last position, and faint at their positions in some of the frames.
     Positions out of the corridor are red; a cross marks the deepest point of each contact.
     """
+    # Matplotlib is slow to import, and its Agg canvas needs no display.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
@@ -166,6 +167,7 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
         return
     dark, light = shade(MOVER), shade(MOVER_EDGE)
     frames = recording.frames
+    # The last frame is left out: its obstacles are drawn dark below.
     some = np.unique(np.linspace(0, len(frames) - 1, NUM_FAINT + 1).round().astype(int))[:-1]
     for index in some.tolist():
         for corners, radius in zip(frames[index].corners, radii, strict=True):
@@ -181,6 +183,7 @@ def _add_obstacles(axes: "Axes", recording: PathData) -> None:
         patch = PathPatch(outline, facecolor=dark, edgecolor="none", linewidth=0.0, zorder=3.0)
         patch.set_path_effects(rim)
         axes.add_patch(patch)
+    # Patches have no entry in the legend, so empty curves stand for them.
     for label, edge, alpha in (("obstacle", light, 1.0), ("obstacle earlier", "none", 2.0 * FAINT)):
         axes.plot(
             [],
@@ -210,6 +213,7 @@ def thick_outline(corners: np.ndarray, radius: float) -> "Path":
     points = np.asarray(corners, np.float64)
     following = np.roll(points, -1, axis=0)
     twice_area = float(np.sum(points[:, 0] * following[:, 1] - points[:, 1] * following[:, 0]))
+    # All pieces must turn the same way: by the nonzero rule opposite turns would leave holes.
     pieces = [points if twice_area >= 0.0 else points[::-1]] if len(points) > 2 else []
     for start, end in zip(points, following, strict=True):
         along = end - start
@@ -312,6 +316,7 @@ def errors_figure(recording: PathData) -> "Figure":
         _draw_margins(panel, after, margins, recording.robot_radius)
     first, last = float(along.min()), float(along.max())
     for panel in panels:
+        # In a run without a step both ends are equal, which Matplotlib warns about.
         panel.set_xlim(first, last if last > first else first + 1.0)
         panel.grid(color="0.2", alpha=0.12, linewidth=0.6)
     panels[-1].set_xlabel(label)
@@ -341,6 +346,7 @@ def _draw_margins(
     finite = {name: values[np.isfinite(values)] for name, values in margins.items()}
     most = max(float(values.max()) for values in finite.values())
     least = min(float(values.min()) for values in finite.values())
+    # Far from obstacles the gap is large, but only small margins matter. The room is shown whole.
     near = max(NEAR * radius, 1.05 * float(finite["room"].max()) if "room" in finite else 0.0)
     top = max(min(1.05 * most, near), 1e-2)
     bottom = min(1.2 * least, -0.08 * top)
@@ -354,6 +360,7 @@ def _mark_laps(panels: Sequence["Axes"], starts: np.ndarray) -> None:
         for start in starts[1:].tolist():
             panel.axvline(start, color="0.3", linewidth=0.8)
     first, last = panels[0].get_xlim()
+    # Labels over short laps would overlap.
     if np.min(np.diff(starts), initial=np.inf) < LEAST_LAP * (last - first):
         return
     for number, (start, end) in enumerate(itertools.pairwise(starts.tolist()), 1):

@@ -150,6 +150,7 @@ class WaypointMode(ActionMode):
         sin, cos = sin_cos(pose[2])
         offset = jnp.stack([cos * ahead - sin * left, sin * ahead + cos * left])
         ground = perception.ground
+        # The field has the parameters of the belief's guidance, so costs read both alike.
         way = goal_field(
             belief.grid,
             None if ground is None else ~ground.is_traversable,
@@ -181,6 +182,7 @@ class Hold(Controller):
     ) -> tuple[ControlVector, tuple[()], Info]:
         """Return the held control."""
         one = jnp.ones(())
+        # The diagnostics are those of a single rollout, so that records have all their fields.
         info = Info(self.control[None], one[None], jnp.zeros(1), one, jnp.array(True))
         return self.control, state, info
 

@@ -144,6 +144,7 @@ class Environment(eqx.Module):
             steps = max(
                 1, round(_checks.number("action_period", action_period, above=0.0) / period)
             )
+        # The numbers of steps are arrays, so that another period or limit does not compile again.
         self.steps_per_action = jnp.asarray(steps, jnp.int32)
         limit = _checks.number("time_limit", time_limit, above=0.0)
         self.max_steps = jnp.asarray(max(1, round(limit / period)), jnp.int32)
@@ -178,6 +179,7 @@ class Environment(eqx.Module):
         """
         scenario = self.scenario(choice)
         loop = initial_loop_state(self.mode.initial_controller, scenario, key)
+        # The loop's initial state leaves out the belief, which the first action mode may read.
         _, belief = scenario.init(key)
         zero = jnp.zeros((), jnp.int32)
         return EnvironmentState(
@@ -197,6 +199,7 @@ class Environment(eqx.Module):
             key: random key of the run.
             choice: number of the scenario, below `num_scenarios`.
         """
+        # With zero control periods the action has no effect, so any valid one serves.
         return self.step(self.init(key, choice), self.mode.low, jnp.zeros((), jnp.int32))
 
     def step(
@@ -229,6 +232,7 @@ class Environment(eqx.Module):
             ahead, record = control_step(
                 controller, scenario, at._replace(task=perceived), moment, belief, state.key
             )
+            # In the first iteration `at` is `course.at`, which adds neither distance nor contact.
             position = scenario.robot.position
             moved = position(at.task.robot) - position(course.at.task.robot)
             is_new = course.is_hit & ~statistics.is_contact
@@ -284,6 +288,7 @@ class Environment(eqx.Module):
         is_terminated = has_ended(course)
         return after, StepResult(
             observation=view.observation(after.perceived, after.moment, after.belief),
+            # A reset only perceives, and has no reward.
             reward=jnp.where(steps > 0, earned - penalty, 0.0),
             is_terminated=is_terminated,
             is_truncated=(course.at.step >= self.max_steps) & ~is_terminated,

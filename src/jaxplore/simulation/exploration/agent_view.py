@@ -56,6 +56,7 @@ class ExplorationView(AgentView):
         x, y, yaw = robot.pose(told)
         yaw = jnp.arctan2(jnp.sin(yaw), jnp.cos(yaw))
         pose = jnp.stack([x, y, yaw])
+        # A run's yaw is not wrapped, but the observation space bounds it.
         is_yaw = jnp.asarray([name == "yaw" for name in robot.state_names])
         side = self.view_cells
         return {
@@ -73,6 +74,7 @@ class ExplorationView(AgentView):
         placed = np.asarray(self.world.frame.to_world(jnp.asarray(corners)))
         pose = np.append(placed.min(axis=0), -np.pi), np.append(placed.max(axis=0), np.pi)
         low, high = state_bounds(robot)
+        # The model does not bound the pose, but the robot cannot leave the map.
         for name, least, greatest in zip(("x", "y", "yaw"), *pose, strict=True):
             if name in robot.state_names:
                 column = robot.state_names.index(name)

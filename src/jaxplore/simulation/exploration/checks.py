@@ -149,6 +149,7 @@ def checked_perception(
             max_unknown=max_unknown,
             ground=ground,
         )
+    # Arrays compare element by element, so their values are compared as lists.
     goals = [None if each is None else each.tolist() for each in (perception.goal, goal)]
     if goals[0] != goals[1]:
         raise ValueError(

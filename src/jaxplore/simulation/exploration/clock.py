@@ -25,6 +25,8 @@ def when_due[*T](
     """
 
     def try_it(*old: *T) -> tuple[*T]:
+        # The branches are nested, because `is_possible` differs between the runs of a batch and
+        # becomes a select under vmap.
         new: tuple[*T] = jax.lax.cond(is_possible, update, _same, *old)
         return new
 
@@ -45,6 +47,7 @@ def whole_steps(name: str, rate: float, control_rate: float) -> Array:
     """
     checked = _checks.number(name, rate, above=0.0, at_most=control_rate)
     ratio = control_rate / checked
+    # The tolerance accepts a rounded rate, such as 16.67 Hz of 50 Hz.
     if abs(ratio - round(ratio)) > 1e-3 * ratio:
         raise ValueError(
             f"{name} is {rate!r}; accepted: a whole fraction of the control rate of "

@@ -66,6 +66,7 @@ def disc_clearance(
         return jnp.maximum(jnp.maximum(low - centre, centre - (low + 1.0)), 0.0)
 
     gap = jnp.hypot(to_interval(rows, grid[0])[:, None], to_interval(columns, grid[1])[None])
+    # Cells beyond `reach` were not examined, so the distance is limited to it.
     nearest = jnp.min(jnp.where(is_solid, gap, float(reach)))
     return nearest * resolution - radius
 
@@ -107,6 +108,7 @@ def rectangle_clearance(
     ahead, left = jnp.stack([front, front, -rear, -rear]), jnp.stack([beside, -beside] * 2)
     corner_x, corner_y = cos * ahead - sin * left, sin * ahead + cos * left
 
+    # Squared distances are compared, so that one root at the end is enough.
     gap_x = _outside(corner_x[:, None], x[:-1], x[1:])
     gap_y = _outside(corner_y[:, None], y[:-1], y[1:])
     corners = jnp.min((gap_y * gap_y)[:, :, None] + (gap_x * gap_x)[:, None, :], axis=0)
@@ -115,6 +117,7 @@ def rectangle_clearance(
     ahead, left = cos * x + (sin * y)[:, None], (cos * y)[:, None] - sin * x
     gap_ahead, gap_left = _outside(ahead, -rear, front), _outside(left, -beside, beside)
     squares = gap_ahead * gap_ahead + gap_left * gap_left
+    # Neighbouring cells share corners: the least of a cell's four corners is taken axis by axis.
     squares = jnp.minimum(squares[:-1], squares[1:])
     squares = jnp.minimum(squares[:, :-1], squares[:, 1:])
     distance = jnp.sqrt(jnp.minimum(corners, squares))
@@ -162,6 +165,7 @@ def discs_clearance(
         over_ahead = jnp.maximum(ahead - footprint.front, -footprint.rear - ahead)
         over_left = jnp.abs(left) - 0.5 * footprint.width
         outside = jnp.hypot(jnp.maximum(over_ahead, 0.0), jnp.maximum(over_left, 0.0))
+        # Inside the rectangle, the nearest edge gives minus the penetration depth.
         inside = jnp.minimum(jnp.maximum(over_ahead, over_left), 0.0)
         return jnp.min(outside + inside - radii, initial=jnp.inf)
     middles = jnp.stack(_centres(position, heading, footprint))
@@ -185,6 +189,7 @@ def clearance_reach(footprint: Footprint | float, resolution: float, margin: flo
         extent = float(footprint.radius)  # each disc is looked at from its own centre
     else:
         extent = footprint
+    # The point of reference may lie anywhere in its cell, which takes one more cell.
     return math.ceil((extent + margin) / resolution) + 1
 
 
@@ -196,6 +201,7 @@ def _around(
     base = jnp.floor(grid).astype(jnp.int32)
     offsets = jnp.arange(-reach, reach + 1)
     rows, columns = base[0] + offsets, base[1] + offsets
+    # Indices beyond the map are clipped for reading only: those cells are solid.
     on_map = ((rows >= 0) & (rows < height))[:, None] & ((columns >= 0) & (columns < width))[None]
     is_solid = ~on_map | solid[jnp.clip(rows, 0, height - 1)][:, jnp.clip(columns, 0, width - 1)]
     return rows, columns, is_solid

@@ -114,6 +114,7 @@ def _place(
     """Return the position of a disc on its path, and its unit direction (0 on a path of length
     0)."""
     length = arc[-1]
+    # A path of length 0 would make the modulo NaN.
     rest = jnp.mod(travelled, jnp.where(length > 0.0, length, 1.0))
     rest = jnp.where(rest < length, rest, 0.0)  # rounding may leave a whole round
     # Searched from the right, so that a segment of length 0, such as padding, is never found.

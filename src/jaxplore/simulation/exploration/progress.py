@@ -23,6 +23,7 @@ def map_progress(belief: Belief, reachable: GridMask, time: Scalar) -> MapProgre
     known = jnp.sum(belief.grid.is_free & reachable, dtype=jnp.float32)
     mean, worst = jnp.zeros(()), jnp.zeros(())
     if belief.idleness is not None:
+        # The idleness of a cell that was never seen is infinite; here it counts from the start.
         idle = jnp.where(reachable, jnp.minimum(belief.idleness, time), 0.0)
         mean, worst = share(jnp.sum(idle)), jnp.max(idle)
     return MapProgress(

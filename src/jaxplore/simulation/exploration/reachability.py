@@ -47,12 +47,14 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             f"{where}, {kind}; accepted: free space{_nearest(world, free, radius, start)}"
         )
     distance = _face_distance(free, world.resolution)
+    # The tolerance is for rounding: a passage that is exactly wide enough must stay open.
     room = free & (distance >= radius - 1e-6)
     # The start is between cell centres, so the cells around it are seeds as well.
     near = np.zeros_like(free)
     near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
     labels, _ = scipy.ndimage.label(room, structure=np.ones((3, 3), int))
     beginnings = np.unique(labels[near & room])
+    # Seeds are cell centres, so the start between them may still touch something.
     clearance = disc_clearance(
         ~world.is_free,
         world.frame.to_grid(jnp.asarray(start[:2], jnp.float32)),
@@ -77,6 +79,7 @@ def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
 def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:
     import scipy.ndimage  # slow to import, and few need it
 
+    # The border of solid cells stands for the space off the map.
     padded = np.pad(free, 1)
     distance = np.asarray(scipy.ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
     return (distance - 0.5) * resolution
@@ -101,6 +104,7 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
 
 def _nearest(world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray) -> str:
     """Return a hint for an error message: the nearest position where the robot fits."""
+    # The margin covers the rounding of the position in the message to centimetres.
     cells = np.argwhere(free & (_face_distance(free, world.resolution) >= radius + 0.1))
     if cells.size == 0:
         return f"; this map has no place for a robot of radius {radius:g} m"

@@ -176,6 +176,7 @@ class ExplorationScenario(Scenario):
         self.prior = checks.checked_prior(prior, world)
         self.faults = checks.checked_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
+        # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if self.ground is None else with_closed(world, self.ground)
         self.reachable = jnp.asarray(reachable_cells(passable, pose, float(robot.radius)))
         if self.goal is not None:
@@ -209,6 +210,7 @@ class ExplorationScenario(Scenario):
         """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
         if self.num_targets:
             return "last_target_at + 100*collisions"
+        # A target coverage above 1 stands for none.
         if self.goal is None and float(self.target_coverage) > 1.0:
             return "mean_idleness + 100*collisions"
         return "finished_at + 100*collisions"
@@ -263,6 +265,7 @@ class ExplorationScenario(Scenario):
             return belief, map_progress(belief, self.reachable, moment.time), is_seen, ranges
 
         belief = state.belief
+        # The tracker predicts the obstacles at every control period, also between scans.
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
         belief, progress, is_seen, ranges = when_due(
@@ -294,6 +297,7 @@ class ExplorationScenario(Scenario):
         """
         model, period, progress = self.robot, self.control_period, state.progress
         moved = model.step(state.robot, control, period)
+        # Moving obstacles move during the step as well, so contact is with those at its end.
         truth = self.true_world(state, moment._replace(time=moment.time + period))
         reach = self.clearance_reach
         robot, is_collision = truth.stopped(model, state.robot, moved, reach)
@@ -369,6 +373,7 @@ class ExplorationScenario(Scenario):
         common = {
             **run.common(self.period),
             **robot_fields(self.robot, self.start),
+            # `finished` counts from the step that ended the task, that step included.
             "finished_step": run.num_steps - int(last.finished) + 1 if last.finished > 0 else None,
             "target_coverage": None if target > 1.0 else target,
             "targets": np.asarray(self.targets),
@@ -380,6 +385,8 @@ class ExplorationScenario(Scenario):
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
+        # Walls follow the number of the step, because `advance` asks for a later time: all parts of
+        # a step then see the same walls.
         grid = self.world
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))

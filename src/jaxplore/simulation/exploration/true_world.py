@@ -47,6 +47,7 @@ class TrueWorld(eqx.Module):
             key: random key of the step's measurements.
         """
         discs = self.discs
+        # The first sensor has the step's own key, so further sensors do not change its noise.
         keys = [key, *(jax.random.fold_in(key, k) for k in range(1, len(sensors)))]
         return tuple(
             sensor.scan(self.grid, pose, key=each, ground=self.ground, movers=discs)
@@ -81,6 +82,7 @@ class TrueWorld(eqx.Module):
             now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
             functools.reduce(jnp.logical_or, in_sight),
             position_std,
+            # The scenario predicts the obstacles at every step, so none of the time is left here.
             jnp.zeros(()),
         )
 

@@ -42,6 +42,8 @@ class PathView(AgentView):
         position, heading = robot.position(told), robot.heading(told)
         sin, cos = jnp.sin(heading), jnp.cos(heading)
         to_robot = jnp.stack([jnp.stack([cos, sin]), jnp.stack([-sin, cos])])
+        # Only the path around the last progress is searched: where the path crosses itself, the
+        # other branch may be nearer.
         near = self.path.nearest(position, near=state.progress)
         distances = near + AHEAD * jnp.arange(1.0, NUM_AHEAD + 1.0)
         points = jax.vmap(lambda phi: self.path.at(phi).position)(distances)

@@ -35,6 +35,7 @@ from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
 
 PREDICTIONS = ("constant-turn", "constant-velocity")
+"""Motion models by which the robot may predict obstacles."""
 
 
 class PathScenario(Scenario):
@@ -121,6 +122,7 @@ class PathScenario(Scenario):
         else:
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
         state = robot.at_pose(*pose)
+        # On a closed path, a start just behind the line begins below 0, not near the end of a lap.
         phi = path.nearest(robot.position(state), near=jnp.zeros(()) if path.is_closed else None)
         self.start = state.at[robot.state_names.index("phi")].set(phi)
         rate = _checks.number("control_rate", control_rate, above=0.0)
@@ -169,6 +171,7 @@ class PathScenario(Scenario):
         off = position_std * jax.random.normal(keys[0], size)
         faster = velocity_std * jax.random.normal(keys[1], size)
         is_turning = self.prediction == "constant-turn"
+        # A tracker measures positions and velocities, so its noise moves an outline as a whole.
         moved = eqx.tree_at(
             lambda known: known.corners, truth.outlines, truth.outlines.corners + off[:, None]
         )
@@ -194,6 +197,7 @@ class PathScenario(Scenario):
         """Measure the obstacles, or predict them during a dropout."""
         known = self._dated(self.obstacles(moment.time, key=key))
         if self.faults is not None and known is not None and state.known is not None:
+            # By `_dated` all obstacles have an age, so both have the same leaves to choose from.
             predicted = state.known.after(self.control_period)
             known = jax.tree.map(functools.partial(jnp.where, moment.is_blind), predicted, known)
         return state._replace(known=known), _belief(known)
@@ -212,6 +216,7 @@ class PathScenario(Scenario):
         if path.has_room:
             # By the true position, not by the phi of the plan.
             room = CorridorCost(path, parameter=lambda _: progress).clearance(here)
+        # The obstacles move during the step as well, so the gap is that at its end.
         truth = self.true_obstacles(moment.time + period)
         if truth is not None:
             gap = MovingObstacleCost(nearness=None).room(here, truth)
@@ -258,6 +263,7 @@ class PathScenario(Scenario):
         }
         if inspect is None:
             return arrays
+        # The key is that of the coming step, so the plan uses the measurements of that step.
         _, belief = self.perceive(state, moment, key)
         plan, position = inspect(state.robot, belief), jax.vmap(self.robot.position)
         return arrays | {
@@ -274,6 +280,7 @@ class PathScenario(Scenario):
         """
         if view_cells is not None:
             raise ValueError("view is given beside a path; accepted: without a map there is none")
+        # The number of obstacles is a shape of the observation, and the same at all times.
         truth = self.true_obstacles(jnp.zeros(()))
         number = 0 if truth is None else truth.outlines.number
         return PathView(self, view_cells, path=self.path, num_obstacles=number)

@@ -104,6 +104,8 @@ class Traffic(eqx.Module):
         if free >= length:
             raise ValueError(f"clear is {clear!r}; accepted: less than the length, {length:g}")
         rng = np.random.default_rng(seed)
+        # Each obstacle has an equal part of the path and stays away from the part's ends, so that
+        # neighbours start apart.
         share = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / max(count, 1)
         sides = rng.uniform(-1.0, 1.0, count) * 0.5 * (narrow - size)
         return cls(
@@ -139,6 +141,7 @@ class Traffic(eqx.Module):
 
 
 def _check_offsets(path: Path, offsets: np.ndarray) -> None:
+    # An obstacle travels along the whole path, so the narrowest place limits its offset.
     left, right = np.asarray(path.half_widths).min(axis=0)
     for index, offset in enumerate(offsets):
         if not -right <= offset <= left:

@@ -109,6 +109,7 @@ def compare(
         def keep(task: RecordingTask, result: tuple[Metrics, Recording]) -> None:
             metrics, recording = result
             found[task.variant, task.seed] = metrics
+            # A recording takes much more memory than metrics, so one per variant is kept.
             if task.seed == seeds[0]:
                 recordings[task.variant] = recording
             show(len(found), task)

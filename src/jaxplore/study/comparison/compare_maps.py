@@ -128,6 +128,7 @@ def compare_maps(
     with progress_bar("exploring", enabled=progress) as advance:
         advance(0.0, f"{len(episodes)} runs")
         counts = run_episodes(episodes, store, runner, _show(advance))
+    # The map stands in for any other: only the resolution is read.
     resolution = make_exploration_settings({**episodes[0].entries, "map": OFFICE}).resolution
     page = store.write_page(read_grids(plan.maps, resolution))
     rows = store.rows(NEEDED)
@@ -185,6 +186,7 @@ def run_episodes(
     except KeyboardInterrupt:
         is_interrupted = True
     finally:
+        # Finished runs are in the table after an error too.
         store.write_results()
     return RunCounts(num_done, num_failed, len(episodes) - num_left, is_interrupted)
 

@@ -124,11 +124,14 @@ def make_episodes(
             raise ValueError(f"{kind} is {values}; accepted: different ones, at least one")
     common = common_settings(settings)
     own = {
+        # `common_settings` leaves out the architecture, which here belongs to the variant.
         name: {**common_settings(merge_entries(common, entries)), **_architecture(entries)}
         for name, entries in variant_entries(variants).items()
     }
+    # The settings check the seeds; the least and the greatest stand for all.
     for seed in (min(seeds), max(seeds)):
         make_exploration_settings({"map": OFFICE, "seed": seed})
+    # The office stands in for the maps, which have no part in this check.
     _check_same_robot(
         {
             name: make_exploration_settings({"architecture": name, **entries, "map": OFFICE})
@@ -163,6 +166,7 @@ def variant_entries(
     found: dict[str, dict[str, Any]] = {}
     for name in variants:
         entries = {} if not isinstance(variants, Mapping) else dict(variants[name])
+        # An architecture that repeats the name of its variant would change the id of its runs.
         if entries.get("architecture") == name:
             del entries["architecture"]
         if name not in known and "architecture" not in entries:
@@ -192,7 +196,9 @@ def common_settings(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 _OWN = ("map", "architecture", "seed")
+"""Settings that belong to each run."""
 _ALIKE = ("robot", "lidar", "camera", "sensor_model", "rates")
+"""Sections that all variants share, so that they are comparable."""
 
 
 def _check_same_robot(settings: Mapping[str, Settings]) -> None:

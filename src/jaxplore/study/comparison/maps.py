@@ -112,6 +112,7 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
         ValueError: a map that cannot be read.
     """
     grid = OccupancyGrid.from_ros(path)
+    # The tolerance keeps a map from resampling when both resolutions differ by rounding only.
     is_finer = grid.resolution < resolution * (1.0 - 1e-6)
     return grid.resample(resolution) if is_finer else grid
 
@@ -136,6 +137,7 @@ def _is_map(path: Path) -> bool:
 def _content(path: Path) -> str:
     image = find_image(path)
     parts = [path.read_bytes(), b"" if image is None else image.read_bytes()]
+    # Hashes are hashed, so that bytes that move from one file to the other change the result.
     whole = hashlib.sha256()
     for part in parts:
         whole.update(hashlib.sha256(part).digest())
@@ -153,6 +155,7 @@ def _names(paths: list[Path]) -> list[str]:
         name if times[name] == 1 else f"{path.parent.name}-{path.stem}"
         for name, path in zip(short, paths, strict=True)
     ]
+    # Results are listed by name, so no two maps may share one.
     for name, number in Counter(names).items():
         if number > 1:
             same = [str(path) for each, path in zip(names, paths, strict=True) if each == name]

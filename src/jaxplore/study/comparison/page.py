@@ -146,6 +146,7 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     for number, (name, own) in enumerate(_by_variant(runs).items()):
         curves = [np.interp(time, row["curve_time"], row["curve_coverage"]) for row in own]
         low, median, high = np.percentile(100.0 * np.asarray(curves), [25, 50, 75], axis=0)
+        # After the last colour the line style changes, so that many variants stay distinct.
         colour, style = SERIES[number % len(SERIES)], ("-", "--", ":")[number // len(SERIES) % 3]
         axes.fill_between(time, low, high, color=colour, alpha=0.15, linewidth=0.0)
         axes.plot(time, median, color=colour, linestyle=style, linewidth=1.7, label=name)
@@ -186,6 +187,7 @@ def path_figure(row: Row, grid: OccupancyGrid, part: Part) -> "Figure":
 
     coloured = _coloured(grid, part)
     height, width, _ = coloured.shape
+    # The height is limited, so that the picture of a long corridor is neither flat nor tall.
     tall = min(max(height / width, 0.4), 1.8)
     figure = Figure(figsize=(2.6, 2.6 * tall), layout="constrained")
     FigureCanvasAgg(figure)

@@ -9,7 +9,8 @@ from PIL import Image
 from jaxplore.report.exploration.data import ExplorationData
 
 NEVER = 255
-"""Level of cells that were never seen."""
+"""Level of cells that were never seen. Eight bits leave 255 levels for the frames, more than a run
+has."""
 
 
 class Replay(NamedTuple):
@@ -33,5 +34,6 @@ def make_replay(recording: ExplorationData) -> Replay:
         is_new = (4.0 * p * (1.0 - p) <= 0.5) & (first == NEVER)
         first[is_new] = index
     file = io.BytesIO()
+    # Row 0 of a map is at the bottom, row 0 of a picture at the top.
     Image.fromarray(first[::-1]).save(file, format="PNG", optimize=True)
     return Replay([frame.time for frame in recording.frames[:NEVER]], file.getvalue())

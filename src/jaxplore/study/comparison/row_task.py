@@ -45,6 +45,7 @@ def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
         recording = recordings[episode.seed]
         # Maps are always explored, so the recording has the columns of a row.
         assert isinstance(recording, ExplorationRecording)
+        # The results name the user's file and not its copy on another machine.
         asked = settings.model_copy(update={"map": episode.path, "seed": episode.seed})
         metrics = recording.metrics(seed=episode.seed)
         rows.append(make_row(episode, recording, metrics, settings=asked))

@@ -130,6 +130,7 @@ def failed_row(episode: MapEpisode, error: str) -> Row:
     """
     row: Row = dict.fromkeys(COLUMNS)
     row |= _first_columns(episode, " ".join(error.split()) or "unknown")
+    # The results name the user's file and not its copy on another machine.
     entries = {**episode.entries, "map": episode.path}
     row |= {"time_limit": episode.settings.get("time_limit"), "settings": canonical(entries)}
     return row
@@ -198,5 +199,6 @@ def _first_columns(episode: MapEpisode, error: str | None) -> Row:
 
 def _mean_over(time: np.ndarray, values: np.ndarray, time_limit: float) -> float:
     """Compute the mean of a step function from 0 to the time limit; the last value is held."""
+    # Time beyond the limit counts nothing, and the last value lasts until the limit.
     instants = np.append(np.minimum(time, time_limit), time_limit)
     return float(np.sum(np.diff(instants) * values.astype(np.float64)) / time_limit)

@@ -99,6 +99,7 @@ class Store:
 
     def is_done(self, id_: str) -> bool:
         """Check whether a run with this id has succeeded."""
+        # An unknown run has an error without text, so it is not done.
         _, error = self._state.get(id_, (None, ""))
         return error is None
 
@@ -209,13 +210,16 @@ def open_store(
                 (target / name).unlink(missing_ok=True)
         former = None
     document = plan.document()
+    # The folder is made here, because `put` writes into an existing one.
     with in_one_line(_WHAT, target):
         (target / RUNS).mkdir(parents=True, exist_ok=True)
     store = Store(target)
     if former is not None:
         document = _together(former, document, store, where)
+    # The plan is stored before any run, so that an interrupted comparison is recognised.
     text = json.dumps(document, indent=2, allow_nan=False) + "\n"
     write_whole(target / MARK, lambda file: file.write(text.encode()), _WHAT)
+    # The former mark goes last, so that the folder has a mark at any time.
     (target / FORMER_MARK).unlink(missing_ok=True)
     return store
 
@@ -254,6 +258,7 @@ def _together(
     former: dict[str, Any], asked: dict[str, Any], store: Store, where: str
 ) -> dict[str, Any]:
     """Merge a former and a new plan, and check that they agree."""
+    # Without a successful run nothing binds the new plan to the former one.
     if not store.has_run():
         store.forget()
         return asked
@@ -273,6 +278,7 @@ def _together(
                 f"{_text(now.get(name))}; {_ACCEPTED}"
             )
     for name, entry in asked["maps"].items():
+        # A map that is new to the folder has nothing to differ from.
         was = former["maps"].get(name, entry)
         changed = [part for part in ("content", "start") if was.get(part) != entry[part]]
         if changed and store.has_run(name):
@@ -315,6 +321,7 @@ def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Pa
     for path in files:
         try:
             with parquet.ParquetFile(path) as file:
+                # A row of another version has other columns, and is run again.
                 is_row = file.schema_arrow.equals(expected) and file.metadata.num_rows == 1
                 rows = file.read(columns=columns).to_pylist() if is_row else []
         except (OSError, pyarrow.ArrowException):

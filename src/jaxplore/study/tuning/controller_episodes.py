@@ -146,6 +146,7 @@ def leaf_values(controller: Any, candidate: Candidate) -> dict[str, np.ndarray]:
     for name, value in candidate.items():
         path, index = split_index(name)
         full = find_parameter(controller, path)
+        # The elements of an array are separate parameters, so they are set in one copy of it.
         array = arrays.setdefault(full, np.array(known[full]))
         if index is None:
             array[...] = value

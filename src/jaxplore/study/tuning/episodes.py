@@ -136,6 +136,7 @@ class MetricsTask(EpisodeTask):
         """Run experiments as a batch; return no results if that is not possible."""
         if self.together is None or not ready:
             return {}
+        # All episodes of a task have the same time limit, see `make_tasks`.
         limit = self.episodes[0].time_limit
         try:
             recordings = self.together.record(self.scenario, list(ready.values()), limit)

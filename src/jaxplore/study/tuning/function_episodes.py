@@ -95,6 +95,7 @@ class VectorEpisodes(_Named):
         super().__init__(start, name)
         self._batch = check_batch(batch)
 
+        # The function is wrapped once: a new wrapper for every call would compile again.
         @eqx.filter_jit
         def together(values: dict[str, Array], key: Key) -> dict[str, Array]:
             return jax.vmap(lambda each: dict(function(each, key)))(values)

@@ -77,6 +77,7 @@ class Generations:
         show: Callable[[], None],
     ) -> None:
         """Run the missing episodes, and store the final state of each candidate."""
+        # With early stops the episodes run rung by rung, and bad candidates are dropped in between.
         one_by_one = self._search.gives_up and len(self._search.objectives) == 1
         rungs = [[each] for each in self._instances] if one_by_one else [self._instances]
         by_number = {each.number: each for each in trials}
@@ -135,6 +136,7 @@ class Generations:
             return ["given up", None]
         if not self._search.gives_up or len(self._search.objectives) > 1 or is_last:
             return None
+        # After an interruption this rung may be reported already.
         step = len(so_far) - 1
         if step not in _reported(self._study, trial.number):
             trial.report(means[0] - self._reference(known, so_far), step)
@@ -149,8 +151,10 @@ class Generations:
         Differences from it do not depend on the difficulty of the episodes.
         """
         trials = self._study.get_trials(deepcopy=False)
+        # Only the first generation holds the current settings; later ones read them from the study.
         first = known.get(0) or read_episodes(trials[0].user_attrs)
         told = [first[where]["metrics"] for where in so_far if where in first]
+        # Without all of these episodes the objectives are compared as they are.
         mean = self._search.objectives[0].mean(told) if len(told) == len(so_far) else 0.0
         return mean if math.isfinite(mean) else 0.0
 
@@ -188,8 +192,11 @@ class Generations:
                 continue
             if state is None:
                 if asked is None:
+                    # Asking replays all former generations, so it is done only for a new candidate.
                     asked = ask()
+                    # The very first candidate is the current settings, the reference of all others.
                     asked[0] = self._start if numbers.start == 0 else asked[0]
+                # Enqueued values are what Optuna's `ask` then returns, instead of drawing its own.
                 self._study.enqueue_trial(asked[number - numbers.start])
             trial = self._study.ask(self._distributions)
             assert trial.number == number

@@ -134,6 +134,7 @@ def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:
 
 
 _NO_NUMBERS = ("coverage_curve", "curves", "lap_times", "versions", "seed")
+"""Fields of metrics that are no objective: curves, lists, texts and the seed."""
 
 
 def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None]:
@@ -170,6 +171,7 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
             level = float(name.removeprefix("time_to.")) / 100.0
             filled[name] = limit * (1.0 + max(level - coverage, 0.0))
     for name in ("finished_at", "last_target_at"):
+        # Without targets there is no last one, so nothing is late.
         is_asked = name != "last_target_at" or bool(metrics.get("num_targets"))
         if name in metrics and metrics[name] is None and is_asked:
             filled[name] = limit * (1.0 + _missing(metrics))
@@ -189,6 +191,7 @@ def _missing(metrics: Numbers) -> float:
     if number("num_targets"):
         return 1.0 - number("targets_seen") / number("num_targets")
     if metrics.get("goal_distance") is not None:
+        # A goal needs a known map and the way there, and each counts half.
         away = number("goal_distance")
         return min(
             1.0, 0.5 * number("final_unknown") + 0.5 * away / (away + number("path_length") + 1e-9)

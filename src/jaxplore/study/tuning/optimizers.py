@@ -105,6 +105,7 @@ class OptunaOptimizer(Optimizer):
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
         """Report the values of all candidates, those that were stopped early included."""
+        # A study that continues has not asked for this generation yet.
         self.ask()
         for trial, each in zip(self._asked, generation, strict=True):
             if trial.params != each.candidate:
@@ -115,6 +116,7 @@ class OptunaOptimizer(Optimizer):
             elif each.state == "done":
                 self._study.tell(trial, list(each.values))
             elif each.state == "given up":
+                # Optuna's TPE ranks such candidates by their episodes first, then by the value.
                 trial.report(each.values[0], each.num_episodes)
                 self._study.tell(trial, state=self._states.PRUNED)
             else:
@@ -132,10 +134,12 @@ class OptunaOptimizer(Optimizer):
         # A new sampler for each candidate, so that a continued study draws the same numbers.
         seed = int(np.random.SeedSequence([self._seed, number]).generate_state(1)[0])
         if self._name == "tpe":
+            # The first generation is random, because the model has no results to learn from.
             return samplers.TPESampler(seed=seed, n_startup_trials=max(10, self._population))
         if self._name == "nsga-ii":
             return samplers.NSGAIISampler(seed=seed, population_size=self._population)
         if self._name == "qmc":
+            # All points belong to one sequence, so they share its seed; Optuna counts the points.
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # QMCSampler is experimental
                 return samplers.QMCSampler(seed=self._seed, scramble=True)
@@ -174,10 +178,12 @@ class EvosaxOptimizer(Optimizer):
             options = _evosax_options(name)
             self._algorithm = kind(
                 population_size=population,
+                # Only the shape of the solution counts here.
                 solution=np.zeros(len(space.names), np.float32),
                 **options,
             )
             self._numbers = self._algorithm.default_params
+            # Not all strategies have an initial standard deviation.
             if hasattr(self._numbers, "std_init"):
                 first = np.full_like(np.asarray(self._numbers.std_init), STEP)
                 self._numbers = self._numbers.replace(std_init=jax.numpy.asarray(first))
@@ -199,6 +205,7 @@ class EvosaxOptimizer(Optimizer):
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
         """Report the ranks."""
+        # A study that continues has not asked for this generation yet.
         if self._asked is None:
             self.ask()
         ranks = np.asarray([each.rank for each in generation], np.float32)
@@ -216,6 +223,7 @@ class EvosaxOptimizer(Optimizer):
 
     def _told(self, generation: Sequence[Evaluated]) -> np.ndarray:
         told = np.array(self._asked)
+        # The very first candidate was replaced by the start, so its point is that of the start.
         if self._generation == 0:
             told[0] = self._space.places(generation[0].candidate)
         return told
@@ -293,6 +301,7 @@ class RibsOptimizer(Optimizer):
 
     def tell(self, generation: Sequence[Evaluated]) -> None:
         """Add the successful candidates to the archive, and report the improvements."""
+        # A study that continues has not asked for this generation yet.
         if self._asked is None:
             self.ask()
         told = np.array(self._asked)
@@ -311,6 +320,7 @@ class RibsOptimizer(Optimizer):
         measures = np.array(
             [each.measures if ok else low for each, ok in zip(generation, fine, strict=True)]
         )
+        # A failed candidate keeps a low value and is not counted as added, so that it ranks last.
         info = {"status": np.zeros(len(told), np.int32), "value": values - np.ptp(values) - 1.0}
         if fine.any():
             added = self.archive.add(told[fine], values[fine], measures[fine])

@@ -34,6 +34,7 @@ def importances(study: Study) -> dict[str, float]:
     if len(done) < 10 or len({each.values[0] for each in done}) < 2:
         return {}
     target = None
+    # Optuna requires a target for several objectives.
     if len(study.search.objectives) > 1:
 
         def target(trial: Any) -> float:
@@ -188,6 +189,7 @@ def _archive(study: Study, optimizer: RibsOptimizer) -> "Figure":
         axes[0].stairs(best, archive.boundaries[0], baseline=None, color=_DONE, linewidth=3)
         axes[0].set_ylabel(label)
         return figure
+    # Rows of a mesh are along y, but the archive's first axis is the measure along x.
     cells = axes[0].pcolormesh(*archive.boundaries, best.reshape(archive.dims).T, cmap="viridis_r")
     axes[0].set_ylabel(measures[1].metric)
     figure.colorbar(cells, label=label)

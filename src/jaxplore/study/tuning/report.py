@@ -142,6 +142,7 @@ def _archive_rows(study: Study, optimizer: RibsOptimizer) -> list[dict[str, Any]
                 each.metric: float(value)
                 for each, value in zip(study.search.measures, measures, strict=True)
             },
+            # pyribs maximises, so its archive holds minus the objective.
             str(study.search.objectives[0]): -float(value),
             **study.search.space.candidate(solution),
         }

@@ -39,6 +39,7 @@ PARAMETERS = "parameters"
 _FIXED = ("map", "world", "seed", "start", "goal", "path", "architecture", PARAMETERS)
 """Settings that define the scenario and the task, and are not searched."""
 _OF_CONTROLLERS = ("controller", "portfolio", "informative")
+"""Sections of controllers, of which an architecture reads one."""
 
 
 class SettingsEpisodes(Episodes):
@@ -156,6 +157,7 @@ class SettingsEpisodes(Episodes):
             *sections, last = name.split(".")
             place = chosen
             for section in sections:
+                # Sections are copied, because all candidates share the entries of a scenario.
                 place[section] = dict(place.get(section) or {})
                 place = place[section]
             place[last] = value
@@ -179,6 +181,7 @@ class SettingsEpisodes(Episodes):
         try:
             yield
         except ValueError as error:
+            # Other errors, such as a missing index, already say what is accepted.
             if " is not known" not in str(error):
                 raise
             everything = {**self._known, **get_parameters(self._controller)}
@@ -289,6 +292,7 @@ def _find_file(entries: Entries) -> InputFile | None:
 def _content(path: str) -> str:
     parts = [Path(path).read_bytes()]
     if path.endswith((".yaml", ".yml")):
+        # The image belongs to the map: another image is another content.
         image = find_image(path)
         parts += [] if image is None else [image.read_bytes()]
     return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
@@ -300,6 +304,7 @@ def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
     architecture = getattr(settings, "architecture", None)
     if architecture is not None:
         read = _SECTION.get(architecture, "informative")
+        # A setting of a controller that the architecture does not use would have no effect.
         for section in _OF_CONTROLLERS:
             if section != read:
                 del entries[section]

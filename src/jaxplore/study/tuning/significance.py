@@ -127,6 +127,7 @@ def _number(metrics: Numbers, name: str) -> float:
 
 
 def _change(name: str, pairs: Sequence[tuple[float, float]]) -> list[Change]:
+    # A mean over only some of the episodes is not comparable, so the metric is left out.
     complete = [pair for pair in pairs if all(map(math.isfinite, pair))]
     if not complete or len(complete) < len(pairs):
         return []

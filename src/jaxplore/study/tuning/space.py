@@ -46,6 +46,7 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if self.choices is not None:
+            # 1, 1.0 and True are equal but different choices, so their texts are compared.
             if len(self.choices) < 2 or len(set(map(repr, self.choices))) != len(self.choices):
                 raise ValueError(
                     f"choices of {self.name} are {list(self.choices)}; accepted: different values, "
@@ -84,6 +85,7 @@ class Parameter:
         """
         place = min(max(float(place), 0.0), 1.0)
         if self.choices is not None:
+            # A place of 1 would be one past the last choice.
             return self.choices[min(int(place * self.size), self.size - 1)]
         low, high = self._ends()
         value = low + place * (high - low)
@@ -97,6 +99,7 @@ class Parameter:
         low, high = self._ends()
         number = float(value)
         if self.is_log:
+            # The logarithm of a value <= 0 is guarded; such a value lies below every bound.
             number = math.log(max(number, 1e-300))
         return min(max((number - low) / (high - low), 0.0), 1.0)
 
@@ -184,6 +187,7 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
         ValueError: another text; bounds or choices that are not accepted.
     """
     name, separator, rest = (part.strip() for part in text.partition("="))
+    # A bool is an int in Python, but no number to search between bounds.
     is_whole = isinstance(start, int) and not isinstance(start, bool)
     if not separator:
         if isinstance(start, bool | str | None) or not start > 0:
@@ -193,6 +197,7 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
             )
         low, high = start / AROUND, start * AROUND
         if is_whole:
+            # The logarithmic scale needs a lower bound above 0.
             low = max(1, round(low))
         return Parameter(name, low, high, is_log=True, is_whole=is_whole)
     found = _RANGE.fullmatch(rest)

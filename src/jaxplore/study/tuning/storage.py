@@ -17,7 +17,9 @@ FORMAT = 1
 STUDY = "study.db"
 """File of Optuna's storage in the folder of a study."""
 _NAME, _ASKED = "jaxplore", "asked"
+"""Name of Optuna's study, and its attribute with the definition of the search."""
 _SQLITE = b"SQLite format 3\0"
+"""First bytes of a SQLite database."""
 
 
 @contextlib.contextmanager
@@ -43,6 +45,7 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         if folder is not None:
             with in_one_line("study folder", folder):
                 folder.mkdir(parents=True, exist_ok=True)
+                # A second search would mix its candidates into the study, so it is refused at once.
                 lock = import_optional("filelock", "tuning").FileLock(folder / ".lock", timeout=0)
                 try:
                     stack.enter_context(lock)
@@ -58,6 +61,7 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
             former = optuna.load_study(study_name=_NAME, storage=storage).user_attrs.get(_ASKED)
         if former is not None:
             _check_same(former, asked, str(folder))
+        # The first generation is evaluated completely, so that there is a median to compare with.
         pruner = (
             optuna.pruners.MedianPruner(n_startup_trials=search.population)
             if search.gives_up
@@ -86,12 +90,14 @@ def _close(storage: Any) -> None:
 def _storage(optuna: Any, folder: Path) -> Any:
     path = folder / STUDY
     try:
+        # An empty file is accepted, because SQLite takes it for a new database.
         if path.exists() and path.read_bytes()[: len(_SQLITE)] not in (_SQLITE, b""):
             raise ValueError("no SQLite")
         # One connection per transaction, so that no file stays open in between.
         options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
         return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
     except Exception as error:
+        # Optuna and SQLAlchemy raise errors of many types for a file that is no study.
         raise ValueError(
             f"study {str(path)!r} cannot be read: {type(error).__name__}; accepted: a study of "
             "jaxplore tune, or a new folder"
@@ -125,4 +131,5 @@ def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
         for name, inner in value.items():
             found |= _flat(inner, f"{prefix}.{name}" if prefix else str(name))
         return found
+    # JSON has no tuples, so the stored definition comes back with lists.
     return {prefix: list(value) if isinstance(value, tuple) else value}

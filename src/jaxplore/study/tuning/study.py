@@ -70,6 +70,7 @@ class Study:
         """Optimizer with the results of all complete generations."""
         if self._optimizer is None:
             self._optimizer = make_optimizer(self.search, self._start)
+        # A study that continues reports its former generations first, and gets the same state.
         while self._is_done(self._told, self.search.population):
             self._optimizer.tell(self._evaluated(self._told))
             self._told += 1
@@ -99,6 +100,7 @@ class Study:
             return min(done, key=lambda each: (each.values[0], each.number))
         front = self.front()
         values = np.array([each.values for each in front])
+        # Objectives have different units, so each is divided by its range, which may be 0.
         span = np.maximum(values.max(axis=0) - values.min(axis=0), 1e-12)
         distance = np.linalg.norm((values - values.min(axis=0)) / span, axis=1)
         return front[int(distance.argmin())]
@@ -158,6 +160,7 @@ class Study:
             while budget is None or generation * size < budget:
                 last = size if budget is None else min(size, budget - generation * size)
                 if not self._is_done(generation, last):
+                    # The optimizer needs complete generations, so none is cut by the time.
                     if seconds is not None and time.perf_counter() - began > seconds:
                         return True
                     numbers = self._numbers(generation, last)
@@ -241,10 +244,12 @@ class Study:
         done = [each for each in self.trials() if each.state == "done"]
         distinct: dict[str, Trial] = {}
         for each in sorted(done, key=lambda each: (each.values[0], each.number)):
+            # Repeated proposals would take the places of other finalists.
             distinct.setdefault(repr(each.candidate), each)
         # Few finalists after a short search: the selection must not cost more than the search.
         most = min(finalists, max(2, len(done) // SEARCHED_PER_FINALIST))
         ranked = list(distinct.values())[:most]
+        # The current settings always take part, so that nothing worse than them is chosen.
         if done[0].number == 0 and done[0].candidate not in [each.candidate for each in ranked]:
             ranked.append(done[0])
         further = self.evaluate([each.number for each in ranked], seeds, on_progress)
@@ -252,6 +257,7 @@ class Study:
 
         def mean(each: Trial) -> tuple[float, int]:
             episodes = further[each.number].values()
+            # A failed episode rules a candidate out.
             values = [objective.value(one) if one else math.inf for one in episodes]
             return math.fsum(values) / len(values), each.number
 
@@ -308,6 +314,7 @@ class Study:
             if each.state == "done":
                 return (0.0, 0.0, each.values[0])
             if each.state == "given up":
+                # Of candidates that were given up, those that lasted for more episodes come first.
                 return (1.0, -len(each.episodes), *each.values)
             return (2.0, 0.0, 0.0)
 

@@ -103,6 +103,7 @@ def tune(
         optimizer,
         population=population,
         seed=seed,
+        # cma-me wants the best candidate of every cell, and in some cells all are bad.
         gives_up=len(objectives) == 1 and optimizer != "cma-me" if gives_up is None else gives_up,
         measures=tuple(measures),
     )
@@ -146,9 +147,11 @@ def _search(
             with progress_bar("choosing", enabled=progress) as advance:
                 chosen = study.select(FINALISTS, further, _show_episodes(advance))
             with progress_bar("comparing", enabled=progress) as advance:
+                # Neither the search nor the selection has used these seeds.
                 last = range(further.stop, further.stop + unseen)
                 return compare_on_unseen(study, chosen, last, _show_episodes(advance))
     if chosen is None:
+        # Without a candidate that has a value there is no result, so the interruption is passed on.
         if not any(each.state == "done" for each in study.trials()):
             raise KeyboardInterrupt
         chosen = study.best()
@@ -240,6 +243,7 @@ def _show_search(
 
     def show(now: SearchProgress) -> None:
         exact = now.num_done + now.num_episodes / per_candidate
+        # Only candidates of this call took time in it, so those of former calls do not count.
         spent = exact - (now.num_done - now.num_now)
         if budget is None:
             assert seconds is not None

@@ -118,6 +118,7 @@ def _serve(theirs: Connection, threads: int, example: bytes) -> None:
     """Run tasks until the connection is closed: the main function of a worker process."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
     limit_threads(threads)
+    # Unpickling imports the modules that the tasks need.
     pickle.loads(example)
     # The parent has closed the connection or is gone.
     with contextlib.suppress(EOFError, BrokenPipeError):
@@ -132,4 +133,5 @@ def _end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
+        # In a thread `sys.exit` would end the thread only.
         os._exit(1)

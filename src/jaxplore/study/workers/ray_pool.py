@@ -37,6 +37,7 @@ class RayPool(WorkerPool):
             self._join(number, address)
         self._number = number or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         self._started = 0
+        # The scheduler replaces dead workers itself, and counts which tasks they died of.
         self._actor = self._ray.remote(num_cpus=1, max_restarts=0)(_Worker)
         self._actors: dict[int, Any] = {}
         self._tasks: dict[int, Task] = {}
@@ -85,6 +86,7 @@ class RayPool(WorkerPool):
         try:
             files = task.files()
             for key, read in files.items():
+                # A file is stored in the cluster once, however many tasks need it.
                 if key not in self._files:
                     content = read()
                     self._files[key] = self._ray.put(content)
@@ -109,12 +111,14 @@ class RayPool(WorkerPool):
         try:
             return Event(worker, self._ray.get(result))
         except self._errors.RayTaskError as error:
+            # The task raised and its worker lives on. Without a task the worker could not start.
             if task is not None:
                 return Event(worker, task.failed(str(error).strip().splitlines()[-1]))
             reason = str(error)
         except self._errors.RayError as error:
             reason = f"{type(error).__name__}: {error}"
         self._kill(self._actors.pop(worker))
+        # Ray's reports fill pages.
         return Event(worker, death=" ".join(reason.split())[:200])
 
     def _kill(self, actor: Any) -> None:
@@ -135,6 +139,7 @@ class _Worker:
 
     def __init__(self, example: bytes) -> None:
         limit_threads(1)
+        # Unpickling imports the modules that the tasks need.
         pickle.loads(example)
         self._top = tempfile.TemporaryDirectory(prefix="jaxplore-")
         self._folders: dict[str, Path] = {}

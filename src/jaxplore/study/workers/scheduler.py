@@ -42,6 +42,7 @@ class Scheduler:
         self._ping_all()
         while queue or running:
             self._submit(queue, running)
+            # New workers start after sending, for tasks that no idle worker could take.
             self._start(len(queue), tasks[0])
             for event in self._pool.wait():
                 task = running.pop(event.worker, None)
@@ -85,6 +86,7 @@ class Scheduler:
     def _note(self, event: Event) -> None:
         """Update the lists of living and idle workers."""
         worker = event.worker
+        # A worker that has not been ready yet is one that was starting.
         if worker not in self._last:
             self._num_starting -= 1
             self._false_starts = 0 if event.death is None else self._false_starts + 1
@@ -106,6 +108,7 @@ class Scheduler:
             continuing = (each for each in experienced if queue.has(groups[each]))
             worker = next(continuing, self._idle[-1])
             self._idle.remove(worker)
+            # Only other workers make a group busy.
             groups.pop(worker, None)
             task = queue.take(self._last[worker], Counter(groups.values()))
             self._last[worker] = running[worker] = task
