@@ -15,6 +15,7 @@ import jaxplore as jx
 from jaxplore.build.exploration import compared_architectures
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
+from jaxplore.cli._options import option_entries
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
@@ -76,6 +77,14 @@ def test_finer_maps_are_resampled_and_coarser_ones_kept(tmp_path: Path) -> None:
     for name, expected in (("fine", 0.1), ("coarse", 0.2)):
         made = build(make_settings({"map": f"{name}.yaml", "start": (2.0, 2.0, 0.0)}))
         assert made.scenario.world.resolution == pytest.approx(expected)
+
+
+def test_the_map_that_is_named_counts_not_that_of_the_settings_file() -> None:
+    file = {"map": "other.yaml", "seed": 4, "office": {"width": 9.0}}
+    Path("settings.yaml").write_text(yaml.safe_dump(file))
+    given = {"settings_file": "settings.yaml", "map_": "office", "path_file": None}
+    entries = option_entries({**given, "controller__num_samples": None, "assignments": ()})
+    assert entries == {**file, "map": "office"}
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,11 @@ def test_deeper_inside_a_disc_costs_more_up_to_its_centre(price, drone) -> None:
     assert (np.diff(values) > 0).all()
 
 
+def test_a_position_that_is_not_finite_has_no_price(price, drone) -> None:
+    cost = DiscObstacleCost([[0.0, 0.0], [3.0, 1.0]], 1.0)
+    assert np.isnan(price(cost, drone(x=np.nan, v=1.0)))
+
+
 @given(here=POINT, places=rows(3), yaw=ANGLE, angle=ANGLE, shift=POINT)
 def test_where_the_world_is_does_not_matter(
     here, places, yaw, angle, shift, price, drone, moved

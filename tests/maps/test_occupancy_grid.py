@@ -67,6 +67,8 @@ def test_cells_are_found_with_floor_not_truncation() -> None:
 def test_a_point_that_is_not_finite_is_off_the_map() -> None:
     assert float(GRID.interpolate(jnp.asarray([jnp.nan, 0.0]))) == 1.0
     assert float(GRID.interpolate(jnp.asarray([jnp.inf, 0.0]))) == 1.0
+    for point in ([jnp.nan, 0.0], [0.0, jnp.nan], [jnp.inf, -jnp.inf]):
+        assert float(GRID.at(jnp.asarray(point))) == 1.0
 
 
 def test_gradients_are_finite_everywhere() -> None:

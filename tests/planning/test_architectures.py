@@ -321,6 +321,12 @@ def test_by_heading_rewards_facing_the_unknown(scenario, controllers) -> None:
     assert stage(blind, 0.0) <= facing + 1e-3
 
 
+def test_parallel_refuses_a_reference_that_it_would_not_follow() -> None:
+    reference = controller_of("two-layer").reference
+    with pytest.raises(ValueError, match="reference is given for the parallel architecture"):
+        controller_of("parallel", reference=reference)
+
+
 def test_an_unknown_architecture_is_named() -> None:
     with pytest.raises(
         ValueError, match=r"architecture is 'three-layer'; accepted: two-layer, parallel"

@@ -52,6 +52,17 @@ def lap():
     return run, scenario
 
 
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.4, 0.6, 0.8, 0.95])
+def test_a_start_anywhere_on_a_lap_has_the_parameter_of_its_place(share: float) -> None:
+    """A quarter of a lap before the line counts as just behind it."""
+    point = RING.at(share * RING.length)
+    start = [float(point.x), float(point.y), float(point.heading)]
+    scenario = jx.PathScenario(PASSING.model, RING, start=start)
+    expected = share if share < 0.75 else share - 1.0
+    phi = scenario.start[PASSING.model.state_names.index("phi")]
+    assert float(phi) == pytest.approx(expected * float(RING.length), abs=1e-3)
+
+
 def test_it_drives_its_laps_within_the_corridor_and_past_the_others(lap) -> None:
     run, scenario = lap
     metrics = run.metrics

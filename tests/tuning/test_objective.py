@@ -36,10 +36,14 @@ def test_what_is_written_is_read_again(terms) -> None:
     assert Objective.parse(str(Objective(rounded))).terms == rounded
 
 
-@pytest.mark.parametrize("text", ["", "a b", "a +", "3*", "a * 3", "+", "a++b", "a/b"])
+@pytest.mark.parametrize("text", ["", "a b", "a +", "3*", "a * 3", "+", "a++b", "a/b", "a-", "a."])
 def test_what_is_no_sum_is_refused(text) -> None:
     with pytest.raises(ValueError, match=r"objective"):
         Objective.parse(text)
+
+
+def test_a_sign_needs_no_space_on_either_side() -> None:
+    assert Objective.parse("a- b+c.90").terms == ((1.0, "a"), (-1.0, "b"), (1.0, "c.90"))
 
 
 def test_unknown_metrics_are_named_with_near_ones() -> None:

@@ -247,6 +247,8 @@ def test_a_verdict_needs_an_objective_that_is_certainly_less() -> None:
     assert verdict(0, objectives, [less]) == "No candidate beat the current settings."
     assert verdict(3, objectives, [less, more]).startswith("The chosen settings are better than")
     assert verdict(3, objectives, [more, other]).startswith("The chosen settings are not signif")
+    slower = change("-speed", [0.0, 0.1], [1.0, 1.2])
+    assert verdict(3, objectives, [less, slower]).endswith("better in cost and worse in -speed.")
 
 
 def test_evidence_compares_the_same_episodes() -> None:

@@ -66,17 +66,17 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
 
 def build_sensors(settings: Settings) -> tuple[Sensor, ...]:
     """Build the sensors. The first, primary one is the camera if there is one, else the lidar."""
-    given, seen = settings.lidar, settings.camera
+    given, camera = settings.lidar, settings.camera
     view = math.radians(given.field_of_view_degrees)
     # `arguments` returns angles in degrees, as settings have them.
     lidar = Lidar(**{**arguments(given, Lidar), "field_of_view": view})
-    if seen is None:
+    if camera is None:
         return (lidar,)
     views = {
-        "field_of_view": math.radians(seen.field_of_view_degrees),
-        "vertical_view": math.radians(seen.vertical_view_degrees),
+        "field_of_view": math.radians(camera.field_of_view_degrees),
+        "vertical_view": math.radians(camera.vertical_view_degrees),
     }
-    return (Camera(**{**arguments(seen, Camera), **views}), lidar)
+    return (Camera(**{**arguments(camera, Camera), **views}), lidar)
 
 
 def build_sensor_model(given: SensorModelSettings) -> InverseSensorModel:

@@ -11,6 +11,10 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
 from jaxplore.simulation.exploration.reachability import open_spot
 
+ENOUGH = 1.0 - 1e-6
+"""Maps finer than this share of the wanted resolution are resampled. Equal ones differ by rounding
+only."""
+
 
 class RunWorld(NamedTuple):
     """The true world of a run, the start and the goal, and the map known in advance.
@@ -83,19 +87,19 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
 
 def _on_map(settings: Settings, radius: float) -> RunWorld:
     """Build the world of a ROS map, with its height map if there is one."""
-    given = settings.terrain
-    grid, ground = OccupancyGrid.from_ros(settings.map), None
-    if given.height_map is not None:
+    given, ground = settings.terrain, None
+    if given.height_map is None:
+        grid = OccupancyGrid.from_ros(settings.map)
+        if grid.resolution < settings.resolution * ENOUGH:
+            grid = grid.resample(settings.resolution)
+    else:
         options = arguments(given, Ground)
         terrain = TerrainMap.from_ros(
             settings.map, given.height_map, elevation_scale=given.elevation_scale, **options
         )
-        # The tolerance is for rounding: equal resolutions are not resampled.
-        if terrain.resolution < settings.resolution * (1.0 - 1e-6):
+        if terrain.resolution < settings.resolution * ENOUGH:
             terrain = terrain.resample(settings.resolution)
         grid, ground = terrain.grid, terrain.ground
-    elif grid.resolution < settings.resolution * (1.0 - 1e-6):
-        grid = grid.resample(settings.resolution)
     if settings.start is None:
         x, y = open_spot(grid, radius)
         raise ValueError(

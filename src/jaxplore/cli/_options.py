@@ -186,7 +186,11 @@ def _with_map(entries: dict[str, Any], map_: str | None, file: str | None) -> di
     if map_ == PATH:
         # The generated track is only a default: the settings file may name a path.
         return {PATH: TRACK, **entries}
-    return entries if map_ is None else {**map_entries(map_), **entries}
+    if map_ is None:
+        return entries
+    # The settings file overrides those of a scenario, but not the map that the user names.
+    named = map_entries(map_)
+    return {**named, **entries, "map": named["map"]}
 
 
 def folder_name(entries: Mapping[str, Any]) -> str:

@@ -32,7 +32,7 @@ def add_up(value: Callable[[Any], Scalar], items: Any) -> Scalar:
 
 
 def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
-    """Find the least `value(item)` and the index of the first item that has it.
+    """Find the least `value(item)`, NaN if one is NaN, and the index of the first item that has it.
 
     Args:
         value: function of one item.
@@ -43,7 +43,9 @@ def least(value: Callable[[Any], Scalar], items: Any) -> tuple[Scalar, Count]:
     def take(best: tuple[Scalar, Count], item: tuple[Any, Count]) -> tuple[Any, None]:
         each, index = item
         candidate = value(each)
-        is_less = candidate < best[0]
+        # NaN counts as least: a comparison alone would skip it, and a rollout whose position is not
+        # finite would be far from everything.
+        is_less = (candidate < best[0]) | jnp.isnan(candidate)
         return (jnp.where(is_less, candidate, best[0]), jnp.where(is_less, index, best[1])), None
 
     start = (jnp.full((), jnp.inf, float), jnp.zeros((), jnp.int32))

@@ -127,22 +127,13 @@ class Ground(eqx.Module):
         row, column = cell[..., 0], cell[..., 1]
         return (row >= 0) & (row < height) & (column >= 0) & (column < width)
 
-    def to_cell(self, points: Float[Array, "*N 2"]) -> Int[Array, "*N 2"]:
-        """Return the cell (row, column) that contains each world point (x, y) [m].
-
-        The cell may be off the map; that of a point that is not finite is.
-        """
-        grid = self.frame.to_grid(points)
-        # Converting NaN to an integer is undefined: it depends on the machine.
-        return jnp.floor(jnp.where(jnp.isfinite(grid), grid, -1.0)).astype(jnp.int32)
-
     def elevation_at_cell(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Return the elevation of each cell (row, column) [m], 0 off the map."""
         return self._look_up(self.elevation, cell)
 
     def at(self, points: Float[Array, "*N 2"]) -> GroundSample:
         """Return the layers of the cell with each world point (x, y) [m]; 0 off the map."""
-        cell = self.to_cell(points)
+        cell = self.frame.to_cell(points)
         return GroundSample(
             elevation=self._look_up(self.elevation, cell),
             slope=self._look_up(self.slope, cell),

@@ -19,7 +19,7 @@ from jaxplore.maps.files.images import read_greys
 from jaxplore.maps.files.untrusted import printable_path, read_bytes, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
-from jaxplore.maps.occupancy_grid import OUTSIDE, OccupancyGrid
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import SLIVER
 
 UNKNOWN = 0.5
@@ -200,8 +200,8 @@ class TerrainMap(eqx.Module):
 
         Off the map the occupancy is 1 and everything else is 0.
         """
-        cell = self.ground.to_cell(points)
-        p = jnp.where(self.ground.contains(cell), self.grid.at_cell(cell), OUTSIDE)
+        cell = self.frame.to_cell(points)
+        p = self.grid.at_cell(cell)
         ground = self.ground.at(points)
         return TerrainSample(
             occupancy=p,

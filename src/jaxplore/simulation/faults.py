@@ -88,8 +88,8 @@ class Faults(eqx.Module):
         frozen = self.frozen_odometry
         # The first observation of the fault is still the true state, and later ones repeat it.
         is_stuck = _during(frozen, time) & _during(frozen, time - period)
-        told = jnp.where(is_stuck, last, state)
-        return jnp.where(_during(self.lost_odometry, time), jnp.nan, told)
+        observed = jnp.where(is_stuck, last, state)
+        return jnp.where(_during(self.lost_odometry, time), jnp.nan, observed)
 
     def is_active(self, time: Scalar) -> Flag:
         """Check whether a fault of scans or odometry is active."""

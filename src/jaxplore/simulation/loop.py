@@ -107,8 +107,8 @@ def control_step(
         pending, control = scenario.faults.delay(pending, control)
     task, record = scenario.advance(state.task, control, moment, info)
     # The last finite observation is kept: a frozen odometry repeats it, even after a loss.
-    is_told = jnp.isfinite(moment.observed).all()
-    observed = jnp.where(is_told, moment.observed, state.observed)
+    is_placed = jnp.isfinite(moment.observed).all()
+    observed = jnp.where(is_placed, moment.observed, state.observed)
     return LoopState(task, memory, state.step + 1, observed, pending), record
 
 

@@ -95,7 +95,7 @@ class EpisodeTask(Task, abc.ABC):
         try:
             return self.measure()
         except Exception as error:
-            return self.failed(self._told(one_line(error)))
+            return self.failed(self._with_user_path(one_line(error)))
 
     @abc.abstractmethod
     def measure(self) -> Any:
@@ -106,7 +106,7 @@ class EpisodeTask(Task, abc.ABC):
             KeyboardInterrupt: the user stopped it.
         """
 
-    def _told(self, reason: str) -> str:
+    def _with_user_path(self, reason: str) -> str:
         """Replace the path of the copy in an error message by that of the user's file."""
         if self.copy is None or self.file is None:
             return reason

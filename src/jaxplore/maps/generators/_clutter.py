@@ -6,9 +6,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.generators.office import ROBOT_RADIUS
-
 Mask = NDArray[np.bool_]
+
+ROBOT_RADIUS = 0.3
+"""Radius of the disc robot for which a generated map is connected [m]."""
+DOOR_CLEARANCE = 0.9
+"""Distance from a door within which no furniture stands [m]."""
 
 
 def between(easy: float, hard: float, difficulty: float) -> float:

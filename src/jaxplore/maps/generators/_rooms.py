@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from jaxplore.maps.generators._clutter import (
+    DOOR_CLEARANCE,
     Clutter,
     Mask,
     between,
@@ -14,8 +15,6 @@ from jaxplore.maps.generators._clutter import (
 )
 from jaxplore.maps.generators.office import Box
 
-_DOOR_CLEARANCE = 0.9
-"""Distance from a door within which no furniture stands [m]."""
 _JAMB = 0.3
 """Least distance of a door from the corners of a room [m]."""
 
@@ -66,7 +65,7 @@ def _cut_doors(
     """Open doors that connect all rooms and some more that make loops, and keep them clear."""
     resolution = clutter.resolution
     jamb = math.ceil(_JAMB / resolution)
-    reach = max(clutter.passage, math.ceil(_DOOR_CLEARANCE / resolution))
+    reach = max(clutter.passage, math.ceil(DOOR_CLEARANCE / resolution))
     door = passage_cells(between(1.2, 0.9, difficulty), resolution)
     neighbours = []
     for first, a in enumerate(boxes):

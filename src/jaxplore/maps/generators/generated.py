@@ -8,6 +8,7 @@ import numpy as np
 from jaxplore import _checks
 from jaxplore.maps.generators._cave import cave
 from jaxplore.maps.generators._clutter import (
+    ROBOT_RADIUS,
     Clutter,
     Mask,
     between,
@@ -19,7 +20,7 @@ from jaxplore.maps.generators._hall import hall, open_ground
 from jaxplore.maps.generators._maze import maze
 from jaxplore.maps.generators._rooms import rooms
 from jaxplore.maps.generators._warehouse import warehouse
-from jaxplore.maps.generators.office import ROBOT_RADIUS, office
+from jaxplore.maps.generators.office import office
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
 

@@ -1,22 +1,18 @@
 """Generate an office floor, for examples, tests and benchmarks."""
 
 import math
-import operator
 
 import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks
+from jaxplore.maps.generators._clutter import DOOR_CLEARANCE, ROBOT_RADIUS, wall_cells
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
 
-ROBOT_RADIUS = 0.3
-"""Radius of the disc robot for which the whole building is connected [m]."""
 START_CLEARANCE = 0.5
 """Least distance from the walls at the start pose [m]."""
 
-_DOOR_CLEARANCE = 0.9
-"""Distance from a door within which no furniture stands [m]."""
 _AISLE = 0.8
 """Least passage between two pieces of furniture [m]."""
 # Furniture: kind, sides [m], least area of a room for it [m^2], whether it stands at a wall.
@@ -60,12 +56,7 @@ def office(
     Raises:
         ValueError: a seed, size or resolution that is not accepted, or more than 64 million cells.
     """
-    try:
-        number = operator.index(seed)
-    except TypeError:
-        number = -1
-    if number < 0 or isinstance(seed, bool):
-        raise ValueError(f"seed is {seed!r}; accepted: a whole number >= 0")
+    number = _checks.whole_number("seed", seed, at_least=0)
     width = _checks.number("width", width, at_least=8.0)
     height = _checks.number("height", height, at_least=7.0)
     resolution = _checks.number("resolution", resolution, above=0.0, at_most=0.2)
@@ -76,7 +67,7 @@ def office(
         )
     rng = np.random.default_rng(number)
     occupied = np.zeros((round(height / resolution), round(width / resolution)), bool)
-    wall = max(1, math.floor(0.15 / resolution + 0.5 + 1e-9))
+    wall = wall_cells(resolution)
     # Writing through the transposed view closes the other two sides.
     for edge in (occupied, occupied.T):
         edge[:wall] = edge[-wall:] = True
@@ -195,7 +186,7 @@ def _cut_doors(
     Returns the mask (H, W) of the cells that furniture has to keep clear.
     """
     keep_clear = np.zeros_like(occupied)
-    reach, margin = math.ceil(_DOOR_CLEARANCE / resolution), math.ceil(0.3 / resolution)
+    reach, margin = math.ceil(DOOR_CLEARANCE / resolution), math.ceil(0.3 / resolution)
     narrow = math.ceil(0.9 / resolution - 1e-9)
     broad = max(narrow, math.floor(1.1 / resolution + 1e-9))
 

@@ -20,7 +20,13 @@ from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
 from jaxplore.planning.portfolio._members import normalised_weights, values_in_order
 from jaxplore.planning.portfolio.common_objective import CommonObjective
-from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation
+from jaxplore.planning.portfolio.fusion import (
+    Candidates,
+    Fused,
+    Fusion,
+    Situation,
+    least_finite,
+)
 from jaxplore.planning.portfolio.member_controllers import MemberControllers, MemberPlans
 from jaxplore.planning.portfolio.safe_fusion import SafeFusion, fusion_by_name
 
@@ -230,7 +236,7 @@ class Portfolio(Controller):
             return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, each)
 
         sampled, steps = jax.vmap(drawn)(self.members.indices, state.members)
-        best = jnp.argmin(jnp.where(jnp.isfinite(candidates.costs), candidates.costs, jnp.inf))
+        best = least_finite(candidates.costs)
         shown = jnp.stack([fused.controls, candidates.controls[best]])
         # All are simulated under the common objective, the samples with the steps of their member.
         trajectories = jax.vmap(objective.trajectory)(

@@ -81,10 +81,10 @@ class SafeFusion(Fusion):
         is_safer = candidates.hazards[best] < jnp.where(jnp.isnan(hazards[0]), jnp.inf, hazards[0])
         is_replaced = is_unsafe & is_safer
         if self.regret is not None:
-            is_dear = ~(costs[0] <= candidates.costs[best] + self.regret)
+            is_costly = ~(costs[0] <= candidates.costs[best] + self.regret)
             # A safe mixture is never replaced by a member that costs less but collides.
             worst = jnp.maximum(hazards[0], self.tolerated)
-            is_replaced |= is_dear & (candidates.hazards[best] <= worst)
+            is_replaced |= is_costly & (candidates.hazards[best] <= worst)
         pick = jnp.where(is_replaced, 1.0, 0.0)
         return Fused(
             jnp.where(is_replaced, alternative.controls, mixed.controls),

@@ -33,7 +33,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.information.gain import CellSensor
 from jaxplore.information.local_field import LocalFieldSensor
-from jaxplore.information.noise import GaussianNoise, UniformNoise
+from jaxplore.information.noise import GaussianNoise
 from jaxplore.information.pose import PoseInformation
 from jaxplore.information.trajectory import TrajectoryInformation
 from jaxplore.planning.presets.parameterisations import parameterisation_by_name
@@ -200,7 +200,7 @@ class FieldNumbers(NamedTuple):
         stride = max(1, round(0.2 / resolution))
         nodes = math.ceil(2.0 * self.local_extent / (stride * resolution) / 8.0) * 8
         # A window can only be computed by the method "scan".
-        sensor = FieldSensor(near, resolution, turn, stride, noise=UniformNoise(0), method="scan")
+        sensor = FieldSensor(near, resolution, turn, stride, method="scan")
         return ShortRangeField(sensor, nodes, 16)
 
 
@@ -263,10 +263,17 @@ def informative_mppi(
         goal_weight: weight of the distance from the goal [1/m].
 
     Raises:
-        ValueError: an unknown architecture, a value that a part does not accept.
+        ValueError: an unknown architecture, a reference or target choice for the parallel one, a
+            value that a part does not accept.
     """
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
+    for name, given in (("reference", reference), ("target_choice", target_choice)):
+        if architecture == "parallel" and given is not None:
+            raise ValueError(
+                f"{name} is given for the parallel architecture, which follows no reference; "
+                "accepted: none, or architecture 'two-layer'"
+            )
     flight = Flight() if flight is None else flight
     fields = FieldNumbers() if fields is None else fields
     model = InverseSensorModel.line_of_sight() if sensor_model is None else sensor_model
@@ -280,9 +287,7 @@ def informative_mppi(
         cost = cost + goal_weight * (HomingCost(goal) if goal_when_explored else GoalCost(goal))
     proposal: Proposal = flight.noise(robot)
     follower = None
-    if architecture == "parallel":
-        reference = None
-    else:
+    if architecture != "parallel":
         cost = cost + reference_weight * StrategyReferenceCost()
         follower = follower_for(robot)
         # Only the shape of these controls matters: every step replaces them by those of the

@@ -52,8 +52,8 @@ class ExplorationView(AgentView):
         [m, m, rad], yaw in [-pi, pi]. `state` (nx,) is the observed state, with the same yaw.
         `scan` (B,) are the ranges of the last scan, sensor by sensor [m].
         """
-        robot, told, grid = self.scenario.robot, moment.observed, belief.grid
-        x, y, yaw = robot.pose(told)
+        robot, observed, grid = self.scenario.robot, moment.observed, belief.grid
+        x, y, yaw = robot.pose(observed)
         yaw = jnp.arctan2(jnp.sin(yaw), jnp.cos(yaw))
         pose = jnp.stack([x, y, yaw])
         # A run's yaw is not wrapped, but the observation space bounds it.
@@ -63,7 +63,7 @@ class ExplorationView(AgentView):
             "belief": grid.probability if side is None else _around(grid, pose, side),
             "pose": pose,
             "scan": state.ranges,
-            "state": jnp.where(is_yaw, yaw, told),
+            "state": jnp.where(is_yaw, yaw, observed),
         }
 
     def observation_bounds(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -346,7 +346,7 @@ class ExplorationScenario(Scenario):
         truth = self.true_world(state, moment)
         # Only the scan of the first sensor is drawn: it is the one that fills the map.
         scan, *_ = truth.scans(self.sensors, self.robot.pose(state.robot), key)
-        plan = None if inspect is None else inspect(state.robot, state.belief)
+        plan = None if inspect is None else inspect(moment.observed, state.belief)
         return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
 
     def agent_view(self, view_cells: int | None) -> ExplorationView:

@@ -38,8 +38,8 @@ class PathView(AgentView):
         distance from the path, and angle of the path relative to the heading [m, rad];
         `obstacles` (N, 5) position [m], velocity [m/s] and radius of the enclosing disc [m].
         """
-        robot, told = self.scenario.robot, moment.observed
-        position, heading = robot.position(told), robot.heading(told)
+        robot, observed = self.scenario.robot, moment.observed
+        position, heading = robot.position(observed), robot.heading(observed)
         sin, cos = jnp.sin(heading), jnp.cos(heading)
         to_robot = jnp.stack([jnp.stack([cos, sin]), jnp.stack([-sin, cos])])
         # Only the path around the last progress is searched: where the path crosses itself, the
@@ -70,7 +70,7 @@ class PathView(AgentView):
                 ],
                 axis=-1,
             )
-        return {"state": told, "path": ahead, "errors": errors, "obstacles": obstacles}
+        return {"state": observed, "path": ahead, "errors": errors, "obstacles": obstacles}
 
     def observation_bounds(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the bounds of `observation`; only those of the state may be finite."""

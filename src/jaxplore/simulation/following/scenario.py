@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector, Vector
+from jaxplore._types import ControlVector, Flag, Key, Position, Scalar, StateVector, Vector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.base import Controller, Info
@@ -34,6 +34,8 @@ from jaxplore.simulation.following.traffic import Traffic
 from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
 
+SAME = 1e-3
+"""Difference of two distances from the path that is only rounding [m]."""
 PREDICTIONS = ("constant-turn", "constant-velocity")
 """Motion models by which the robot may predict obstacles."""
 
@@ -122,8 +124,7 @@ class PathScenario(Scenario):
         else:
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
         state = robot.at_pose(*pose)
-        # On a closed path, a start just behind the line begins below 0, not near the end of a lap.
-        phi = path.nearest(robot.position(state), near=jnp.zeros(()) if path.is_closed else None)
+        phi = _start_of(path, robot.position(state))
         self.start = state.at[robot.state_names.index("phi")].set(phi)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = jnp.asarray(1.0 / rate, jnp.float32)
@@ -265,7 +266,7 @@ class PathScenario(Scenario):
             return arrays
         # The key is that of the coming step, so the plan uses the measurements of that step.
         _, belief = self.perceive(state, moment, key)
-        plan, position = inspect(state.robot, belief), jax.vmap(self.robot.position)
+        plan, position = inspect(moment.observed, belief), jax.vmap(self.robot.position)
         return arrays | {
             "samples": jax.vmap(position)(plan.samples),
             "weights": plan.weights,
@@ -305,6 +306,21 @@ class PathScenario(Scenario):
             is_closed=path.is_closed,
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
+
+
+def _start_of(path: Path, position: Position) -> Scalar:
+    """Return the arc length of the point of a path that is nearest to a start position [m].
+
+    On a closed path a start up to a quarter of the length behind the line has a negative one.
+    """
+    anywhere = path.nearest(position)
+    if not path.is_closed:
+        return anywhere
+    # A robot just behind the line is about to begin its lap, not to end it. Where the path crosses
+    # itself, two points are equally near up to rounding: the one near the line is taken.
+    at_line = path.nearest(position, near=jnp.zeros(()))
+    distances = [jnp.linalg.norm(path.at(each).position - position) for each in (at_line, anywhere)]
+    return at_line if float(distances[0]) <= float(distances[1]) + SAME else anywhere
 
 
 def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:

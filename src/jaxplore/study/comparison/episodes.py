@@ -57,12 +57,12 @@ class MapEpisode:
 
         So results stay valid if the folder of maps is moved.
         """
-        told = {"format": FORMAT, **dataclasses.asdict(self)}
-        del told["path"], told["copy"]
+        content = {"format": FORMAT, **dataclasses.asdict(self)}
+        del content["path"], content["copy"]
         if self.batch == 1:
             # A batch of 1 is left out of the hash: results of versions without batches stay valid.
-            del told["batch"]
-        return hashlib.sha256(canonical(told).encode()).hexdigest()[:20]
+            del content["batch"]
+        return hashlib.sha256(canonical(content).encode()).hexdigest()[:20]
 
     @property
     def entries(self) -> dict[str, Any]:

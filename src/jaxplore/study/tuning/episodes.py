@@ -124,7 +124,7 @@ class MetricsTask(EpisodeTask):
             try:
                 ready[index] = self.build(episode, self.location)
             except Exception as error:
-                results[index] = Result({}, self._told(one_line(error)))
+                results[index] = Result({}, self._with_user_path(one_line(error)))
         results |= self._side_by_side(ready) or self._one_by_one(ready)
         return tuple(results[index] for index in range(len(self.episodes)))
 

@@ -85,10 +85,10 @@ class Generations:
 
         def keep(episode: Episode, result: Result) -> None:
             is_cut = episode.time_limit is not None and not result.metrics.get("is_finished")
-            told = {"metrics": result.metrics, "error": result.error, "is_cut": is_cut}
+            stored = {"metrics": result.metrics, "error": result.error, "is_cut": is_cut}
             name = f"{EPISODE}{episode.scenario} {episode.seed}"
-            by_number[episode.number].set_user_attr(name, told)
-            known[episode.number][episode.scenario, episode.seed] = told
+            by_number[episode.number].set_user_attr(name, stored)
+            known[episode.number][episode.scenario, episode.seed] = stored
             show()
 
         alive = list(trials)
@@ -122,17 +122,17 @@ class Generations:
         is_last: bool,
     ) -> list[str | None] | None:
         """Decide on a candidate: its final state and error, or None to continue."""
-        told = [known[trial.number][where] for where in so_far]
-        for each in told:
+        stored = [known[trial.number][where] for where in so_far]
+        for each in stored:
             if each["error"] is not None:
                 return ["failed", each["error"]]
         means = [
-            objective.mean([each["metrics"] for each in told])
+            objective.mean([each["metrics"] for each in stored])
             for objective in self._search.objectives
         ]
         if not all(map(math.isfinite, means)):
             return ["failed", f"objective {self._search.named} is not a number"]
-        if any(each["is_cut"] for each in told):
+        if any(each["is_cut"] for each in stored):
             return ["given up", None]
         if not self._search.gives_up or len(self._search.objectives) > 1 or is_last:
             return None
@@ -153,23 +153,24 @@ class Generations:
         trials = self._study.get_trials(deepcopy=False)
         # Only the first generation holds the current settings; later ones read them from the study.
         first = known.get(0) or read_episodes(trials[0].user_attrs)
-        told = [first[where]["metrics"] for where in so_far if where in first]
+        stored = [first[where]["metrics"] for where in so_far if where in first]
         # Without all of these episodes the objectives are compared as they are.
-        mean = self._search.objectives[0].mean(told) if len(told) == len(so_far) else 0.0
+        mean = self._search.objectives[0].mean(stored) if len(stored) == len(so_far) else 0.0
         return mean if math.isfinite(mean) else 0.0
 
     def _tell(self, trial: Any, known: Mapping[Where, Any]) -> None:
         states = import_optional("optuna.trial", "tuning").TrialState
         state, error = trial.user_attrs[VERDICT]
-        told: list[Numbers] = [known[each]["metrics"] for each in self._instances if each in known]
+        episodes = [known[each] for each in self._instances if each in known]
+        stored: list[Numbers] = [each["metrics"] for each in episodes]
         if state == "failed":
             trial.set_user_attr("error", error)
             self._study.tell(trial.number, state=states.FAIL)
         elif state == "given up":
-            trial.set_user_attr("value", self._search.objectives[0].mean(told))
+            trial.set_user_attr("value", self._search.objectives[0].mean(stored))
             self._study.tell(trial.number, state=states.PRUNED)
         else:
-            values = [objective.mean(told) for objective in self._search.objectives]
+            values = [objective.mean(stored) for objective in self._search.objectives]
             self._study.tell(trial.number, values)
 
     def _opened(self, numbers: range, ask: Callable[[], list[Candidate]]) -> list[Any]:

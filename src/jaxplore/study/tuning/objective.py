@@ -15,7 +15,7 @@ type Numbers = Mapping[str, float | None]
 
 _TERM = re.compile(
     r"\s*(?P<sign>[+-])?\s*(?:(?P<weight>\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+)\s*\*\s*)?"
-    r"(?P<name>[A-Za-z_][\w.-]*)\s*"
+    r"(?P<name>[A-Za-z_]\w*(?:[.-]\w+)*)\s*"
 )
 
 
@@ -55,7 +55,7 @@ class Objective:
                     "time_to.90 + 100*collisions"
                 )
             sign = -1.0 if found["sign"] == "-" else 1.0
-            terms.append((sign * float(found["weight"] or 1.0), found["name"].rstrip("-.")))
+            terms.append((sign * float(found["weight"] or 1.0), found["name"]))
             position = found.end()
         return cls(tuple(terms))
 
@@ -87,7 +87,7 @@ class Objective:
         """
         groups = tuple(each for each in known if each.endswith("."))
         for _, name in self.terms:
-            if name not in known and not name.startswith(groups or ("\0",)):
+            if name not in known and not name.startswith(groups):
                 raise ValueError(
                     f"metric {name} is not known; accepted: such as {nearest(name, tuple(known))}"
                 )

@@ -320,11 +320,15 @@ class RibsOptimizer(Optimizer):
         measures = np.array(
             [each.measures if ok else low for each, ok in zip(generation, fine, strict=True)]
         )
-        # A failed candidate keeps a low value and is not counted as added, so that it ranks last.
-        info = {"status": np.zeros(len(told), np.int32), "value": values - np.ptp(values) - 1.0}
+        # A failed candidate is not counted as added and has the least value, so that it ranks last.
+        info: dict[str, np.ndarray] = {
+            "status": np.zeros(len(told), np.int32),
+            "value": np.zeros(len(told)),
+        }
         if fine.any():
             added = self.archive.add(told[fine], values[fine], measures[fine])
             for name, column in added.items():
                 info.setdefault(name, np.zeros(len(told), np.asarray(column).dtype))
                 info[name][fine] = column
+            info["value"][~fine] = info["value"][fine].min() - 1.0
         self._emitter.tell(told, values, measures, info)

@@ -113,7 +113,14 @@ def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change
     names = set(map(str, objectives))
     if chosen == 0:
         return "No candidate beat the current settings."
-    if any(each.high < 0.0 for each in found if each.name in names):
+    better = [each.name for each in found if each.name in names and each.high < 0.0]
+    worse = [each.name for each in found if each.name in names and each.low > 0.0]
+    if better and worse:
+        return (
+            f"On unseen seeds the chosen settings are better in {', '.join(better)} and worse in "
+            f"{', '.join(worse)}."
+        )
+    if better:
         return "The chosen settings are better than the current ones, also on unseen seeds."
     return (
         "The chosen settings are not significantly better than the current ones on unseen seeds. "

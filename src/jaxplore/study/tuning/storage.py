@@ -91,8 +91,10 @@ def _storage(optuna: Any, folder: Path) -> Any:
     path = folder / STUDY
     try:
         # An empty file is accepted, because SQLite takes it for a new database.
-        if path.exists() and path.read_bytes()[: len(_SQLITE)] not in (_SQLITE, b""):
-            raise ValueError("no SQLite")
+        if path.exists():
+            with path.open("rb") as file:
+                if file.read(len(_SQLITE)) not in (_SQLITE, b""):
+                    raise ValueError("no SQLite")
         # One connection per transaction, so that no file stays open in between.
         options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
         return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)

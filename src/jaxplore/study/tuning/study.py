@@ -196,18 +196,18 @@ class Study:
         missing = []
         for where in instances:
             for number in dict.fromkeys(numbers):
-                told = kept.get(_unseen(number, *where))
-                if told is None:
+                stored = kept.get(_unseen(number, *where))
+                if stored is None:
                     values = self.before if number == BEFORE else dict(trials[number].params)
                     missing.append(Episode(number, values, *where))
                 else:
-                    found[number][where] = told["metrics"]
+                    found[number][where] = stored["metrics"]
         total = len(instances) * len(found)
 
         def keep(episode: Episode, result: Result) -> None:
             where = episode.scenario, episode.seed
-            told = {"metrics": result.metrics, "error": result.error}
-            self.optuna.set_user_attr(_unseen(episode.number, *where), told)
+            stored = {"metrics": result.metrics, "error": result.error}
+            self.optuna.set_user_attr(_unseen(episode.number, *where), stored)
             found[episode.number][where] = result.metrics
             on_progress(sum(map(len, found.values())), total)
 

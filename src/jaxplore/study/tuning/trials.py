@@ -42,9 +42,9 @@ def make_trial(frozen: Any) -> Trial:
     elif state == "given up":
         values = (frozen.user_attrs["value"],)
     episodes = {
-        where: told["metrics"]
-        for where, told in read_episodes(frozen.user_attrs).items()
-        if told["error"] is None
+        where: stored["metrics"]
+        for where, stored in read_episodes(frozen.user_attrs).items()
+        if stored["error"] is None
     }
     candidate: dict[str, Value] = dict(frozen.params)
     return Trial(frozen.number, candidate, values, state, episodes, frozen.user_attrs.get("error"))
@@ -53,8 +53,8 @@ def make_trial(frozen: Any) -> Trial:
 def read_episodes(attributes: Mapping[str, Any]) -> dict[tuple[str, int], Any]:
     """Read the episodes from the attributes of a trial, by scenario and seed."""
     found = {}
-    for name, told in attributes.items():
+    for name, stored in attributes.items():
         if name.startswith(EPISODE):
             scenario, _, seed = name.removeprefix(EPISODE).rpartition(" ")
-            found[scenario, int(seed)] = told
+            found[scenario, int(seed)] = stored
     return found
