@@ -336,6 +336,11 @@ def test_entries_say_which_kind_of_run_they_are(entries: dict[str, Any], kind: t
     ("entries", "message"),
     [
         ({}, "setting map is missing"),
+        ({"coverage": 0.9}, "unknown setting coverage; accepted here"),
+        (
+            {"map": "office", "parameters": {"cost.x": "a"}},
+            "setting parameters.cost.x is 'a'; accepted: a number or a list of numbers",
+        ),
         ({"map": ["path"]}, "setting map is .'path'."),
         ({"map": "office", "path": "a.csv"}, "the map 'office' beside the path 'a.csv'; accepted"),
         ({"path": "track", "goal": [1, 2]}, "unknown setting goal; accepted here"),

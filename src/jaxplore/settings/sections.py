@@ -73,8 +73,11 @@ def checked_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, 
     try:
         return kind.model_validate(entries)
     except ValidationError as error:
-        # Messages have one line, so only the first error is reported.
-        first = error.errors()[0]
+        # Messages have one line, so only one error is reported. An unknown name comes first: in a
+        # file that holds no settings at all, the missing map would explain nothing.
+        errors = error.errors()
+        unknown = (each for each in errors if each["type"] == "extra_forbidden")
+        first = next(unknown, errors[0])
         where, given = first["loc"], (first["type"], first["input"], first["msg"])
         raise ValueError(_one_line(kind, where, *given)) from None
 
@@ -86,6 +89,9 @@ def _one_line(
     value: object,
     message: str,
 ) -> str:
+    if where[0] == "parameters" and len(where) > 2:
+        # Behind the path of a parameter there is the type that was tried, one of two.
+        where, message = where[:2], "a number or a list of numbers"
     name = ".".join(str(part) for part in where)
     if kind == "extra_forbidden":
         # The accepted names are those of the section that holds the unknown one.
