@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore._types import Rows, Scalar, Vector
+from jaxplore._xla import on_device
 
 LARGEST = float(np.finfo(np.float32).max)
 """Greatest finite number in float32, the type of all arrays."""
@@ -112,7 +113,8 @@ def scalar(
             raise ValueError(f"{name} has shape {flat.shape}; accepted: one number")
         value = flat.item()
     checked = number(name, value, above=above, below=below, at_least=at_least, at_most=at_most)
-    return jnp.asarray(checked, jnp.float32)
+    with np.errstate(over="ignore"):  # too large becomes infinite
+        return on_device(np.asarray(checked, np.float32))
 
 
 def vector(name: str, value: object, size: int, *, at_least: float | None = None) -> Array:
@@ -130,7 +132,7 @@ def vector(name: str, value: object, size: int, *, at_least: float | None = None
     if at_least is not None and (array < at_least).any():
         raise ValueError(f"{name} is {array.tolist()}; accepted: {size} numbers >= {at_least:g}")
     # A copy: `asarray` may share memory with the caller's array, who may write to it later.
-    return jnp.array(array)
+    return on_device(array.copy())
 
 
 def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
@@ -146,7 +148,7 @@ def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
                 f"{name} spans {array.min()} to {array.max()}; accepted: values in [0, 1]"
             )
         # A copy: `asarray` may share memory with the caller's array, who may write to it later.
-        return jnp.array(array)
+        return on_device(array.copy())
     return jnp.asarray(value, jnp.float32)
 
 
@@ -180,9 +182,10 @@ def array(
             numbers += f" >= {at_least}"
         if is_bad.any():
             raise ValueError(f"{name} has a value {value[is_bad][0]}; accepted: {numbers}")
-    # Copy NumPy arrays: the caller may write to the original later.
-    make = jnp.array if isinstance(value, np.ndarray) else jnp.asarray
-    result = make(value, jnp.float32)
+        # A copy: the caller may write to the original later.
+        result = on_device(value.copy())
+    else:
+        result = jnp.asarray(value, jnp.float32)
     if may_be_empty and result.shape[:1] == (0,):
         columns = [size for size in shapes[0][1:] if isinstance(size, int)]
         return jnp.zeros((0, *columns))

@@ -75,10 +75,7 @@ def test_processes_that_are_killed_change_nothing(
     fatal: Callable[[EpisodeBatch], tuple[Row, ...]],
     whole: tuple[RunCounts, list[Row]],
     timeless: Timeless,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # Compiled once: those that come after the killed ones find it there.
-    monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "cache"))
     extra = make_episodes(plan.maps[:1], plan.variants, (9,), plan.settings)
     for episode, times in ((episodes[1], "once"), (episodes[3], "once"), (extra[0], "always")):
         (tmp_path / episode.id).write_text(times)

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
+from jaxplore._xla import computed
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.goal_field import goal_field
@@ -168,7 +169,8 @@ class Perception(eqx.Module):
             num_directions,
             safe_stride(spacing, resolution, float(radius)),
         )
-        self.required_clearance = radius + _checks.scalar("margin", margin, at_least=0.0)
+        margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
         # metres, because the bound is static: robots of similar radius share a compiled program.
         self.max_clearance = max(

@@ -32,8 +32,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
                 f"control_min of {type(dynamics).__name__} is {low.tolist()}; accepted: at most "
                 f"control_max, {high.tolist()}"
             )
-    state, control = jnp.zeros(dynamics.state_size), jnp.zeros(size)
-    number = jnp.zeros(())
+    number, state, control = _floats(), _floats(dynamics.state_size), _floats(size)
     reached = jax.eval_shape(
         lambda x, u, t, dt: dynamics.step_at(x, u, t, dt), state, control, number, number
     )
@@ -59,8 +58,9 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
 
     Only shapes are evaluated.
     """
-    number, control = jnp.zeros(()), jnp.zeros(dynamics.control_size)
-    values, controls = jnp.zeros(dynamics.state_size), jnp.zeros((horizon, dynamics.control_size))
+    size = dynamics.control_size
+    number, control, controls = _floats(), _floats(size), _floats(horizon, size)
+    values = _floats(dynamics.state_size)
     for name, term in cost.terms():
         calls: dict[str, Callable[..., Array]] = {
             "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics), u, t, b),
@@ -73,3 +73,7 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
                 raise ValueError(
                     f"{method} of {name} returns shape {paid.shape}; accepted: (), one number"
                 )
+
+
+def _floats(*shape: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.result_type(float))  # type: ignore[no-untyped-call]

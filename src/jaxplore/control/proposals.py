@@ -162,7 +162,7 @@ class GaussianProposal(Proposal):
         self.noise_std = None if noise_std is None else _standard_deviation(noise_std)
         self.noise_covariance = None if noise_covariance is None else _covariance(noise_covariance)
         size = self.control_size
-        self.mean = jnp.zeros(size) if mean is None else _checks.vector("mean", mean, size)
+        self.mean = _checks.vector("mean", np.zeros(size) if mean is None else mean, size)
         self.noise = WhiteNoise() if noise is None else noise
         self.adaptation = adaptation
 

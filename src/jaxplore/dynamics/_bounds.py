@@ -6,6 +6,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore._xla import on_device
 
 
 def speed_range(min_speed: ArrayLike, max_speed: ArrayLike) -> tuple[Scalar, Scalar]:
@@ -27,5 +28,5 @@ def positive(name: str, value: Vector, size: int) -> ControlVector:
             raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
         if array.shape not in ((), (size,)) or not (np.isfinite(array) & (array > 0.0)).all():
             raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
-        value = array
+        return on_device(np.broadcast_to(array, (size,)).copy())
     return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (size,))

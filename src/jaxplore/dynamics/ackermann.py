@@ -8,6 +8,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
@@ -78,13 +79,12 @@ class Ackermann(ContinuousDynamics):
         self.max_steering = _checks.scalar(
             "max_steering", max_steering, above=0.0, below=0.5 * math.pi
         )
-        self.control_max = jnp.stack(
-            [
-                _checks.scalar("max_acceleration", max_acceleration, above=0.0),
-                _checks.scalar("max_steering_rate", max_steering_rate, above=0.0),
-            ]
+        self.control_max = computed(
+            lambda xp, *each: xp.stack(each),
+            _checks.scalar("max_acceleration", max_acceleration, above=0.0),
+            _checks.scalar("max_steering_rate", max_steering_rate, above=0.0),
         )
-        self.control_min = -self.control_max
+        self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase

@@ -5,8 +5,11 @@ from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
 
 from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
+from jaxplore._xla import computed
 from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.footprint import Disc, Footprint
 
@@ -55,7 +58,7 @@ class Dynamics(eqx.Module):
     @property
     def control_half_range(self) -> ControlVector:
         """Half the width of the control range (nu,), a natural scale for sampling noise."""
-        return 0.5 * (self.control_max - self.control_min)
+        return computed(lambda _, low, high: 0.5 * (high - low), self.control_min, self.control_max)
 
     @property
     def footprint(self) -> Footprint:
@@ -101,10 +104,19 @@ class Dynamics(eqx.Module):
             )
         return state[self.state_names.index(name)]
 
+    def with_component(self, state: StateVector, name: str, value: ArrayLike) -> StateVector:
+        """Return a state (nx,) with another value of the state component with a name."""
+        is_it = np.array([each == name for each in self.state_names])
+        return computed(
+            lambda xp, state, value: xp.where(is_it, xp.asarray(value, state.dtype), state),
+            state,
+            value,
+        )
+
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
         """Return the state of a robot at rest at a pose (x, y, yaw) [m, m, rad]."""
         pose = {"x": x, "y": y, "yaw": yaw}
-        return jnp.asarray([pose.get(name, 0.0) for name in self.state_names], jnp.float32)
+        return as_state(*(pose.get(name, 0.0) for name in self.state_names))
 
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state after a collision stopped the robot.
@@ -180,3 +192,8 @@ class State(eqx.Module):
 
     def __getitem__(self, name: str) -> Scalar:
         return self.dynamics.component(self.values, name)
+
+
+def as_state(*components: float) -> StateVector:
+    """Return numbers as a state (nx,)."""
+    return computed(lambda xp, *each: xp.stack(each).astype(xp.float32), *components)

@@ -7,6 +7,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._xla import computed
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import Euler, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -60,13 +61,12 @@ class DifferentialDrive(ContinuousDynamics):
     ) -> None:
         self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
         self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
-        self.control_max = jnp.stack(
-            [
-                _checks.scalar("max_acceleration", max_acceleration, above=0.0),
-                _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0),
-            ]
+        self.control_max = computed(
+            lambda xp, *each: xp.stack(each),
+            _checks.scalar("max_acceleration", max_acceleration, above=0.0),
+            _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0),
         )
-        self.control_min = -self.control_max
+        self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = Euler() if integrator is None else integrator

@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
-from jaxplore._xla import cut
+from jaxplore._xla import computed, cut
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Derivative, Integrator
@@ -72,13 +72,12 @@ class KinematicBicycle(ContinuousDynamics):
         self.front_length = _checks.scalar("front_length", front_length, above=0.0)
         self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
-        self.control_max = jnp.stack(
-            [
-                _checks.scalar("max_acceleration", max_acceleration, above=0.0),
-                _checks.scalar("max_steering", max_steering, above=0.0, below=0.5 * math.pi),
-            ]
+        self.control_max = computed(
+            lambda xp, *each: xp.stack(each),
+            _checks.scalar("max_acceleration", max_acceleration, above=0.0),
+            _checks.scalar("max_steering", max_steering, above=0.0, below=0.5 * math.pi),
         )
-        self.control_min = -self.control_max
+        self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = RK4() if integrator is None else integrator
 

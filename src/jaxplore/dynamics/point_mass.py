@@ -6,6 +6,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
+from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
@@ -59,7 +60,7 @@ class PointMass(ContinuousDynamics):
             None if max_speed is None else _checks.scalar("max_speed", max_speed, above=0.0)
         )
         self.control_max = positive("max_acceleration", max_acceleration, self.dimensions)
-        self.control_min = -self.control_max
+        self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = RK4() if integrator is None else integrator

@@ -8,8 +8,9 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector, Vector
+from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive
-from jaxplore.dynamics.base import ContinuousDynamics
+from jaxplore.dynamics.base import ContinuousDynamics, as_state
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.vectors import TINY, angle, length
 
@@ -76,22 +77,30 @@ class Quadrotor(ContinuousDynamics):
             "rate_time_constant", rate_time_constant, above=0.0
         )
         highest = (
-            4.0 * self.mass * self.gravity
+            computed(lambda _, mass, gravity: 4.0 * mass * gravity, self.mass, self.gravity)
             if max_thrust is None
             else _checks.scalar("max_thrust", max_thrust, above=0.0)
         )
         rates = positive("max_rate", max_rate, 3)
-        self.control_min = jnp.stack([jnp.zeros(()), *-rates])
-        self.control_max = jnp.stack([highest, *rates])
+        self.control_min = computed(
+            lambda xp, most: xp.append(xp.zeros_like(most[:1]), -most), rates
+        )
+        self.control_max = computed(lambda xp, *each: xp.append(*each), highest, rates)
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = RK4() if integrator is None else integrator
 
     @property
     def default_control(self) -> ControlVector:
         """Hover control (4,): thrust equal to the weight and zero rates, clipped to the bounds."""
-        zero = jnp.zeros(())
-        hover = jnp.stack([self.mass * self.gravity, zero, zero, zero])
-        return jnp.clip(hover, self.control_min, self.control_max)
+        return computed(
+            lambda xp, mass, gravity, low, high: xp.clip(
+                xp.append(mass * gravity, xp.zeros_like(low[1:])), low, high
+            ),
+            self.mass,
+            self.gravity,
+            self.control_min,
+            self.control_max,
+        )
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (13,)."""
@@ -151,4 +160,4 @@ class Quadrotor(ContinuousDynamics):
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
         """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
-        return jnp.asarray([x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0], jnp.float32)
+        return as_state(x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0)

@@ -7,6 +7,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
@@ -52,8 +53,8 @@ class Unicycle(ContinuousDynamics):
     ) -> None:
         lowest, highest = speed_range(min_speed, max_speed)
         turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
-        self.control_min = jnp.stack([lowest, -turn_rate])
-        self.control_max = jnp.stack([highest, turn_rate])
+        self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)
+        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, turn_rate)
         self.radius = _checks.scalar("radius", radius, above=0.0)
         self.integrator = RK4() if integrator is None else integrator
 

@@ -28,6 +28,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxplore._types import GridValues
+from jaxplore._xla import on_device
 from jaxplore.geometry.rays import ray_offsets
 from jaxplore.information.gain import CellSensor, cell_gains, expected_gain, settled
 from jaxplore.information.noise import RangeNoise
@@ -91,16 +92,16 @@ class BeamTable(eqx.Module):
     ) -> None:
         rays = ray_offsets(angles, length)
         weight = np.where(rays.is_crossed, near_share(rays.entry, rays.exit, spacing) * share, 0.0)
-        self.offset = jnp.asarray(rays.offset)
-        self.weight = jnp.asarray(weight, jnp.float32)
+        self.offset = on_device(rays.offset.astype(np.int32))
+        self.weight = on_device(weight.astype(np.float32))
         self.reach = int(np.abs(rays.offset).max())
         self.stride = stride
         self.no_return = no_return
         self.is_simple = noise is None and no_return
         reading = _readings(rays.entry, rays.exit, noise, resolution)
-        self.reading = jnp.asarray(reading, jnp.float32)
-        self.kept = jnp.asarray(reading.sum(axis=-1), jnp.float32)
-        self.length = jnp.asarray(rays.is_crossed.sum(axis=1), jnp.int32)
+        self.reading = on_device(reading.astype(np.float32))
+        self.kept = on_device(reading.sum(axis=-1).astype(np.float32))
+        self.length = on_device(rays.is_crossed.sum(axis=1).astype(np.int32))
 
     @property
     def num_directions(self) -> int:

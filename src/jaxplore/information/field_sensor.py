@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import GridValues, Position
+from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, CellMaps, window_maps
 from jaxplore.information.doubling import Doubling, is_faster
 from jaxplore.information.field import InformationField
@@ -115,8 +116,9 @@ class FieldSensor(eqx.Module):
             resolution=resolution,
             no_return=no_return,
         )
-        self.angles = jnp.asarray(angles, jnp.float32)
-        self.nearby = jnp.asarray(_nearby(np.asarray(self.table.offset), stride), jnp.float32)
+        self.angles = on_device(np.array(angles, np.float32))
+        nearby = _nearby(np.asarray(self.table.offset), stride)
+        self.nearby = on_device(nearby.astype(np.float32))
         self.field_of_view, self.num_beams = lidar.field_of_view, lidar.num_beams
 
     @property

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from jaxplore import _checks
 from jaxplore._types import Position
+from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, window_maps
 from jaxplore.information.gain import CellSensor
 from jaxplore.information.heading_field import HeadingField
@@ -88,7 +89,7 @@ class LocalFieldSensor(eqx.Module):
         # The field by heading is then one matrix product: which beams belong to which heading.
         membership = np.zeros((count, len(first)), np.float32)
         np.add.at(membership, (np.repeat(np.arange(count), beams.shape[1]), which), 1.0)
-        self.beams_of_heading = jnp.asarray(membership)
+        self.beams_of_heading = on_device(membership)
         self.sensor = pose.sensor
         self.num_nodes = round(2.0 * extent / spacing)
         self.spacing = self.table.stride * resolution

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import Scalar
+from jaxplore._xla import computed
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 
 ODDS_OCCUPIED, ODDS_FREE = math.exp(0.85), math.exp(-0.4)
@@ -114,7 +115,8 @@ class InverseSensorModel(eqx.Module):
         low = jax.scipy.special.logit(_checks.scalar("free", free, above=0.0, below=0.5))
         high = jax.scipy.special.logit(_checks.scalar("occupied", occupied, above=0.5, below=1.0))
         # A step as large as the range of the clamp takes any cell from one clamp to the other.
-        return cls(high - low, low - high, low, high, is_decisive=True)
+        span = computed(lambda _, low, high: high - low, low, high)
+        return cls(span, computed(lambda _, span: -span, span), low, high, is_decisive=True)
 
     def log_odds(self, probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
         """Return the log-odds `ln(p / (1 - p))`, clipped to the clamp; p may be 0 or 1."""

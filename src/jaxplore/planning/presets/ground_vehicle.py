@@ -9,6 +9,7 @@ from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Vector
+from jaxplore._xla import computed
 from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.parameterisations import Parameterisation
@@ -170,7 +171,8 @@ def ground_portfolio(
     mission = Mission() if mission is None else mission
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
     weights, horizons = _weights(decomposition, members, mission, effort), None
-    length = _checks.scalar("dt", dt, above=0.0) * _checks.positive_int("horizon", horizon)
+    steps = _checks.positive_int("horizon", horizon)
+    length = computed(lambda _, dt: dt * steps, _checks.scalar("dt", dt, above=0.0))
     if decomposition == "temporal":
         horizons = jnp.stack([HORIZONS[name] * length for name in weights])
     elif decomposition == "regional":
@@ -219,13 +221,14 @@ def _template(
 ) -> MPPI:
     """Build the MPPI controller of which the members are copies."""
     share = _checks.scalar("noise_share", noise_share, above=0.0)
-    std = share * robot.control_half_range
+    std = computed(lambda _, *each: each[0] * each[1], share, robot.control_half_range)
     # Scaled so that the sum of the controls over the horizon has the variance that independent
     # noise on every control would give it, see `Flight.noise_std`.
     if isinstance(parameterisation, Smooth):
         std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))
     elif isinstance(parameterisation, Knots):
-        std = std * math.sqrt(parameterisation.num_knots / horizon)
+        factor = math.sqrt(parameterisation.num_knots / horizon)
+        std = computed(lambda _, std: std * factor, std)
     return MPPI(
         robot,
         cost,

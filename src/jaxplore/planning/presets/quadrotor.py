@@ -3,11 +3,12 @@
 import math
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 
 from jaxplore import _checks
 from jaxplore._types import Vector
+from jaxplore._xla import computed
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.control.knots import Knots
@@ -105,7 +106,7 @@ class Flight(NamedTuple):
         total: Cost = (
             self.obstacle_weight * ObstacleCost(self.clearance)
             + self.speed_weight * SpeedLimitCost(self.max_speed)
-            + self.control_weight * QuadraticControlCost(jnp.ones(robot.control_size))
+            + self.control_weight * QuadraticControlCost(np.ones(robot.control_size))
         )
         if "z" in robot.state_names:
             total = total + self.height_weight * StateCost({"z": 1.0}, {"z": self.altitude})
@@ -120,8 +121,10 @@ class Flight(NamedTuple):
         horizon = _checks.positive_int("horizon", self.horizon)
         dt = _checks.scalar("dt", self.dt, above=0.0)
         if self.noise_std is None:
-            share = jnp.full(robot.control_size, 0.03).at[0].set(0.05)
-            std = share * (robot.control_max - robot.control_min)
+            share = np.full(robot.control_size, 0.03, np.float32)
+            share[0] = 0.05
+            bounds = robot.control_min, robot.control_max
+            std = computed(lambda _, share, low, high: share * (high - low), share, *bounds)
         else:
             given = GaussianProposal(self.noise_std).noise_std  # which checks it
             assert given is not None
@@ -292,7 +295,8 @@ def informative_mppi(
         follower = follower_for(robot)
         # Only the shape of these controls matters: every step replaces them by those of the
         # reference.
-        default = jnp.broadcast_to(robot.default_control, (flight.horizon, robot.control_size))
+        shape = flight.horizon, robot.control_size
+        default = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
         proposal = BiasedProposal(
             flight.noise(robot), default, bias_fraction, likelihood_ratio=likelihood_ratio
         )

@@ -1,5 +1,6 @@
 """Checks of the arguments of an exploration scenario."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -8,12 +9,16 @@ from jaxtyping import Float
 
 from jaxplore import _checks
 from jaxplore._types import GridMask, Position, Rows, Scalar, StateVector
+from jaxplore._xla import on_device
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.reachability import to_grid
 from jaxplore.simulation.faults import Faults
+
+probability_at = jax.jit(OccupancyGrid.at)
 
 
 def check_goal(
@@ -31,11 +36,11 @@ def check_goal(
     Raises:
         ValueError: a goal off the map or in a wall; no reachable cell within the radius.
     """
-    if float(world.at(goal)) >= FREE_THRESHOLD:
+    if float(probability_at(world, goal)) >= FREE_THRESHOLD:
         raise ValueError(f"goal is {goal.tolist()}; accepted: a place in free space")
-    rows, columns = np.nonzero(np.asarray(reachable))
-    centres = world.frame.cell_centre(jnp.asarray(np.stack([rows, columns], axis=-1)))
-    nearest = float(jnp.min(jnp.linalg.norm(centres - goal, axis=-1)))
+    centres = np.argwhere(np.asarray(reachable)) + 0.5
+    away = np.linalg.norm(centres - np.asarray(to_grid(world.frame, goal)), axis=-1)
+    nearest = world.resolution * float(away.min())
     if nearest > radius:
         raise ValueError(
             f"goal is {goal.tolist()}, which a robot of radius {float(robot.radius):g} m "
@@ -51,16 +56,19 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
         ValueError: another shape; a target that is not in free space.
     """
     if targets is None:
-        return jnp.zeros((0, 2))
+        return on_device(np.zeros((0, 2), np.float32))
     given = np.asarray(targets, np.float32)
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != 2:
         raise ValueError(f"targets has shape {given.shape}; accepted: (M, 2) with M >= 1")
     for index, spot in enumerate(given):
-        if not np.isfinite(spot).all() or float(world.at(jnp.asarray(spot))) >= FREE_THRESHOLD:
+        if (
+            not np.isfinite(spot).all()
+            or float(probability_at(world, jnp.asarray(spot))) >= FREE_THRESHOLD
+        ):
             raise ValueError(
                 f"targets[{index}] is {spot.tolist()}; accepted: a place in free space"
             )
-    return jnp.asarray(given)
+    return on_device(given.copy())
 
 
 def checked_end(
@@ -96,7 +104,7 @@ def checked_coverage(target_coverage: ArrayLike | None) -> Scalar:
         ValueError: a coverage outside (0, 1].
     """
     if target_coverage is None:
-        return jnp.asarray(2.0, jnp.float32)
+        return on_device(np.asarray(2.0, np.float32))
     return _checks.scalar("target_coverage", target_coverage, above=0.0, at_most=1.0)
 
 
@@ -114,7 +122,7 @@ def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVect
     state = robot.at_pose(*(float(value) for value in pose))
     if "z" not in robot.state_names:
         return state
-    return state.at[robot.state_names.index("z")].set(_checks.number("altitude", altitude))
+    return robot.with_component(state, "z", _checks.number("altitude", altitude))
 
 
 def checked_perception(

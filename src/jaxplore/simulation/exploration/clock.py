@@ -3,11 +3,12 @@
 from collections.abc import Callable
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxplore import _checks
 from jaxplore._types import Flag
+from jaxplore._xla import on_device
 
 
 def when_due[*T](
@@ -53,7 +54,7 @@ def whole_steps(name: str, rate: float, control_rate: float) -> Array:
             f"{name} is {rate!r}; accepted: a whole fraction of the control rate of "
             f"{control_rate:g} Hz, such as {control_rate / max(1, round(ratio)):g}"
         )
-    return jnp.asarray(round(ratio), jnp.int32)
+    return on_device(np.asarray(round(ratio), np.int32))
 
 
 def _same[*T](*unchanged: *T) -> tuple[*T]:

@@ -1,10 +1,14 @@
 """Cells of the true world that the robot can reach."""
 
+import functools
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
 
 
@@ -25,8 +29,9 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     """
     import scipy.ndimage  # slow to import, and few need it
 
-    free = np.asarray(world.is_free)
-    row, column = (int(index) for index in world.frame.to_cell(jnp.asarray(start[:2], jnp.float32)))
+    free = _free_cells(world)
+    place = np.asarray(to_grid(world.frame, np.asarray(start[:2], np.float32)))
+    row, column = (int(index) for index in np.floor(place))
     where = f"start is ({start[0]:g}, {start[1]:g})"
     if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1]):
         corners = np.asarray(
@@ -42,7 +47,11 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}"
         )
     if not free[row, column]:
-        kind = "in a wall" if bool(world.is_occupied[row, column]) else "in unknown space"
+        kind = (
+            "in a wall"
+            if float(world.probability[row, column]) > OCCUPIED_THRESHOLD
+            else "in unknown space"
+        )
         raise ValueError(
             f"{where}, {kind}; accepted: free space{_nearest(world, free, radius, start)}"
         )
@@ -54,13 +63,16 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
     labels, _ = scipy.ndimage.label(room, structure=np.ones((3, 3), int))
     beginnings = np.unique(labels[near & room])
-    # Seeds are cell centres, so the start between them may still touch something.
-    clearance = disc_clearance(
-        ~world.is_free,
-        world.frame.to_grid(jnp.asarray(start[:2], jnp.float32)),
-        jnp.asarray(radius, jnp.float32),
-        world.resolution,
-        clearance_reach(radius, world.resolution),
+    # Seeds are cell centres, so the start between them may still touch something. Only the cells
+    # around it are passed on, so that maps of all sizes share a program.
+    reach = clearance_reach(radius, world.resolution)
+    near_start = (slice(row, row + 2 * reach + 1), slice(column, column + 2 * reach + 1))
+    clearance = _clearance(
+        np.pad(~free, reach, constant_values=True)[near_start],
+        (place - (row, column) + reach).astype(np.float32),
+        np.float32(radius),
+        resolution=world.resolution,
+        reach=reach,
     )
     if beginnings.size == 0 or float(clearance) < 0.0:
         raise ValueError(
@@ -68,6 +80,14 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             f"accepted: free space{_nearest(world, free, radius, start)}"
         )
     return np.isin(labels, beginnings)
+
+
+to_grid = jax.jit(GridFrame.to_grid)
+_clearance = functools.partial(jax.jit, static_argnames=("resolution", "reach"))(disc_clearance)
+
+
+def _free_cells(world: OccupancyGrid) -> np.ndarray:
+    return np.asarray(world.probability) < FREE_THRESHOLD
 
 
 def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
@@ -91,7 +111,7 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
     Raises:
         ValueError: the map has no place for it.
     """
-    distance = _face_distance(np.asarray(world.is_free), world.resolution)
+    distance = _face_distance(_free_cells(world), world.resolution)
     row, column = np.unravel_index(int(np.argmax(distance)), distance.shape)
     if distance[row, column] < radius:
         raise ValueError(

@@ -23,6 +23,7 @@ from jaxplore._types import (
     StateVector,
     Vector,
 )
+from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception, as_sensors
@@ -178,16 +179,16 @@ class ExplorationScenario(Scenario):
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if self.ground is None else with_closed(world, self.ground)
-        self.reachable = jnp.asarray(reachable_cells(passable, pose, float(robot.radius)))
+        self.reachable = on_device(reachable_cells(passable, pose, float(robot.radius)))
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, self.reachable, float(self.goal_radius))
         self.targets = checks.checked_targets(targets, world)
         rate = _checks.number("control_rate", control_rate, above=0.0)
-        self.control_period = jnp.asarray(1.0 / rate, jnp.float32)
+        self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
         self.steps_per_field = whole_steps("field_rate", field_rate, rate)
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
-        self.hover_steps = jnp.asarray(round(hover * rate), jnp.int32)
+        self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
 
     @property

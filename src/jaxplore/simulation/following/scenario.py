@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Flag, Key, Position, Scalar, StateVector, Vector
+from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.base import Controller, Info
@@ -125,9 +126,9 @@ class PathScenario(Scenario):
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
         state = robot.at_pose(*pose)
         phi = _start_of(path, robot.position(state))
-        self.start = state.at[robot.state_names.index("phi")].set(phi)
+        self.start = robot.with_component(state, "phi", phi)
         rate = _checks.number("control_rate", control_rate, above=0.0)
-        self.control_period = jnp.asarray(1.0 / rate, jnp.float32)
+        self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.tracking_noise = _checks.vector("tracking_noise", tracking_noise, 2, at_least=0.0)
         if prediction not in PREDICTIONS:
             raise ValueError(f"prediction is {prediction!r}; accepted: {', '.join(PREDICTIONS)}")
@@ -308,6 +309,7 @@ class PathScenario(Scenario):
         )
 
 
+@eqx.filter_jit
 def _start_of(path: Path, position: Position) -> Scalar:
     """Return the arc length of the point of a path that is nearest to a start position [m].
 
@@ -320,7 +322,7 @@ def _start_of(path: Path, position: Position) -> Scalar:
     # itself, two points are equally near up to rounding: the one near the line is taken.
     at_line = path.nearest(position, near=jnp.zeros(()))
     distances = [jnp.linalg.norm(path.at(each).position - position) for each in (at_line, anywhere)]
-    return at_line if float(distances[0]) <= float(distances[1]) + SAME else anywhere
+    return jnp.where(distances[0] <= distances[1] + SAME, at_line, anywhere)
 
 
 def _centre_and_edges(path: Path) -> tuple[np.ndarray, np.ndarray]:
