@@ -1,6 +1,7 @@
 import errno
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -238,6 +239,13 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     return asked
 
 
+def interrupted(*arguments: str) -> None:
+    """Run a command that is interrupted; it keeps what is done and says so by its exit code."""
+    with pytest.raises(SystemExit) as exit_:
+        main(list(arguments))
+    assert exit_.value.code == 130
+
+
 @pytest.fixture
 def chosen(asked: list[Asked], monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
     """The same with settings in place of controllers: nothing is built."""
@@ -279,14 +287,15 @@ def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(
     room: Path, asked: list[Asked], capsys: pytest.CaptureFixture[str]
 ) -> None:
     for _ in range(2):
-        main(["compare", str(room), "--seed", "7", "--seeds", "3", *FEW, "--time-limit", "2"])
+        interrupted("compare", str(room), "--seed", "7", "--seeds", "3", *FEW, "--time-limit", "2")
     captured = capsys.readouterr()
     for experiments, seeds in asked:
         assert list(experiments) == ["two-layer", "parallel", "random-walk"]
         assert seeds == [7, 8, 9]
         assert {num_steps for *_, num_steps in experiments.values()} == {100}
     assert "runs/room-comparison-2/table.md" in captured.out.splitlines()
-    assert captured.err.count("Interrupted: the folder holds the finished runs") == 2
+    assert captured.err.count("-comparison holds the finished runs") == 1
+    assert captured.err.count("-comparison-2 holds the finished runs") == 1
     names = {"metrics.json", "table.md", "curves.png", "settings.yaml"}
     for folder in ("room-comparison", "room-comparison-2"):
         assert {path.name for path in (Path("runs") / folder).iterdir()} == names
@@ -294,7 +303,9 @@ def test_compare_takes_all_that_the_map_allows_and_seeds_from_the_first(
 
 
 def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[Asked]) -> None:
-    main(["compare", str(room), "--architectures", "random-walk,two-layer", *FEW, "--out", "it"])
+    interrupted(
+        "compare", str(room), "--architectures", "random-walk,two-layer", *FEW, "--out", "it"
+    )
     ((experiments, seeds),) = asked
     assert list(experiments) == ["random-walk", "two-layer"]
     assert seeds == list(range(20))
@@ -351,7 +362,7 @@ def test_the_table_of_a_comparison_keeps_its_units(
     room: Path, chosen: list[Asked], capsys, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    main(["compare", str(room), "--architectures", "random-walk", "--out", "it"])
+    interrupted("compare", str(room), "--architectures", "random-walk", "--out", "it")
     shown = capsys.readouterr().out
     header = Path("it/table.md").read_text().splitlines()[0]
     for cell in (each.strip() for each in header.split("|")):
@@ -362,7 +373,7 @@ def test_the_table_of_a_comparison_keeps_its_units(
 def test_all_that_is_compared_differs_in_the_architecture_only(
     room: Path, chosen: list[Asked]
 ) -> None:
-    main(["compare", str(room), "--architectures", "random-walk,parallel", "--out", "it"])
+    interrupted("compare", str(room), "--architectures", "random-walk,parallel", "--out", "it")
     assert chosen
     for experiments, _ in chosen:
         first, second = (
@@ -389,3 +400,37 @@ def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weigh
     assert choice.targets.zones.member.shape[0] == 3
     if rule is jx.planning.TrajectoryChoice:
         assert choice.information.method == given["target_choice"]
+
+
+def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: Path) -> None:
+    assert "zone is not there; accepted: the YAML file of a ROS map" in fails("run", "zone")
+    assert "office, zones, warehouse, search-rescue, perimeter or path" in fails("run", "zone")
+    (tmp_path / "maps").mkdir()
+    assert "is a folder; accepted: a file" in fails("run", "maps")
+    Path("maps/depot.yaml").write_text("")
+    assert "such as maps/depot.yaml" in fails("run", "maps")
+
+
+def test_a_run_that_is_interrupted_is_kept_and_ends_with_130(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    progress = jx.ExplorationScenario.progress
+
+    def interrupt(self: jx.ExplorationScenario, state: Any) -> tuple[float, str]:
+        os.kill(os.getpid(), signal.SIGINT)
+        return progress(self, state)
+
+    monkeypatch.setattr(jx.ExplorationScenario, "progress", interrupt)
+    small = ["--set", "office.width=9", "--set", "office.height=8", *SMALL, "--no-animation"]
+    interrupted("run", "office", "--time-limit", "5", "--range", "2.0", *small)
+    assert "Interrupted: runs/office holds the run up to then." in capsys.readouterr().err
+    metrics = json.loads(Path("runs/office/metrics.json").read_text())
+    assert metrics["is_interrupted"]
+    assert 0 < metrics["num_steps"] < 250
+
+
+def test_it_is_a_module_too() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "jaxplore", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("jaxplore, version")

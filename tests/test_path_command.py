@@ -61,7 +61,7 @@ def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, caps
 
 def test_without_a_file_it_drives_a_generated_track() -> None:
     main(["run", "path", "--time-limit", "0.5", "--set", "track.seed=3", *SMALL, "--no-animation"])
-    length = float(np.load("runs/track/arrays.npz")["length"])
+    length = float(np.load("runs/path/arrays.npz")["length"])
     assert length == pytest.approx(float(jx.race_track(3).length))
 
 

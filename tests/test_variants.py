@@ -52,7 +52,7 @@ def test_two_path_planners_compare(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     main([*COMMAND, *VARIED])
-    out = Path("runs/track-comparison")
+    out = Path("runs/path-comparison")
     report = json.loads((out / "metrics.json").read_text())
     assert list(report["runs"]) == ["temperature 10", "temperature 300"]
     assert "progress [m]" in capsys.readouterr().out

@@ -186,10 +186,8 @@ def test_packages_that_are_missing_are_named(
     episodes: tuple[MapEpisode, ...], store: Store, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(
-        ValueError, match=r"ray is not installed.*install 'jaxplore\[distributed\]'"
-    ):
+    with pytest.raises(ValueError, match=r"ray is not installed.*install '\.\[distributed\]'"):
         run_episodes(episodes, store, Runner(None, on_ray=True))
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(ValueError, match=r"pyarrow is not installed.*'jaxplore\[comparison\]'"):
+    with pytest.raises(ValueError, match=r"pyarrow is not installed.*'\.\[comparison\]'"):
         run_episodes(episodes, store)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 import yaml
 
+from jaxplore._exit import BAD_INPUT, INTERRUPTED
 from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
@@ -189,10 +190,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _fail(str(error))
     except (click.Abort, KeyboardInterrupt):
         click.echo("jaxplore: interrupted", err=True)
-        # Shells report Ctrl-C as 128 plus the number of the signal.
-        sys.exit(130)
+        sys.exit(INTERRUPTED)
 
 
 def _fail(message: str) -> None:
     click.echo("jaxplore: " + " ".join(message.split()), err=True)
-    sys.exit(2)
+    sys.exit(BAD_INPUT)

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._options import folder_name, option_entries
 from jaxplore.cli._runner import RUNNER, make_runner
@@ -33,9 +34,6 @@ _OF_ONE_PLACE = {
     "goal": "--goal",
 }
 """Options for a single scenario only."""
-
-_FAILED, _INTERRUPTED = 1, 130
-"""Exit codes: some runs failed; Ctrl-C, as of a shell 128 plus the number of the signal."""
 
 
 def comparison_options(command: Any) -> Any:
@@ -239,6 +237,6 @@ def _show(found: MapComparison) -> None:
             "done; the same command continues.",
             err=True,
         )
-        sys.exit(_INTERRUPTED)
+        sys.exit(INTERRUPTED)
     if counts.num_failed:
-        sys.exit(_FAILED)
+        sys.exit(FAILED)

@@ -7,6 +7,7 @@ from typing import Any
 import click
 import yaml
 
+from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.settings.exploration import (
     BASELINES,
     OFFICE,
@@ -195,6 +196,8 @@ def _with_map(entries: dict[str, Any], map_: str | None, file: str | None) -> di
 
 def folder_name(entries: Mapping[str, Any]) -> str:
     """Return a name for folders from the map or path of settings entries."""
+    if entries.get(PATH) == TRACK:
+        return PATH
     return Path(str(entries.get(PATH, entries.get("map")))).stem
 
 
@@ -202,9 +205,24 @@ def map_entries(name: str) -> dict[str, Any]:
     """Return settings entries for a map, a world or a scenario, given by its file or name."""
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
+    _check_file(Path(name))
     if is_scenario_file(name):
         return {"map": str(Path(name).absolute()), **read_settings(name)}
     return {"map": str(Path(name).absolute())}
+
+
+def _check_file(path: Path) -> None:
+    """Raise a `ValueError` that names what there is, if a map is not a file."""
+    accepted = (
+        "the YAML file of a ROS map, of a world or of a scenario, or "
+        f"{', '.join((OFFICE, ZONES, *SCENARIOS))} or {PATH}"
+    )
+    if path.is_dir():
+        inside = sorted(path.glob("*.yaml"))
+        example = f", such as {printable_path(inside[0])}" if inside else ""
+        raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
+    if not path.exists():
+        raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
 
 
 def assign(entries: dict[str, Any], name: str, value: Any) -> None:

@@ -1,9 +1,11 @@
 """Results of the commands: folders, tables and messages."""
 
+import sys
 from pathlib import Path
 
 import click
 
+from jaxplore._exit import INTERRUPTED
 from jaxplore.report.table import print_table, transposed
 from jaxplore.settings.sections import Section
 from jaxplore.simulation.run import Run
@@ -19,7 +21,7 @@ def free_name(path: Path) -> Path:
 
 
 def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, animation: bool) -> None:
-    """Write a run folder, and print its metrics and files."""
+    """Write a run folder, and print its metrics and files; exit if the run was interrupted."""
     result.save(
         folder,
         overwrite=overwrite,
@@ -32,15 +34,17 @@ def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, anima
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
     if result.metrics.is_interrupted:
-        click.echo("Interrupted: the run folder holds the run up to then.", err=True)
+        click.echo(f"Interrupted: {folder} holds the run up to then.", err=True)
+        sys.exit(INTERRUPTED)
 
 
 def show_comparison(comparison: Comparison, folder: Path) -> None:
-    """Print the table of a comparison, and its files."""
+    """Print the table of a comparison, and its files; exit if it was interrupted."""
     # Transposed, one column for each variant: the rows would be too wide for a terminal.
     click.echo(f"{folder}: medians [quartiles]")
     print_table(transposed(comparison.rows()))
     for path in sorted(folder.iterdir()):
         click.echo(str(path))
     if comparison.is_interrupted:
-        click.echo("Interrupted: the folder holds the finished runs.", err=True)
+        click.echo(f"Interrupted: {folder} holds the finished runs.", err=True)
+        sys.exit(INTERRUPTED)

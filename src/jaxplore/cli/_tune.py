@@ -6,14 +6,12 @@ from typing import Any
 
 import click
 
+from jaxplore._exit import INTERRUPTED
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._tune_options import OWN, parse_budget, parse_measure, scenario_entries
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
-
-_INTERRUPTED = 130
-"""Exit code after Ctrl-C, as of a shell: 128 plus the number of the signal."""
 
 
 def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:
@@ -75,4 +73,4 @@ _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
 
 def _end(folder: Path, kept: str = "") -> None:
     click.echo(f"Interrupted: {kept}the same command continues in {folder}.", err=True)
-    sys.exit(_INTERRUPTED)
+    sys.exit(INTERRUPTED)

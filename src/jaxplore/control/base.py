@@ -65,6 +65,9 @@ class Info(NamedTuple):
         is_finite: whether any rollout was finite. If none was, the control is that of the shifted
             nominal.
         members: diagnostics of each member; None for a controller without members.
+        log_ratio: (K,) `log q - log p` of each rollout, up to a constant; see `Proposal.log_ratio`.
+            With the temperature l, the total cost that the softmax weighs is `costs + l log_ratio`.
+            None for a controller without a proposal.
     """
 
     controls: Float[Array, "T nu"]
@@ -73,6 +76,7 @@ class Info(NamedTuple):
     effective_sample_size: Scalar
     is_finite: Flag
     members: Members | None = None
+    log_ratio: Float[Array, " K"] | None = None
 
 
 class SampledPlan(NamedTuple):

@@ -80,7 +80,9 @@ class FeedbackMPPI(Controller):
             planner=planner.init(),
             states=jnp.zeros((planner.horizon + 1, model.state_size)),
             gains=jnp.zeros((model.control_size, model.state_size)),
-            info=Info(controls, samples, samples, jnp.zeros(()), jnp.zeros((), bool)),
+            info=Info(
+                controls, samples, samples, jnp.zeros(()), jnp.zeros((), bool), log_ratio=samples
+            ),
             commands=jnp.zeros((), jnp.int32),
         )
 

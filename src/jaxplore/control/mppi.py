@@ -345,6 +345,7 @@ class MPPI(Controller):
             costs=costs,
             effective_sample_size=effective_sample_size(weights),
             is_finite=jnp.any(jnp.isfinite(costs)),
+            log_ratio=log_ratio,
         )
         after = MPPIState(nominal, memory, controls[0], state.past, state.phase)
         return controls[0], after, info

@@ -129,6 +129,8 @@ def simulate(
                 f"{speed:4.1f} x real time  at most {left:3.0f} s left",
             )
 
+        # With a warm compilation cache the text stands for a second only.
+        advance(0.0, "compiling the loop, about 10 s the first time")
         recording = record_run(
             controller,
             scenario,

@@ -21,5 +21,6 @@ def import_optional(name: str, extra: str) -> Any:
         if error.name is None or error.name.partition(".")[0] != name.partition(".")[0]:
             raise
         raise ValueError(
-            f"{name.partition('.')[0]} is not installed; accepted: pip install 'jaxplore[{extra}]'"
+            f"{name.partition('.')[0]} is not installed; accepted: pip install '.[{extra}]' in a "
+            "clone of jaxplore"
         ) from None
