@@ -121,7 +121,6 @@ def write(name: str, **changes: Any) -> str:
 FILES = {
     "arrays.npz",
     "coverage.png",
-    "idleness.png",
     "map.png",
     "members.png",
     "metrics.json",

@@ -209,12 +209,13 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
     def rows(each):
         return dict(compute_metrics(each).rows())
 
-    names = {"targets", "idleness", "untraversable", "members", "  bold", "  careful", "  slow"}
+    names = {"targets", "untraversable", "members", "  bold", "  careful", "  slow"}
     plain, full = rows(recording), rows(vehicle)
     assert set(full) - set(plain) == names
     assert set(plain) <= set(full)
     assert full["targets"] == "3 of 3 seen, the last at 4.50 s"
-    assert full["idleness"] == "7.0 s, 10.0 s at worst, in the second half"
+    watching = rows(dataclasses.replace(vehicle, targets=np.zeros((0, 2))))
+    assert watching["idleness"] == "7.0 s, 10.0 s at worst, in the second half"
     assert full["untraversable"] == "2 steps"
     assert full["members"] == "0.250 apart, replaced in 20.0 % of the steps"
     assert full["  bold"] == "27.5 %, 5.5 effective, uncertainty 0.125"
@@ -223,6 +224,27 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
     for name in ("last_target_at", "mean_idleness", "worst_idleness", "members", "diversity"):
         assert getattr(metrics, name) is None
     assert metrics.replaced is None
+
+
+def test_a_run_is_reported_by_what_it_is_judged_by(recording, vehicle, no_step) -> None:
+    patrol = dataclasses.replace(
+        vehicle,
+        initial_coverage=1.0,
+        records=vehicle.records._replace(coverage=np.ones_like(vehicle.records.coverage)),
+        targets=np.zeros((0, 2)),
+        target_coverage=None,
+        finished_step=None,
+    )
+    rows = dict(compute_metrics(patrol).rows())
+    assert rows["map"].endswith("m², known in advance")
+    assert not {"coverage", "  to 50 %", "entropy", "unknown", "information"} & set(rows)
+    assert "idleness" in rows
+    assert set(patrol.figures()) == {"map", "members", "idleness"}
+    assert set(vehicle.figures()) == {"map", "coverage", "members"}
+    for each in (recording, vehicle, patrol, no_step):
+        assert [row for row in compute_metrics(each).rows() if row[1].startswith("- ")] == []
+        assert [row for row in compute_metrics(each).rows() if row[1] in ("-", "")] == []
+    assert dict(compute_metrics(no_step).rows())["  to 99 %"] == "not reached"
 
 
 def test_a_run_that_has_no_end_is_neither_finished_nor_unfinished(recording) -> None:

@@ -65,7 +65,7 @@ def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_p
         save_run(each, compute_metrics(each), tmp_path / name, animation=False)
     files = [name for name in FILES if "gif" not in name]
     assert names(tmp_path / "plain") == files
-    assert names(tmp_path / "full") == sorted([*files, "members.png", "idleness.png"])
+    assert names(tmp_path / "full") == sorted([*files, "members.png"])
     with np.load(tmp_path / "full" / "arrays.npz", allow_pickle=False) as arrays:
         members = vehicle.records.members._asdict()
         for name, rows in members.items():
@@ -85,7 +85,7 @@ def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_p
 def test_a_ground_vehicle_without_a_step_can_be_saved(no_step, make_vehicle, tmp_path):
     vehicle = make_vehicle(no_step)
     save_run(vehicle, compute_metrics(vehicle), tmp_path / "run")
-    assert names(tmp_path / "run") == sorted([*FILES, "members.png", "idleness.png"])
+    assert names(tmp_path / "run") == sorted([*FILES, "members.png"])
 
 
 @pytest.mark.parametrize("animation", [False, True])

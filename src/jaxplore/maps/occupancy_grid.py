@@ -58,7 +58,7 @@ class OccupancyGrid(eqx.Module):
     @classmethod
     def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":
         """Return a grid in which every cell is unknown: 0.5 everywhere."""
-        return cls(np.full(shape, 0.5, np.float32), frame.resolution, np.asarray(frame.origin))
+        return cls(np.full(shape, 0.5, np.float32), frame.resolution, frame.origin)
 
     @classmethod
     def from_ros(cls, path: str | PathLike[str]) -> "OccupancyGrid":

@@ -27,6 +27,12 @@ def text(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
+def numbers(name: str, pattern: str, *values: float | None) -> list[tuple[str, str]]:
+    """Return a row of a table with a name and formatted numbers; no row if one of them is None."""
+    present = [value for value in values if value is not None]
+    return [(name, pattern.format(*present))] if len(present) == len(values) else []
+
+
 def percent(share: float | None) -> str:
     """Format a share in percent; None becomes a dash."""
     return "-" if share is None else f"{100.0 * share:.1f} %"

@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxplore._version import __version__
-from jaxplore.report._numbers import finite, text
+from jaxplore.report._numbers import finite, numbers
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,12 +54,11 @@ class Compute:
 
     def rows(self) -> list[tuple[str, str]]:
         """Return the main numbers as (name, text), for tables."""
-        single = f"{text(self.step_ms_p50, 2)} ms p50, {text(self.step_ms_p99, 2)} ms p99"
         return [
-            ("step", single),
-            ("loop", f"{text(self.loop_step_ms, 2)} ms a step"),
-            ("real time", f"{text(self.real_time_factor, 1)} times as fast"),
-            ("compilation", f"{text(self.compile_seconds, 1)} s"),
+            *numbers("step", "{:.2f} ms p50, {:.2f} ms p99", self.step_ms_p50, self.step_ms_p99),
+            *numbers("loop", "{:.2f} ms a step", self.loop_step_ms),
+            *numbers("real time", "{:.1f} times as fast", self.real_time_factor),
+            *numbers("compilation", "{:.1f} s", self.compile_seconds),
         ]
 
 

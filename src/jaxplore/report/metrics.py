@@ -196,7 +196,7 @@ class Metrics(abc.ABC):
         versions = self.versions
         return [
             *self.compute.rows(),
-            ("seed", "-" if self.seed is None else str(self.seed)),
+            *([] if self.seed is None else [("seed", str(self.seed))]),
             ("software", f"jaxplore {versions['jaxplore']}, jax {versions['jax']}"),
             ("device", str(versions["device"])),
         ]

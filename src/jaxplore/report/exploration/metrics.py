@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.missions import (
     fusion_means,
@@ -154,7 +154,7 @@ class ExplorationMetrics(Metrics):
         )
         end = ", finished" if self.is_finished else ", not finished" if ends else ""
         rows = [
-            ("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}"),
+            *self._coverage_rows(end),
             ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
             ("path", f"{self.path_length:.2f} m"),
         ]
@@ -164,29 +164,19 @@ class ExplorationMetrics(Metrics):
             rows.append(("goal", f"{self.goal_distance:.2f} m away"))
         if self.is_interrupted:
             rows.append(("interrupted", "by the user"))
-        for level, seconds in self.time_to.items():
-            path = self.path_to[level]
-            reached = seconds is not None and path is not None
-            rows.append((f"  to {level} %", f"{seconds:.2f} s, {path:.2f} m" if reached else "-"))
-        rows += self._mission_rows()
+        rows += [*self._level_rows(), *self._mission_rows(), *self._map_rows()]
         sizes = (self.mean_effective_sample_size, self.minimum_effective_sample_size)
         rows += [
-            ("entropy", f"{text(self.initial_entropy, 0)} -> {text(self.final_entropy, 0)} nat"),
-            (
-                "unknown",
-                f"{percent(self.initial_unknown)} -> {percent(self.final_unknown)} of all cells",
-            ),
-            ("information", f"{text(self.information_per_metre, 1)} nat/m"),
-            ("command jerk", f"{text(self.command_jerk, 1)} ranges/s²"),
+            *numbers("command jerk", "{:.1f} ranges/s²", self.command_jerk),
             ("collisions", f"{self.collisions} ({self.collision_steps} steps)"),
             *(
                 [("untraversable", f"{self.untraversable_steps} steps")]
                 if self.untraversable_steps
                 else []
             ),
-            ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
+            *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             ("longest stall", f"{self.longest_stall:.2f} s"),
-            ("sample size", f"{text(sizes[0], 1)} effective, {text(sizes[1], 1)} at least"),
+            *numbers("sample size", "{:.1f} effective, {:.1f} at least", *sizes),
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
             *self._member_rows(),
@@ -194,12 +184,44 @@ class ExplorationMetrics(Metrics):
         ]
         return rows
 
+    @property
+    def is_map_known(self) -> bool:
+        """Whether the map was known at the start, so that coverage does not judge the run."""
+        return self.time_to[str(LEVELS[-1])] == 0.0
+
+    def _coverage_rows(self, end: str) -> list[tuple[str, str]]:
+        if self.is_map_known:
+            return [("map", f"{self.reachable_area:.1f} m², known in advance{end}")]
+        return [("coverage", f"{percent(self.coverage)} of {self.reachable_area:.1f} m²{end}")]
+
+    def _level_rows(self) -> list[tuple[str, str]]:
+        if self.is_map_known:
+            return []
+        rows = []
+        for level, seconds in self.time_to.items():
+            path = self.path_to[level]
+            is_reached = seconds is not None and path is not None
+            when = f"{seconds:.2f} s, {path:.2f} m" if is_reached else "not reached"
+            rows.append((f"  to {level} %", when))
+        return rows
+
+    def _map_rows(self) -> list[tuple[str, str]]:
+        if self.is_map_known:
+            return []
+        shares = percent(self.initial_unknown), percent(self.final_unknown)
+        return [
+            *numbers("entropy", "{:.0f} -> {:.0f} nat", self.initial_entropy, self.final_entropy),
+            ("unknown", f"{shares[0]} -> {shares[1]} of all cells"),
+            *numbers("information", "{:.1f} nat/m", self.information_per_metre),
+        ]
+
     def _mission_rows(self) -> list[tuple[str, str]]:
         rows = []
         if self.num_targets:
             seen, last = f"{self.targets_seen} of {self.num_targets} seen", self.last_target_at
             rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
-        if self.mean_idleness is not None:
+        # A search is judged by its targets; the idleness only leads it to places not seen lately.
+        elif self.mean_idleness is not None:
             both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
             rows.append(("idleness", f"{both}, in the second half"))
         return rows

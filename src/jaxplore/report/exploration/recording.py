@@ -13,7 +13,7 @@ from jaxplore.report.exploration.animation import frame_image, write_animation
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.members import members_figure
-from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
+from jaxplore.report.exploration.metrics import LEVELS, ExplorationMetrics, compute_metrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.recording import Recording
@@ -26,8 +26,9 @@ if TYPE_CHECKING:
 class ExplorationRecording(ExplorationData, Recording):
     """A finished exploration run.
 
-    Its folder has `map.png`, `coverage.png` and `exploration.gif`; `members.png` if the controller
-    has several members; `idleness.png` if the robot patrols.
+    Its folder has `map.png` and `exploration.gif`; `coverage.png` unless the map was known in
+    advance; `members.png` if the controller has several members; `idleness.png` if the robot
+    patrols and does not search for targets.
     """
 
     animation = "exploration.gif"
@@ -42,10 +43,15 @@ class ExplorationRecording(ExplorationData, Recording):
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""
-        draw = {"map": map_figure, "coverage": coverage_figure}
+        draw = {"map": map_figure}
+        # Each figure shows what the task is judged by: the coverage of a map that is known in
+        # advance says nothing, and a search for targets is not judged by idleness.
+        _, coverage, *_ = progress(self)
+        if coverage[0] < LEVELS[-1] / 100:
+            draw["coverage"] = coverage_figure
         if self.records.members is not None:
             draw["members"] = members_figure
-        if self.idleness is not None:
+        if self.idleness is not None and not len(self.targets):
             draw["idleness"] = idleness_figure
         return {name: partial(each, self) for name, each in draw.items()}
 
