@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.trajectory import Trajectory
 
@@ -112,6 +113,9 @@ class Controller(eqx.Module):
     All controllers share this interface, so one may contain another, and any two can be compared
     in the same simulation.
     """
+
+    def __repr__(self) -> str:
+        return describe_fields(self)
 
     @abc.abstractmethod
     def init(self) -> Any:

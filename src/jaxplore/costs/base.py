@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._describe import WIDTH, describe, describe_fields
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.dynamics.base import Dynamics, State
 
@@ -61,6 +62,9 @@ class Cost(eqx.Module):
         # A cost without parts is one term; sums override this.
         yield type(self).__name__, self
 
+    def __repr__(self) -> str:
+        return describe_fields(self)
+
     def __add__(self, other: "Cost") -> "SumCost":
         return SumCost((self, other))
 
@@ -80,6 +84,9 @@ class WeightedCost(Cost):
 
     weight: Scalar
     cost: Cost
+
+    def __repr__(self) -> str:
+        return f"{describe(self.weight)} * {_in_brackets(self.cost)}"
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the weighted stage cost."""
@@ -109,6 +116,11 @@ class SumCost(Cost):
     """The sum of costs."""
 
     costs: tuple[Cost, ...]
+
+    def __repr__(self) -> str:
+        terms = [repr(cost) for cost in self.costs]
+        line = " + ".join(terms)
+        return line if len(line) <= WIDTH else "\n+ ".join(terms)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the sum of the stage costs."""
@@ -165,6 +177,9 @@ class NamedCost(Cost):
         self.name = name
         self.cost = cost
 
+    def __repr__(self) -> str:
+        return f"{_in_brackets(self.cost)}.named({self.name!r})"
+
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the stage cost."""
         return self.cost.stage(state, control, t, belief)
@@ -186,3 +201,8 @@ class NamedCost(Cost):
     def terms(self) -> Iterator[tuple[str, Cost]]:
         """Yield the cost as one term."""
         yield self.name, self.cost
+
+
+def _in_brackets(cost: Cost) -> str:
+    """Describe a cost as an operand."""
+    return f"({cost!r})" if isinstance(cost, (SumCost, WeightedCost)) else repr(cost)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics.integrators import Derivative, Integrator
@@ -64,6 +65,9 @@ class Dynamics(eqx.Module):
     def footprint(self) -> Footprint:
         """Footprint of the robot on the ground; by default a disc of its radius."""
         return Disc(self.radius)
+
+    def __repr__(self) -> str:
+        return describe_fields(self)
 
     @property
     def state_size(self) -> int:

@@ -10,6 +10,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks
+from jaxplore._describe import describe
 from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
 from jaxplore.maps import resample
 from jaxplore.maps.field import bilinear
@@ -54,6 +55,15 @@ class OccupancyGrid(eqx.Module):
     ) -> None:
         self.probability = _checks.probabilities("probability", probability, 2)
         self.frame = GridFrame(resolution, origin)
+
+    def __repr__(self) -> str:
+        height, width = (self.resolution * size for size in self.shape)
+        text = f"{type(self).__name__}({width:g} m x {height:g} m, cells of {self.resolution:g} m"
+        if not _checks.is_traced(self.probability):
+            values = np.asarray(self.probability)
+            shares = (values < FREE_THRESHOLD).mean(), (values > OCCUPIED_THRESHOLD).mean()
+            text += f", {100 * shares[0]:.0f} % free, {100 * shares[1]:.0f} % occupied"
+        return f"{text}, origin {describe(self.frame.origin)})"
 
     @classmethod
     def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":

@@ -92,6 +92,13 @@ class Recording(RunData, abc.ABC):
     animation: ClassVar[str] = "animation.gif"
     """File name of the animation in a run folder."""
 
+    def __repr__(self) -> str:
+        ended = ", interrupted" if self.is_interrupted else ""
+        return (
+            f"{type(self).__name__}({self.num_steps} steps of {self.control_period:g} s, "
+            f"{len(self.frames)} frames{ended})"
+        )
+
     @abc.abstractmethod
     def metrics(self, *, seed: int | None = None) -> Metrics:
         """Compute the metrics of the run.

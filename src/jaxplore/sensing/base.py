@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxplore._describe import describe_fields
 from jaxplore._types import GridMask, Key, Pose, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.maps.ground import Ground
@@ -64,6 +65,9 @@ class Sensor(eqx.Module):
     field_of_view: eqx.AbstractVar[float]
     range_noise: eqx.AbstractVar[Scalar]
     height: eqx.AbstractVar[Scalar]
+
+    def __repr__(self) -> str:
+        return describe_fields(self)
 
     @abc.abstractmethod
     def _stops(

@@ -1,10 +1,13 @@
 """Simulation of a scenario with a controller, for every kind of task."""
 
+import base64
 import dataclasses
+import html
+import io
 import os
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import numpy as np
@@ -22,6 +25,9 @@ from jaxplore.simulation.scenario import LoopState, Scenario
 
 NUM_TRAJECTORIES = 60
 """Number of rollouts in each frame."""
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class RunProgress(NamedTuple):
@@ -53,6 +59,38 @@ class Run:
 
     recording: Recording
     metrics: Metrics
+
+    def __repr__(self) -> str:
+        return f"Run({self.recording!r})"
+
+    def plot(self, name: str | None = None) -> "Figure":
+        """Draw one of the figures of the run folder.
+
+        Args:
+            name: name of the figure, such as "map" or "coverage"; the first one when absent.
+
+        Raises:
+            ValueError: the run has no figure of that name.
+        """
+        figures = self.recording.figures()
+        chosen = next(iter(figures), "") if name is None else name
+        if chosen not in figures:
+            raise ValueError(f"name is {name!r}; accepted: {', '.join(figures) or 'none'}")
+        return figures[chosen]()
+
+    def _repr_html_(self) -> str:
+        """Return the first figure and the metrics, for notebooks."""
+        rows = "".join(
+            f"<tr><td>{html.escape(name)}</td><td>{html.escape(value)}</td></tr>"
+            for name, value in self.metrics.rows()
+        )
+        picture = ""
+        if self.recording.figures():
+            buffer = io.BytesIO()
+            self.plot().savefig(buffer, format="png")
+            code = base64.b64encode(buffer.getvalue()).decode()
+            picture = f'<img src="data:image/png;base64,{code}">'
+        return f"{picture}<table>{rows}</table>"
 
     def save(
         self,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
@@ -83,6 +84,9 @@ class Scenario(eqx.Module):
     """Class of the frames; `frame` returns its fields."""
     metrics_type: ClassVar[type[Metrics]] = Metrics
     """Class of the metrics that its recordings compute."""
+
+    def __repr__(self) -> str:
+        return describe_fields(self, "robot", "start", "period")
 
     @property
     def period(self) -> float:

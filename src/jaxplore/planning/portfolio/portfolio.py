@@ -268,6 +268,7 @@ class Portfolio(Controller):
         # The rollouts of all members count as one set, in which each member has the same share.
         share = jnp.full(number, 1.0 / number)[:, None]
         weights, costs = (share * infos.weights).reshape(-1), infos.costs.reshape(-1)
+        assert infos.log_ratio is not None  # members are MPPI
         first = candidates.controls[:, 0]
         return Info(
             controls=fused.controls,
@@ -284,6 +285,7 @@ class Portfolio(Controller):
                 diversity=diversity(first / self.members.half_range),
                 is_replaced=fused.is_replaced,
             ),
+            log_ratio=infos.log_ratio.reshape(-1),
         )
 
     def _common_objective(

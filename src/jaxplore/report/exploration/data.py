@@ -90,7 +90,7 @@ class ExplorationFrame(Frame):
     terms: dict[str, float]
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class ExplorationData(RunData):
     """Data of an exploration run: every step, frames, and the true world.
 

@@ -66,7 +66,7 @@ class PathFrame(Frame):
     plan: np.ndarray
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PathData(RunData):
     """Data of a path-following run: every step, frames, and the course.
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PathRecording(PathData, Recording):
     """A finished path-following run. Its folder has `path.png`, `errors.png` and
     `following.gif`."""

@@ -11,6 +11,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
+from jaxplore._describe import describe_fields
 from jaxplore._types import (
     ControlVector,
     Count,
@@ -190,6 +191,9 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
+
+    def __repr__(self) -> str:
+        return describe_fields(self, "world", "robot", "sensors", "start", "goal", "period")
 
     @property
     def num_targets(self) -> int:

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
+from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Flag, Key, Position, Scalar, StateVector, Vector
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
@@ -138,6 +139,9 @@ class PathScenario(Scenario):
         if faults is not None and faults.walls is not None:
             raise ValueError("faults has walls beside a path; accepted: faults without walls")
         self.faults = faults
+
+    def __repr__(self) -> str:
+        return describe_fields(self, "path", "robot", "start", "end", "traffic", "period")
 
     @property
     def objective(self) -> str:
