@@ -7,18 +7,18 @@ from jaxplore.settings.reference import TASKS, Row, plain, rows, sections
 PAGE = Path(__file__).parent / "settings.md"
 TITLES = {"exploration": "Exploration", "path": "Path following"}
 BEGINNING = """\
-<!-- Written by docs/settings_page.py from the settings and their owners. To renew it: python docs/settings_page.py -->
+<!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
 
 # Settings
 
-Every setting of a run, with its default. [First run](first_run.md#settings) says how to give one. `jaxplore settings
-NAME` prints the row of a setting such as `robot.max_speed`, a section such as `lidar`, or the defaults of a scenario
-such as `warehouse` as a settings file.
+Every setting of a run, with its default. [First run](first_run.md#settings) says how to give one.
+`jaxplore settings NAME` prints the row of a setting such as `robot.max_speed`, a section such as
+`lidar`, or the defaults of a scenario such as `warehouse` as a settings file.
 
-The owner of a setting is the function or class whose parameter it is. Meaning and default are the owner's. Where the
-default is another one, the row says why. *Quadrotors* are the architectures `two-layer`, `parallel`, `sequential`,
-`random-walk` and `goal`. The last column says which runs read a setting. In brackets are the scenarios that do with
-their own defaults, unless all do.
+The owner of a setting is the function or class whose parameter it is. Meaning and default are the
+owner's. Where the default is another one, the row says why. *Quadrotors* are the architectures
+`two-layer`, `parallel`, `sequential`, `random-walk` and `goal`. The last column says which runs
+read a setting. In brackets are the scenarios that do with their own defaults, unless all do.
 """
 
 

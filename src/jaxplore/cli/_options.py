@@ -87,8 +87,8 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         ground, flying = (_default(each, setting) for each in DEFAULTS)
         value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
         name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
-        completed = {"shell_complete": values_of(setting)} if kind is str else {}
-        added.append(click.option(flag, name, type=kind, help=text, **completed))
+        complete = values_of(setting) if kind is str else None
+        added.append(click.option(flag, name, type=kind, help=text, shell_complete=complete))
     added += [
         click.option(
             "--settings",
