@@ -9,7 +9,7 @@ from click.shell_completion import ShellComplete
 from jaxplore.build.tasks import make_settings
 from jaxplore.cli import cli, main
 from jaxplore.cli._options import option_entries
-from jaxplore.settings.reference import PLACES, setting_names
+from jaxplore.settings.reference import PLACES, find_rows, setting_names
 from jaxplore.study.tuning.optimizers import NAMES
 
 
@@ -43,13 +43,31 @@ def words_of(text: str) -> str:
 def test_a_section_is_a_table(capsys) -> None:
     main(["settings", "lidar"])
     shown = words_of(capsys.readouterr().out)
-    assert shown.startswith("lidar (exploration): the lidar of the robot setting meaning unit")
-    for text in ("num_beams", "m 5.0 number > 0 every run", "degrees 360.0 number in (0, 360]"):
+    assert shown.startswith("lidar (exploration): the lidar of the robot setting default [unit]")
+    for text in (
+        "max_range 5.0 [m] greatest range; static",
+        "Accepted: number > 0. Read by: every run.",
+        "field_of_view_degrees 360.0 [degrees] field of view",
+        "In degrees; `Lidar` takes radians.",
+        "Quadrotors: 4.0, a depth camera, from the design notes.",
+    ):
         assert text in shown
     main(["settings", "controller"])
     shown = words_of(capsys.readouterr().out)
     assert "controller (exploration)" in shown
     assert "controller (along a path)" in shown
+
+
+@pytest.mark.parametrize("section", ["lidar", "portfolio", "obstacles"])
+def test_no_name_is_cut_off_on_a_narrow_terminal(section: str, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    main(["settings", section])
+    shown = capsys.readouterr().out
+    assert max(map(len, re.sub(r"\x1b\[\d*m", "", shown).splitlines())) <= 80
+    assert "…" not in shown
+    for row in find_rows(section):
+        assert f" {row.name.rpartition('.')[2]} " in shown
 
 
 def test_a_setting_is_a_table_of_all_that_is_known(capsys) -> None:

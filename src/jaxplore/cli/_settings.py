@@ -1,7 +1,5 @@
 """`jaxplore settings`: prints defaults as YAML, or what is known of a setting or a section."""
 
-import textwrap
-
 import click
 
 from jaxplore.parameters import nearest
@@ -22,6 +20,8 @@ from jaxplore.settings.reference import (
 
 _WORDS = {"exploration": "exploration", "path": "along a path"}
 """Kinds of tasks in the titles of tables."""
+_WIDEST = 80
+"""Greatest width of a column, for the meanings of settings."""
 _MOST_SHOWN = 60
 """Length to which an unknown name is cut in a message."""
 
@@ -53,22 +53,21 @@ def show_settings(name: str | None) -> None:
     for task in TASKS:
         rows = [row for row in found if row.task == task]
         if rows and rows[0].name == name:
-            print_table(_of_setting(rows[0]), title=f"{name} ({_WORDS[task]})", has_header=False)
+            title = f"{name} ({_WORDS[task]})"
+            print_table(_of_setting(rows[0]), title=title, has_header=False, widest=_WIDEST)
         elif rows:
-            meaning = sections()[task, name].removesuffix(".")
-            print_table(
-                _of_section(rows), title=f"{name} ({_WORDS[task]}): {meaning}", has_lines=True
-            )
+            title = f"{name} ({_WORDS[task]}): {sections()[task, name].removesuffix('.')}"
+            print_table(_of_section(rows), title=title, has_lines=True, widest=_WIDEST)
 
 
 def _of_setting(row: Row) -> list[tuple[str, str]]:
     lines = [
-        ("meaning", _wrapped(row.short_meaning, 72)),
+        ("meaning", row.short_meaning),
         ("unit", row.unit or "-"),
         ("default", default_text(row)),
-        ("accepted", _wrapped(row.accepted, 72)),
-        ("read by", _wrapped(row.read_by, 72)),
-        *(("note", _wrapped(note, 72)) for note in row.notes),
+        ("accepted", row.accepted),
+        ("read by", row.read_by),
+        *(("note", note) for note in row.notes),
     ]
     if row.owner is not None:
         lines.append(("owner", row.owner))
@@ -76,28 +75,16 @@ def _of_setting(row: Row) -> list[tuple[str, str]]:
 
 
 def _of_section(rows: list[Row]) -> list[tuple[str, ...]]:
-    table: list[tuple[str, ...]] = [
-        ("setting", "meaning", "unit", "default", "accepted", "read by")
-    ]
+    # Three columns fit on a terminal of 80 characters, where each of the texts has room.
+    table: list[tuple[str, ...]] = [("setting", "default [unit]", "meaning")]
     for row in rows:
-        texts = (row.short_meaning, *row.notes)
-        table.append(
-            (
-                row.name.rpartition(".")[2],
-                "\n".join(_wrapped(text, 44) for text in texts),
-                row.unit or "-",
-                default_text(row),
-                _wrapped(row.accepted, 20),
-                _wrapped(row.read_by, 20),
-            )
-        )
+        unit = "" if row.unit is None else f" [{row.unit}]"
+        limits = f"Accepted: {row.accepted}. Read by: {row.read_by}."
+        text = "\n".join((row.short_meaning, limits, *row.notes))
+        table.append((row.name.rpartition(".")[2], default_text(row) + unit, text))
     return table
 
 
 def default_text(row: Row) -> str:
     """Return the default of a setting in words; some settings must be given."""
     return "must be given" if row.is_required else plain(row.default)
-
-
-def _wrapped(text: str, width: int) -> str:
-    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)

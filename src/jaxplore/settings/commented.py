@@ -1,5 +1,6 @@
 """Settings as YAML with comments, which can be read again."""
 
+import re
 import textwrap
 from collections.abc import Iterator
 
@@ -11,6 +12,10 @@ from jaxplore.settings.sections import RunSettings, section_class
 
 _WIDTH = 100
 _INDENT = "  "
+_BEGINNING = (
+    "Settings for jaxplore run --settings FILE. A setting that is left out has its default. "
+    "jaxplore settings NAME explains one."
+)
 
 
 def commented_yaml(settings: RunSettings) -> str:
@@ -22,7 +27,7 @@ def commented_yaml(settings: RunSettings) -> str:
     task = next(name for name, kind in TASKS.items() if type(settings) is kind)
     known = {row.name: row for row in rows() if row.task == task}
     values = settings.model_dump(mode="json")
-    lines: list[str] = []
+    lines = [*_comment(_BEGINNING), ""]
     for name, field in type(settings).model_fields.items():
         inner = section_class(field.annotation)
         if inner is None:
@@ -63,13 +68,15 @@ def _setting(row: Row, value: object, settings: RunSettings | None) -> Iterator[
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(
-        text,
+    # A bound stays together with its sign: the wrapping does not break at such a space.
+    lines = textwrap.wrap(
+        re.sub("([<>]=?) ", "\\1\N{NO-BREAK SPACE}", text),
         _WIDTH - len(_INDENT),
         initial_indent="# ",
         subsequent_indent="# ",
         break_on_hyphens=False,
     )
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines]
 
 
 def _sentence(text: str) -> str:
