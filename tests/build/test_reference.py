@@ -9,6 +9,7 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
+from jaxplore.build import tasks
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.settings.commented import commented_yaml
 from jaxplore.settings.defaults import DIFFERENCES
@@ -34,6 +35,7 @@ def row_of(name: str, task: str = "exploration") -> Row:
 
 
 def test_every_setting_has_one_row_with_a_meaning() -> None:
+    assert {name: task.settings for name, task in tasks.TASKS.items()} == TASKS
     expected = []
     for task, kind in TASKS.items():
         for name, field in kind.model_fields.items():

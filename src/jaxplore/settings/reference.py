@@ -219,7 +219,7 @@ def _other_names(name: str, given: dict[str, Any]) -> Iterator[str]:
         yield f"Parameter `{given['parameter']}` of `{given['owner']}`."
     path = controller_parameter(given.get("owner"), name)
     if path is not None:
-        scale = " times `dt`" if name == _PER_METRE else ""
+        scale = ", to its value times `dt`" if name == _PER_METRE else ""
         yield f"Sets the controller parameter `{path}`{scale}."
 
 
