@@ -1,8 +1,9 @@
-"""The API page lists what there is."""
+"""The pages list what there is."""
 
 import ast
 import importlib
 import re
+import runpy
 from collections import Counter
 from pathlib import Path
 
@@ -38,3 +39,10 @@ def test_the_api_page_lists_every_public_name_once() -> None:
     further = {"jaxplore.report.compute.Compute"}  # what a field of Metrics holds
     assert set(listed) == public | further
     assert max(listed.values()) == 1
+
+
+def test_the_page_of_settings_is_up_to_date() -> None:
+    script = PAGE.parent / "settings_page.py"
+    written = runpy.run_path(str(script))
+    is_current = written["PAGE"].read_text(encoding="utf-8") == written["page"]()
+    assert is_current, "docs/settings.md is out of date: python docs/settings_page.py renews it"

@@ -6,23 +6,20 @@ from pathlib import Path
 from typing import Any
 
 import click
-import yaml
 
 from jaxplore._exit import BAD_INPUT, INTERRUPTED
 from jaxplore._version import __version__
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison import comparison_options, run_comparison
+from jaxplore.cli._completion import complete_name
 from jaxplore.cli._options import folder_name, option_entries, path_options, with_options
 from jaxplore.cli._runner import runner_options
+from jaxplore.cli._settings import show_settings
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._tune import run_tune
 from jaxplore.cli._tune_options import tune_options
 from jaxplore.report.folder import check_folder
-from jaxplore.settings.exploration import (
-    OFFICE,
-    Settings,
-)
 from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
 
@@ -169,11 +166,22 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
 
 
 @cli.command("settings")
-def show_settings() -> None:
-    """Print every setting with its default, as YAML."""
-    click.echo(
-        yaml.safe_dump(Settings(map=OFFICE).model_dump(mode="json"), sort_keys=False), nl=False
-    )
+@click.argument("name", required=False, metavar="[NAME]", shell_complete=complete_name)
+def print_settings(name: str | None) -> None:
+    """Print settings with their defaults, meanings and accepted values.
+
+    Without a name these are all settings of exploration, as YAML; with the name of a scenario, or
+    path, those of that run. With a section or a setting it is a table, with the runs that read it:
+
+    \b
+      jaxplore settings
+      jaxplore settings zones > zones.yaml
+      jaxplore settings lidar
+      jaxplore settings robot.max_speed
+
+    The YAML is a settings file, for jaxplore run --settings.
+    """
+    show_settings(name)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

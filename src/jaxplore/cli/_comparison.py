@@ -10,6 +10,7 @@ import click
 
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore.build.tasks import build, find_task, make_settings
+from jaxplore.cli._completion import complete_architectures, complete_assignment
 from jaxplore.cli._options import folder_name, option_entries
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison
@@ -64,6 +65,7 @@ def comparison_options(command: Any) -> Any:
             "varied",
             multiple=True,
             metavar="NAME=A,B,C",
+            shell_complete=complete_assignment,
             help="Compare values of a setting, or of a controller parameter by its path.",
         ),
         click.option(
@@ -74,6 +76,7 @@ def comparison_options(command: Any) -> Any:
         click.option(
             "--architectures",
             metavar="NAME,NAME",
+            shell_complete=complete_architectures,
             help="Compare architectures.  [default: all that the map allows, unless something else "
             "varies]",
         ),

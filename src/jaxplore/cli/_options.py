@@ -7,6 +7,7 @@ from typing import Any
 import click
 import yaml
 
+from jaxplore.cli._completion import complete_assignment, complete_map, values_of
 from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.settings.exploration import (
     BASELINES,
@@ -63,7 +64,9 @@ def _default(defaults: dict[str, Any], setting: str) -> Any:
 def with_options(*without: str) -> Callable[[Any], Any]:
     """Return a decorator that adds the options of a run: the map, the start, and the settings."""
     added = [
-        click.argument("map_", metavar="[MAP.yaml | NAME]", required=False),
+        click.argument(
+            "map_", metavar="[MAP.yaml | NAME]", required=False, shell_complete=complete_map
+        ),
         click.option(
             "--start",
             nargs=3,
@@ -85,7 +88,8 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         ground, flying = (_default(each, setting) for each in DEFAULTS)
         value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
         name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
-        added.append(click.option(flag, name, type=kind, help=text))
+        complete = values_of(setting) if kind is str else None
+        added.append(click.option(flag, name, type=kind, help=text, shell_complete=complete))
     added += [
         click.option(
             "--settings",
@@ -99,6 +103,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             "assignments",
             multiple=True,
             metavar="NAME=VALUE",
+            shell_complete=complete_assignment,
             help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
             "settings').",
         ),

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from jaxplore.cli._completion import complete_map, complete_setting, words
 from jaxplore.cli._options import folder_name, map_entries, option_entries
 from jaxplore.settings.exploration import merge_entries, read_settings
 from jaxplore.settings.path import PATH
@@ -75,6 +76,7 @@ _OPTIONS = (
         default="tpe",
         show_default=True,
         metavar="NAME",
+        shell_complete=words(NAMES),
         help=f"One of {', '.join(NAMES)}.",
     ),
     click.option(
@@ -96,6 +98,7 @@ _OPTIONS = (
         "--also",
         multiple=True,
         metavar="FILE | NAME",
+        shell_complete=complete_map,
         help="Another map, path or scenario, or a settings file with differences, such as "
         "another robot.",
     ),
@@ -103,6 +106,7 @@ _OPTIONS = (
         "--tune",
         "tuned",
         multiple=True,
+        shell_complete=complete_setting,
         metavar="NAME[=LOW:HIGH[:log] | =A,B,C]",
         help="A setting, or a controller parameter by its path. Without bounds it is "
         "searched from a tenth to ten times its value.",

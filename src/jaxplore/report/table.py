@@ -35,22 +35,29 @@ def to_html(rows: Rows) -> str:
 
 
 def print_table(
-    rows: Rows, *, title: str | None = None, has_header: bool = True, has_lines: bool = False
+    rows: Rows,
+    *,
+    title: str | None = None,
+    has_header: bool = True,
+    has_lines: bool = False,
+    widest: int | None = None,
 ) -> None:
-    """Print a table on the terminal; lines are not wrapped in a file.
+    """Print a table on the terminal; in a file only columns of a greatest width are wrapped.
 
     Args:
         rows: rows of the table, the header first.
         title: title above the table; none when absent.
         has_header: whether the first row is a header.
         has_lines: whether to draw lines between rows.
+        widest: greatest width of a column [characters]; no bound when absent.
     """
     heading = None if title is None else Text(title)
     table = Table(title=heading, show_lines=has_lines, show_header=has_header)
     header, others = (rows[0], rows[1:]) if has_header else ([""] * len(rows[0]), rows)
     # As plain text: square brackets are units and quartiles here, not Rich's markup.
     for cell in header:
-        table.add_column(Text(cell))
+        # A name that is too long is continued on the next line, not cut off.
+        table.add_column(Text(cell), max_width=widest, overflow="fold")
     for row in others:
         table.add_row(*map(Text, row))
     console = Console()

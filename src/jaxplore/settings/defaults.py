@@ -19,7 +19,8 @@ from jaxplore.planning.presets.quadrotor import FieldNumbers, Flight
 Owner = Callable[..., Any]
 
 _ARGUMENT = re.compile(r"    (\w+): (.*)")
-_UNIT = re.compile(r"\[([^\]]+)\]")
+# A pair of numbers in brackets is an interval, as in "in [0, 1]", and no unit.
+_UNIT = re.compile(r"\[(?!\d+, \d+\])([^\]]+)\]")
 
 
 class DefaultDifference(NamedTuple):
@@ -141,14 +142,12 @@ def setting(
     Raises:
         ValueError: the owner has no such parameter, or it has no default.
     """
-    default = convert(parameter_default(owner, name))
-    if differs is not None:
-        default = DIFFERENCES[differs].value
+    own = convert(parameter_default(owner, name))
     # `arguments` finds the settings of an owner by this entry of the schema.
     return Field(
-        default=default,
+        default=own if differs is None else DIFFERENCES[differs].value,
         description=descriptions(owner)[name],
-        json_schema_extra={"owner": owner.__qualname__, "parameter": name},
+        json_schema_extra={"owner": owner.__qualname__, "parameter": name, "own": own},
     )
 
 

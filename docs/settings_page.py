@@ -1,0 +1,70 @@
+"""Write the page of settings, `settings.md`: `python docs/settings_page.py`."""
+
+from pathlib import Path
+
+from jaxplore.settings.reference import TASKS, Row, plain, rows, sections
+
+PAGE = Path(__file__).parent / "settings.md"
+TITLES = {"exploration": "Exploration", "path": "Path following"}
+BEGINNING = """\
+<!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
+
+# Settings
+
+Every setting of a run, with its default. [First run](first_run.md#settings) says how to give one.
+`jaxplore settings NAME` prints the row of a setting such as `robot.max_speed`, a section such as
+`lidar`, or the defaults of a scenario such as `warehouse` as a settings file.
+
+The owner of a setting is the function or class whose parameter it is. Meaning and default are the
+owner's. Where the default is another one, the row says why. *Quadrotors* are the architectures
+`two-layer`, `parallel`, `sequential`, `random-walk` and `goal`. The last column says which runs
+read a setting. In brackets are the scenarios that do with their own defaults, unless all do.
+"""
+
+
+def page() -> str:
+    """Return the page."""
+    parts = [BEGINNING]
+    for task in TASKS:
+        parts.append(f"## {TITLES[task]}\n")
+        of_task = [row for row in rows() if row.task == task]
+        parts.append(_table([row for row in of_task if not row.section]))
+        for name in dict.fromkeys(row.section for row in of_task if row.section):
+            meaning = sections()[task, name]
+            sentence = _ended(meaning[0].upper() + meaning[1:])
+            parts.append(f"### {name} ({TITLES[task].lower()})\n\n{_escaped(sentence)}\n")
+            parts.append(_table([row for row in of_task if row.section == name]))
+    return "\n".join(parts)
+
+
+def _table(of_section: list[Row]) -> str:
+    lines = [("setting", "meaning", "unit", "default", "accepted", "owner", "read by")]
+    lines.append(("---",) * len(lines[0]))
+    for row in of_section:
+        default = "must be given" if row.is_required else f"`{plain(row.default)}`"
+        lines.append(
+            (
+                f"`{row.name}`",
+                " ".join(map(_escaped, (_ended(row.short_meaning), *row.notes))),
+                row.unit or "",
+                default,
+                row.accepted,
+                "" if row.owner is None else f"`{row.owner}`",
+                row.read_by,
+            )
+        )
+    # Not aligned: one long description would make every line as long.
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _ended(text: str) -> str:
+    return text if text.endswith(".") else f"{text}."
+
+
+def _escaped(text: str) -> str:
+    """Escape what a table or Markdown takes for markup; `code` stays."""
+    return text.replace("|", r"\|").replace("*", r"\*")
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

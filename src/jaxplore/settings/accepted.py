@@ -1,0 +1,64 @@
+"""The accepted values of a setting in words, from pydantic's constraints."""
+
+import functools
+from typing import Any
+
+from pydantic import BaseModel
+
+_PLAIN = {
+    "null": "null",
+    "boolean": "true or false",
+    "string": "text",
+    "integer": "whole number",
+    "number": "number",
+}
+"""Words for the types of a JSON schema that have no parts."""
+
+
+def accepted_values(section: type[BaseModel], name: str) -> str:
+    """Return the accepted values of a setting in words, such as `number in (0, 1]`.
+
+    Args:
+        section: class of settings.
+        name: a field of it.
+    """
+    return _words(_schema(section)[name])
+
+
+def choices(section: type[BaseModel], name: str) -> tuple[str, ...]:
+    """Return the words that a setting accepts; none if it accepts something else."""
+    return tuple(_schema(section)[name].get("enum", ()))
+
+
+@functools.cache
+def _schema(section: type[BaseModel]) -> dict[str, dict[str, Any]]:
+    properties: dict[str, dict[str, Any]] = section.model_json_schema()["properties"]
+    return properties
+
+
+def _words(schema: dict[str, Any]) -> str:
+    if "anyOf" in schema:
+        return " or ".join(dict.fromkeys(map(_words, schema["anyOf"])))
+    if "enum" in schema:
+        return "one of " + ", ".join(schema["enum"])
+    kind = schema.get("type")
+    if kind == "array" and "prefixItems" in schema:
+        return f"[{', '.join(map(_words, schema['prefixItems']))}]"
+    if kind == "array":
+        return f"list of {_words(schema['items'])}"
+    if kind == "object":
+        inner = schema["additionalProperties"]
+        return f"mapping of names to {_words(inner)}" if isinstance(inner, dict) else "mapping"
+    # A section stands in the schema as a reference, without a type.
+    return "section" if kind is None else _PLAIN[kind] + _bounds(schema)
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    least, above = schema.get("minimum"), schema.get("exclusiveMinimum")
+    most, below = schema.get("maximum"), schema.get("exclusiveMaximum")
+    if (least is None and above is None) or (most is None and below is None):
+        signs = {">=": least, ">": above, "<=": most, "<": below}
+        return "".join(f" {sign} {bound}" for sign, bound in signs.items() if bound is not None)
+    begins = f"({above}" if least is None else f"[{least}"
+    ends = f"{below})" if most is None else f"{most}]"
+    return f" in {begins}, {ends}"

@@ -1,0 +1,225 @@
+"""Which runs read a setting.
+
+The functions of `jaxplore.build` read settings. This module says on what condition they read each.
+`tests/build/test_reference.py` builds runs and compares the settings that were read with it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, get_args
+
+from jaxplore.geometry.track import race_track
+from jaxplore.maps.files.path_file import read_path
+from jaxplore.maps.generators.office import office
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.terrain import TerrainMap
+from jaxplore.maps.world import is_world_file
+from jaxplore.planning.portfolio.contextual import Contextual
+from jaxplore.planning.portfolio.safe_fusion import SafeFusion
+from jaxplore.planning.portfolio.voting import WeightedVote
+from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.ground_vehicle import ground_portfolio
+from jaxplore.planning.presets.path_following import avoidance_cost
+from jaxplore.planning.presets.quadrotor import (
+    FieldNumbers,
+    Flight,
+    informative_mppi,
+    zone_choice,
+)
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.settings.defaults import Owner
+from jaxplore.settings.exploration import (
+    BASELINES,
+    GROUND,
+    OFFICE,
+    ZONES,
+    Architecture,
+    Settings,
+)
+from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
+from jaxplore.settings.robot import RobotSettings
+from jaxplore.simulation.following.traffic import Traffic
+
+
+class Reader(NamedTuple):
+    """The runs that read a setting.
+
+    Args:
+        text: these runs in words.
+        reads: function that says whether a run with these settings reads the setting.
+    """
+
+    text: str
+    reads: Callable[[Any], bool]
+
+
+EVERY = Reader("every run", lambda _: True)
+NONE = Reader("no run", lambda _: False)
+
+QUADROTOR = tuple(name for name in get_args(Architecture) if name not in GROUND)
+"""Architectures of quadrotors."""
+INFORMATIVE = ("two-layer", "parallel", "sequential")
+"""Architectures of informative MPPI."""
+
+
+def reader(task: str, name: str, owner: str | None) -> Reader:
+    """Return the runs that read a setting.
+
+    Args:
+        task: kind of task, `exploration` or `path`.
+        name: dotted name of the setting.
+        owner: qualified name of its owner; none for a setting without.
+    """
+    named = _BY_NAME[task]
+    if name in named:
+        return named[name]
+    of_owner = {each.__qualname__: found for each, found in _BY_OWNER[task].items()}
+    if owner in of_owner:
+        return of_owner[owner]
+    # The last resort is the section: `portfolio` for `portfolio.fusion`.
+    return named.get(name.rpartition(".")[0], EVERY)
+
+
+def _architectures(*names: str, text: str | None = None) -> Reader:
+    return Reader(text or ", ".join(names), lambda settings: settings.architecture in names)
+
+
+def _also(first: Reader, text: str, reads: Callable[[Any], bool]) -> Reader:
+    """Return a reader with a further condition."""
+    return Reader(
+        f"{first.text} with {text}", lambda settings: first.reads(settings) and reads(settings)
+    )
+
+
+def _models(section: type[RobotSettings], *names: str) -> Reader:
+    known = get_args(section.model_fields["model"].annotation)
+    kept = [name for name in names if name in known]
+    if not kept:
+        return NONE
+    word = "model" if len(kept) == 1 else "models"
+    return Reader(f"{word} {', '.join(kept)}", lambda settings: settings.robot.model in kept)
+
+
+def _of_robot(section: type[RobotSettings]) -> dict[str, Reader]:
+    """Return the readers of the robot's settings: its model, which has some of them."""
+    cars, differential = ("ackermann", "bicycle"), "differential_drive"
+    models = {
+        "max_speed": (differential, "unicycle", *cars),
+        "max_turn_rate": (differential, "unicycle"),
+        "max_acceleration": (differential, *cars),
+        "max_angular_acceleration": (differential,),
+        "drag": (differential, "ackermann"),
+        "radius": (differential, "unicycle", "bicycle", "quadrotor"),
+        "mass": ("quadrotor",),
+        "wheelbase": cars,
+        "length": ("ackermann",),
+        "width": ("ackermann",),
+        "max_steering": cars,
+        "max_steering_rate": ("ackermann",),
+        "min_speed": cars,
+    }
+    return {f"robot.{name}": _models(section, *names) for name, names in models.items()}
+
+
+def _is_office(settings: Settings) -> bool:
+    # Beside a `world`, the map is only a name.
+    return settings.world is None and settings.map == OFFICE
+
+
+def _is_world(settings: Settings) -> bool:
+    if settings.world is not None or settings.map == ZONES:
+        return True
+    return settings.map != OFFICE and is_world_file(settings.map)
+
+
+def _has_height_map(settings: Settings) -> bool:
+    return settings.terrain.height_map is not None and not _is_office(settings)
+
+
+def _has_obstacles(settings: PathSettings) -> bool:
+    given = settings.obstacles
+    return bool(given.number or given.discs or given.polygons)
+
+
+_IN_THE_OFFICE = Reader("the map office", _is_office)
+_PORTFOLIO = _architectures("portfolio")
+_IN_ROBOT = _of_robot(RobotSettings)
+_FLYING = _architectures(*QUADROTOR)
+_LOG_ODDS = Reader(
+    "sensor_model.kind log_odds", lambda settings: settings.sensor_model.kind == "log_odds"
+)
+_FROM_A_FILE = Reader("paths from a file", lambda settings: settings.path != TRACK)
+_AMONG_OBSTACLES = Reader("runs with obstacles", _has_obstacles)
+_IN_TRAFFIC = Reader("runs with moving obstacles", lambda settings: settings.obstacles.number > 0)
+
+_BY_NAME: dict[str, dict[str, Reader]] = {
+    "exploration": {
+        "resolution": Reader("the map office, ROS maps", lambda settings: not _is_world(settings)),
+        # Robots on the ground get it as well, and have no state for it.
+        "altitude": EVERY,
+        **_IN_ROBOT,
+        # A quadrotor's speed is limited by a cost of its controller, not by its model.
+        "robot.max_speed": Reader(
+            f"{_IN_ROBOT['robot.max_speed'].text}; {_FLYING.text}",
+            lambda settings: (
+                _IN_ROBOT["robot.max_speed"].reads(settings) or _FLYING.reads(settings)
+            ),
+        ),
+        "camera": Reader("runs with a camera", lambda settings: settings.camera is not None),
+        "watch": Reader("runs with a watch", lambda settings: settings.watch is not None),
+        "terrain.height_map": Reader("ROS maps, worlds", lambda settings: not _is_office(settings)),
+        "portfolio": _PORTFOLIO,
+        "portfolio.members": _also(
+            _PORTFOLIO, "no portfolio.weights", lambda settings: settings.portfolio.weights is None
+        ),
+    },
+    "path": {
+        **_of_robot(PathRobotSettings),
+        "half_width": _FROM_A_FILE,
+        "obstacles.radius": _IN_TRAFFIC,
+        # The order of the two speeds is checked in every run.
+        "obstacles.speeds": EVERY,
+        "obstacles.seed": _IN_TRAFFIC,
+        "controller.risk_level": _AMONG_OBSTACLES,
+    },
+}
+"""Readers by the name of a setting, or of a section for all its settings that have no other. What
+is in no table is read by every run."""
+
+_BY_OWNER: dict[str, dict[Owner, Reader]] = {
+    "exploration": {
+        office: _IN_THE_OFFICE,
+        TerrainMap.from_images: Reader("ROS maps with a height map", _has_height_map),
+        Ground: Reader(
+            "worlds, ROS maps with a height map",
+            lambda settings: _is_world(settings) or _has_height_map(settings),
+        ),
+        InverseSensorModel: _LOG_ODDS,
+        # A rule-based explorer drives to its target as `explorer` does.
+        explorer: _architectures("explorer", *BASELINES, text="explorer, rule-based explorers"),
+        ground_portfolio: _PORTFOLIO,
+        SafeFusion: _also(
+            _PORTFOLIO, "portfolio.is_safe", lambda settings: settings.portfolio.is_safe
+        ),
+        WeightedVote: _also(
+            _PORTFOLIO,
+            "portfolio.fusion weighted-vote",
+            lambda settings: settings.portfolio.fusion == "weighted-vote",
+        ),
+        Contextual: _also(
+            _PORTFOLIO,
+            "portfolio.fusion contextual",
+            lambda settings: settings.portfolio.fusion == "contextual",
+        ),
+        Flight: _FLYING,
+        FieldNumbers: _architectures(*INFORMATIVE),
+        informative_mppi: _architectures(*INFORMATIVE),
+        zone_choice: _architectures("sequential"),
+    },
+    "path": {
+        race_track: Reader("the path track", lambda settings: settings.path == TRACK),
+        read_path: _FROM_A_FILE,
+        Traffic.random: _IN_TRAFFIC,
+        avoidance_cost: _AMONG_OBSTACLES,
+    },
+}
+"""Readers by the owner of a setting: who builds the owner reads its settings."""
