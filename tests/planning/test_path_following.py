@@ -108,6 +108,12 @@ def test_bad_input(path, changes, message: str) -> None:
         mpcc(CAR, path, **{**NUMBERS, **changes})
 
 
+def test_a_robot_that_is_commanded_by_its_speed_is_bounded_by_it() -> None:
+    following = mpcc(jx.Unicycle(max_speed=1.5), S_CURVE)
+    high = following.model.control_max[following.model.control_names.index("phi_rate")]
+    assert float(high) == 1.5
+
+
 def test_a_model_that_does_not_say_needs_a_speed_and_no_comfort() -> None:
     model = jx.PathParameter.along(S_CURVE, 5.0)
     with pytest.raises(ValueError, match=r"comfort_weight is 20.0 for PathParameter, which has no"):

@@ -172,7 +172,8 @@ def mpcc(
         noise_share: standard deviation of the robot's controls, as a share of half their range.
         noise_std: (nu,) standard deviations in units of the controls, instead of `noise_share`.
         progress_noise: standard deviation of the progress [m/s].
-        max_speed: bound of the progress along the path [m/s]; the robot's `max_speed` when absent.
+        max_speed: bound of the progress along the path [m/s]; when absent the robot's `max_speed`,
+            or the bound of its control `v`.
         contouring_weight: weight of the contouring error, w_c [1/m^2].
         lag_weight: weight of the lag error, w_l [1/m^2].
         progress_weight: reward of each metre along the path, w_p [1/m].
@@ -261,6 +262,9 @@ def _comfort(
 def _bound(robot: Dynamics) -> ArrayLike:
     """Return the greatest speed of a robot [m/s]."""
     speed: ArrayLike | None = getattr(robot, "max_speed", None)
+    if speed is None and "v" in robot.control_names:
+        # The speed is a control, and its bound is that of the control.
+        speed = robot.control_max[robot.control_names.index("v")]
     if speed is None:
         raise ValueError(
             f"max_speed is None for {type(robot).__name__}, which has none of its own; accepted: "
