@@ -45,7 +45,7 @@ def _check_replay(row: Row, recording: ExplorationRecording) -> None:
         np.testing.assert_array_equal(picture <= index, seen)
     np.testing.assert_array_equal(picture == NEVER, ~ever[-1])
     assert (picture == 0).any()
-    assert (picture == len(known) - 1).any()
+    assert len(np.unique(picture[picture != NEVER])) > 2
     assert (picture == NEVER).any()
 
 

@@ -158,11 +158,9 @@ def test_a_wall_stops_the_robot_and_is_counted(make) -> None:
 
 def test_ctrl_c_keeps_what_was_done(make) -> None:
     controller, scenario = make()
-    seen = []
 
     def stop(progress) -> None:
-        seen.append(progress)
-        if len(seen) == 2:
+        if progress.time > 0.99:
             signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
@@ -172,6 +170,17 @@ def test_ctrl_c_keeps_what_was_done(make) -> None:
     assert signal.getsignal(signal.SIGINT) is before
     whole = run(make(), 50, jax.random.key(0))[1]
     np.testing.assert_array_equal(recording.records.state, whole.state)
+
+
+def test_frames_are_dense_at_first_and_thinned_out_evenly() -> None:
+    """A film of five seconds has 60 frames, one of minutes not more than 120."""
+    for num_steps, interval in ((150, 2), (700, 8)):
+        scenario = hall_scenario(target_coverage=None, goal=None)
+        recording = record_run(AHEAD, scenario, num_steps, key=jax.random.key(0))
+        steps = [frame.step for frame in recording.frames]
+        assert 60 <= len(steps) <= 121
+        assert set(np.diff(steps[:-1]).tolist()) == {interval}
+        assert steps[-1] == recording.num_steps == num_steps
 
 
 def test_runs_outside_the_main_thread(make) -> None:

@@ -16,7 +16,7 @@ from jaxplore import _checks
 from jaxplore._types import Count, Flag, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.recording import Frame, Recording
-from jaxplore.simulation.chunks import CHUNK_SECONDS, ChunkedRun, loop, run_in_chunks
+from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, ChunkedRun, loop, run_in_chunks
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import (
     closed_loop_step,
@@ -136,6 +136,7 @@ def record_experiments(
         began=began,
         limit=limit,
         chunk=chunk,
+        interval=max(1, round(FRAME_SECONDS / scenario.period)),
         on_chunk=lambda *_: None,
     )
     recordings = tuple(

@@ -18,10 +18,13 @@ from jaxplore._types import Count, Flag
 from jaxplore.report.compute import Timing
 
 CHUNK_SECONDS = 0.5
-"""Simulated time of a chunk [s]: frames, progress and Ctrl-C wait for the end of a chunk."""
+"""Longest simulated time of a chunk [s]: progress and Ctrl-C wait for the end of a chunk."""
+FRAME_SECONDS = 0.05
+"""Simulated time between the frames at the start of a run [s]. Nobody knows how long it will be, so
+the frames begin dense enough for an animation of a run of a few seconds."""
 STEPWISE_CHUNKS = 10
 """One chunk in this many is run step by step, by the same compiled program, to time steps."""
-MAX_FRAMES = 240
+MAX_FRAMES = 120
 """Greatest number of frames of a run; beyond it, every second one is dropped."""
 
 
@@ -105,6 +108,7 @@ def run_in_chunks[S, R, F](
     began: float,
     limit: int,
     chunk: int,
+    interval: int,
     on_chunk: Callable[[S, int, float], None],
 ) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until the task is finished or the steps are done.
@@ -118,7 +122,9 @@ def run_in_chunks[S, R, F](
         state: state to begin with.
         began: `time.perf_counter()` at the beginning of the preparations [s].
         limit: greatest number of steps.
-        chunk: number of steps in a chunk.
+        chunk: greatest number of steps in a chunk.
+        interval: number of steps between frames at the start. It doubles when there are too many
+            frames; a chunk ends with each frame.
         on_chunk: called with the state, the steps done and the seconds since the first step.
     """
 
@@ -136,35 +142,39 @@ def run_in_chunks[S, R, F](
     compile_seconds = time.perf_counter() - began
     # The empty records of that call stay in the list, so that a run without a step has records too.
     pieces, frames, step_seconds = [rows], [frame(state, 0)], []
-    loop_seconds, loop_steps, total, chunks, every, shown = 0.0, 0, 0, 0, 1, 0
+    # Seconds and steps in short chunks and in long ones.
+    timed = {False: (0.0, 0), True: (0.0, 0)}
+    total, chunks, shown = 0, 0, 0
     started = time.perf_counter()
     finished = not bool(is_unfinished(state))
     with _stop_on_interrupt() as stop_requested:
         while total < limit and not finished and not stop_requested():
             chunks += 1
-            steps = min(chunk, limit - total)
+            steps = min(chunk, shown + interval - total, limit - total)
             stepwise = chunks % STEPWISE_CHUNKS == 0
             for size in [1] * steps if stepwise else [steps]:
                 state, rows, done, seconds = advance(state, size)
                 pieces.append(rows)
                 total += done
                 # Steps that are timed one at a time return to Python each time, so they stay out of
-                # the loop's mean.
+                # the loop's mean, as do the short chunks between dense frames if there are others.
                 if stepwise:
                     step_seconds.append(seconds)
                 else:
-                    loop_seconds, loop_steps = loop_seconds + seconds, loop_steps + done
+                    is_long = 2 * steps >= chunk
+                    former = timed[is_long]
+                    timed[is_long] = former[0] + seconds, former[1] + done
                 finished = not bool(is_unfinished(state))
                 if finished:
                     break
             # Frames are made at the end of a chunk only: the compiled loop does not return to
             # Python within.
-            if chunks % every == 0:
+            if total == shown + interval:
                 frames.append(frame(state, total))
                 shown = total
             # The interval doubles with the dropped frames, so that frames stay evenly spaced.
             if len(frames) > MAX_FRAMES:
-                frames, every = frames[::2], every * 2
+                frames, interval = frames[::2], interval * 2
             on_chunk(state, total, time.perf_counter() - started)
         is_interrupted = stop_requested()
     # A run may end between two regular frames, and its last frame must show the end.
@@ -174,7 +184,7 @@ def run_in_chunks[S, R, F](
         state,
         jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
         tuple(frames),
-        Timing(compile_seconds, loop_seconds, loop_steps, np.asarray(step_seconds)),
+        Timing(compile_seconds, *timed[timed[True][1] > 0], np.asarray(step_seconds)),
         total,
         is_interrupted,
     )

@@ -19,7 +19,7 @@ from jaxplore.report.console import progress_bar
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.save import save_run
-from jaxplore.simulation.chunks import CHUNK_SECONDS, run_in_chunks
+from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, run_in_chunks
 from jaxplore.simulation.loop import frame_arrays, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import LoopState, Scenario
 
@@ -232,6 +232,7 @@ def record_run(
         began=began,
         limit=limit,
         chunk=chunk,
+        interval=max(1, round(FRAME_SECONDS / period)),
         on_chunk=report,
     )
     return scenario.recording(controller, state.task, done)
