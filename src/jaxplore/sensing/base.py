@@ -11,8 +11,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxplore import _checks
 from jaxplore._describe import describe_fields
-from jaxplore._types import GridMask, Key, Pose, Scalar
+from jaxplore._types import GridMask, Key, Pose, Scalar, Vector
+from jaxplore._xla import on_device
 from jaxplore.geometry.rays import RayCells
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
@@ -35,6 +37,62 @@ class Scan(NamedTuple):
 
     ranges: Float[Array, " B"]
     is_return: Bool[Array, " B"]
+
+    @classmethod
+    def from_ranges(
+        cls,
+        ranges: Vector,
+        angle_min: float,
+        angle_increment: float,
+        sensor: "Sensor",
+        *,
+        range_min: float = 0.0,
+        range_max: float = math.inf,
+    ) -> "Scan":
+        """Make a scan from the readings of a real lidar, such as a ROS `LaserScan`.
+
+        Each beam of the sensor gets the reading whose direction is nearest, if one is within half
+        a beam spacing of the sensor or half an increment. An infinite reading, and one beyond the
+        sensor's range, met nothing. A reading that is NaN, zero, negative, below `range_min` or
+        above `range_max` is no measurement, as is a beam without a reading: its range is 0, so it
+        changes no cell. These are the rules of `LaserScan` and of REP 117.
+
+        Args:
+            ranges: (R,) readings [m].
+            angle_min: direction of the first reading relative to the heading [rad].
+            angle_increment: angle between two readings [rad]; negative for a reversed scan.
+            sensor: sensor that the scan is for; its beams are filled.
+            range_min: shortest valid reading [m].
+            range_max: longest valid reading [m].
+
+        Raises:
+            ValueError: readings of another shape, an increment that is 0, an angle that is not
+                finite, a negative range.
+        """
+        given = np.asarray(ranges, np.float64)
+        if given.ndim != 1 or given.size == 0:
+            raise ValueError(f"ranges has shape {given.shape}; accepted: (R,) with R >= 1")
+        first = _checks.number("angle_min", angle_min)
+        step = _checks.number("angle_increment", angle_increment)
+        if step == 0.0:
+            raise ValueError("angle_increment is 0.0; accepted: an angle that is not 0 [rad]")
+        least = _checks.number("range_min", range_min, at_least=0.0)
+        if not range_max > least:
+            raise ValueError(f"range_max is {range_max!r}; accepted: more than range_min, {least}")
+        # A full circle of readings may begin anywhere, so the differences are taken modulo 2 pi.
+        readings = first + step * np.arange(given.size)
+        away = sensor.beam_angles.astype(np.float64)[:, None] - readings
+        away = np.abs(away - 2.0 * math.pi * np.round(away / (2.0 * math.pi)))
+        nearest = away.argmin(axis=1)
+        half = 0.5 * max(abs(step), sensor.beam_spacing) + ROUNDING
+        is_near = away[np.arange(len(nearest)), nearest] <= half
+        found = given[nearest]
+        # NaN fails every comparison, so it is no measurement.
+        is_in_range = (found > 0.0) & (found >= least) & (found <= range_max)
+        is_valid = is_near & (is_in_range | (found == math.inf))
+        is_return = is_valid & (found <= sensor.max_range)
+        distance = np.where(is_return, found, np.where(is_valid, sensor.max_range, 0.0))
+        return cls(on_device(distance.astype(np.float32)), on_device(is_return))
 
 
 class Sighting(NamedTuple):
