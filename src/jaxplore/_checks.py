@@ -4,8 +4,12 @@ Each function returns the checked value, or raises a `ValueError` that names the
 and what is accepted. Traced values pass unchecked: their numbers are unknown during tracing.
 """
 
+import inspect
 import operator
+import sys
+import warnings
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,11 +24,124 @@ from jaxplore._xla import on_device
 
 LARGEST = float(np.finfo(np.float32).max)
 """Greatest finite number in float32, the type of all arrays."""
+MOST_LETTERS = 60
+"""Longest text of a value in a message."""
 
 
 def is_traced(*values: object) -> bool:
     """Return whether any value is a JAX tracer: its numbers are unknown until the program runs."""
     return any(isinstance(value, jax.core.Tracer) for value in values)
+
+
+def described(value: object) -> str:
+    """Return in a few words what a value is."""
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    if value is None or isinstance(value, (bool, int, float, str)):
+        text = repr(value)
+        return text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
+    if isinstance(value, (np.ndarray, Array)):
+        return f"an array of shape {value.shape}"
+    if inspect.isroutine(value):
+        return f"the function {value.__name__}"
+    return _with_article(type(value).__name__)
+
+
+def instance(
+    name: str, value: object, *kinds: type, hint: str = "", may_be_none: bool = False
+) -> None:
+    """Raise a `ValueError` unless `value` is an instance of one of `kinds`.
+
+    Args:
+        name: name of the argument.
+        value: its value.
+        kinds: accepted classes.
+        hint: what else the message says of an accepted value.
+        may_be_none: whether None is accepted.
+    """
+    if isinstance(value, kinds) or (may_be_none and value is None):
+        return
+    if isinstance(value, type) and issubclass(value, kinds) and not inspect.isabstract(value):
+        accepted = f"an instance, such as {value.__name__}()"
+    else:
+        names = [_with_article(kind.__name__) for kind in kinds] + ["None"] * may_be_none
+        accepted = " or ".join(names) + (f", {hint}" if hint else "")
+    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+
+
+def instances(name: str, value: object, *kinds: type) -> None:
+    """Raise a `ValueError` unless `value` is a list or tuple of instances of one of `kinds`."""
+    if not isinstance(value, (list, tuple)):
+        each = " or ".join(kind.__name__ for kind in kinds)
+        raise ValueError(f"{name} is {described(value)}; accepted: a list or tuple of {each}")
+    for index, item in enumerate(value):
+        instance(f"{name}[{index}]", item, *kinds)
+
+
+def function(name: str, value: object, accepted: str) -> None:
+    """Raise a `ValueError` unless `value` can be called, and is no class."""
+    if isinstance(value, type) or not callable(value):
+        raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+
+
+def flag(name: str, value: object) -> bool:
+    """Return `value` as a bool."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name} is {described(value)}; accepted: True or False")
+    return bool(value)
+
+
+def key(name: str, value: Any, ndim: int = 0) -> None:
+    """Raise a `ValueError` unless `value` is a random key, or an array of them with `ndim` axes.
+
+    Raw keys, arrays of uint32, are accepted as well. Traced values pass.
+    """
+    if is_traced(value):
+        return
+    if isinstance(value, Array):
+        is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
+        if value.ndim == (ndim if is_key else ndim + 1) and (is_key or value.dtype == jnp.uint32):
+            return
+    accepted = "jax.random.key(0)"
+    if ndim:
+        accepted = f"several keys, such as jax.random.split({accepted}, 4)"
+    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
+
+
+def annotated(owner: Any, name: str) -> None:
+    """Raise a `ValueError` unless the class of `owner`, a module, has an annotation of a field.
+
+    Equinox refuses to set other attributes, with a message that does not say why.
+    """
+    known = getattr(type(owner), "__dataclass_fields__", {})
+    if name not in known and not name.startswith("__"):
+        raise ValueError(
+            f"{name} is no field of {type(owner).__name__}; accepted: names that the class "
+            f"annotates, such as {name}: jax.Array"
+        )
+
+
+def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
+    """Warn if a number is so large that its unit is likely to be another one.
+
+    Args:
+        name: name of the argument.
+        value: its value, a number; a traced value passes.
+        most: greatest number that is usual, of either sign.
+        meaning: unit of the number, and what else may have been meant.
+    """
+    if is_traced(value) or not abs(float(np.asarray(value))) > most:
+        return
+    # The line that a user wrote is named: not ours, nor that of Equinox, which calls constructors.
+    ours = (str(Path(__file__).parent), str(Path(sys.modules["equinox"].__file__ or "").parent))
+    text = f"{name} is {float(np.asarray(value)):g}; {meaning}"
+    warnings.warn(text, UserWarning, skip_file_prefixes=ours)
+
+
+def _with_article(name: str) -> str:
+    # "an MPPI" and "an RK4", but "a Mission": capitals are read letter by letter.
+    vowels = "AEFHILMNORSX" if name[:2].isupper() or name[1:2].isdigit() else "AEIOUaeiou"
+    return f"an {name}" if name[0] in vowels else f"a {name}"
 
 
 def positive_int(name: str, value: object) -> int:
@@ -67,10 +184,10 @@ def number(
     try:
         result = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
-    # The negated comparison also refuses NaN. `float` would accept a bool as 0 or 1.
+        raise ValueError(f"{name} is {described(value)}; accepted: {accepted}") from None
+    # The negated comparison also refuses NaN. `float` would accept a bool as 0 or 1, and a text.
     if (
-        isinstance(value, bool)
+        isinstance(value, (bool, str, bytes))
         or not abs(result) <= LARGEST
         or (above is not None and result <= above)
         or (below is not None and result >= below)
@@ -108,7 +225,10 @@ def scalar(
     if isinstance(value, jax.core.Tracer):
         return _strong(value)
     if not isinstance(value, (bool, int, float)):
-        flat = np.asarray(value)
+        try:
+            flat = np.asarray(value)
+        except ValueError:
+            raise ValueError(f"{name} is {described(value)}; accepted: one number") from None
         if flat.shape != ():
             raise ValueError(f"{name} has shape {flat.shape}; accepted: one number")
         value = flat.item()
@@ -117,16 +237,38 @@ def scalar(
         return on_device(np.asarray(checked, np.float32))
 
 
+def floats(name: str, value: object, accepted: str) -> np.ndarray:
+    """Return `value` as a float32 array of any shape, infinite where a number is too large.
+
+    It may share memory with `value`.
+
+    Args:
+        name: name of the argument.
+        value: a number, a list or an array; not traced.
+        accepted: what is accepted, for the message.
+    """
+    try:
+        given = np.asarray(value)
+        # NumPy reads numbers from texts and dates, and leaves out the imaginary part.
+        if given.dtype.kind in "USMmc":
+            raise TypeError
+        with np.errstate(over="ignore"):
+            return given.astype(np.float32, copy=False)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name} is {_short(value)}; accepted: {accepted}") from None
+
+
+def _short(value: object) -> str:
+    # Lists are shown whole: one of their entries is wrong.
+    return repr(value) if isinstance(value, (list, tuple)) else described(value)
+
+
 def vector(name: str, value: object, size: int, *, at_least: float | None = None) -> Array:
     """Return `value` as a finite float32 array of shape (size,)."""
     if isinstance(value, jax.core.Tracer):
         return _strong(value)
     accepted = f"{size} finite numbers"
-    try:
-        with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below
-            array = np.asarray(value, np.float32)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+    array = floats(name, value, accepted)
     if array.shape != (size,) or not np.isfinite(array).all():
         raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
     if at_least is not None and (array < at_least).any():
@@ -138,9 +280,9 @@ def vector(name: str, value: object, size: int, *, at_least: float | None = None
 def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:
     """Return `value` as a float32 array of probabilities with `ndim` axes, none empty."""
     if not isinstance(value, jax.core.Tracer):
-        array = np.asarray(value, np.float32)
+        shape = "(n,) with n" if ndim == 1 else "(H, W) with H, W"
+        array = floats(name, value, f"{shape} >= 1")
         if array.ndim != ndim or array.size == 0:
-            shape = "(n,) with n" if ndim == 1 else "(H, W) with H, W"
             raise ValueError(f"{name} has shape {array.shape}; accepted: {shape} >= 1")
         # The negated comparison also refuses NaN.
         if not ((array >= 0) & (array <= 1)).all():
@@ -167,11 +309,7 @@ def array(
     takes its columns from the first shape, because an empty list has none.
     """
     if not is_traced(value):
-        try:
-            with np.errstate(over="ignore"):  # too large becomes infinite, which is refused below
-                value = np.asarray(value, np.float32)
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} is {value!r}; accepted: {_describe(shapes)}") from None
+        value = floats(name, value, _describe(shapes))
         is_bad = ~np.isfinite(value)
         numbers = "finite numbers"
         if above is not None:
@@ -250,7 +388,8 @@ def by_name(
     if value is None:
         return {}
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
-        raise ValueError(f"{name} is {value!r}; accepted: numbers by the name of a component")
+        given = described(value)
+        raise ValueError(f"{name} is {given}; accepted: numbers by the name of a component")
     return {
         key: scalar(f"{name}[{key!r}]", number, above=above, at_least=at_least)
         for key, number in sorted(value.items())

@@ -26,7 +26,7 @@ import jax
 import platformdirs
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from jaxplore._checks import positive_int
+from jaxplore import _checks
 
 MAX_SIZE: Final = 2**30
 """Size of the cache above which entries are removed [bytes]."""
@@ -59,7 +59,8 @@ def enable_compilation_cache(
         ValueError: a folder that belongs to another user, that others can write to, or that cannot
             be made; a size < 1.
     """
-    positive_int("max_size", max_size)
+    _checks.positive_int("max_size", max_size)
+    _checks.instance("path", path, str, os.PathLike, may_be_none=True)
     given = platformdirs.user_cache_path("jaxplore", appauthor=False) if path is None else path
     name = _folder_name(_processor(), os.environ.get("XLA_FLAGS", ""))
     try:

@@ -13,6 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxplore import _checks
 from jaxplore.costs.base import Cost, NamedCost, SumCost, WeightedCost
 
 PREFIX = "controller."
@@ -56,7 +57,7 @@ def find_parameter(controller: Any, path: str) -> str:
     Raises:
         ValueError: a path that fits no parameter, or several; the message names the nearest.
     """
-    return _match(path, tuple(_places(controller)))
+    return _match(path, tuple(_parameters_of(controller)))
 
 
 def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[float]]) -> C:
@@ -70,7 +71,10 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
     Raises:
         ValueError: an unknown path, a value of another shape or one that is not finite.
     """
-    places = _places(controller)
+    if not isinstance(values, Mapping):
+        given = _checks.described(values)
+        raise ValueError(f"values is {given}; accepted: numbers by the path of a parameter")
+    places = _parameters_of(controller)
     for path, value in values.items():
         place = places[_match(path, tuple(places))]
         new = jnp.asarray(value, place.value.dtype)
@@ -94,6 +98,14 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
     return controller
 
 
+def _parameters_of(controller: Any) -> dict[str, _Place]:
+    places = _places(controller)
+    if not places:  # no path could be right
+        given = _checks.described(controller)
+        raise ValueError(f"controller is {given}; accepted: a controller, or a tree with numbers")
+    return places
+
+
 def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int = 3) -> str:
     """Return the known names most similar to a name, separated by commas, for a message.
 
@@ -111,6 +123,9 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
 
 
 def _match(path: str, known: tuple[str, ...]) -> str:
+    if not isinstance(path, str):
+        given = _checks.described(path)
+        raise ValueError(f"path is {given}; accepted: the path of a parameter, such as {known[0]}")
     # Try the path as given first: a component may itself be called "controller".
     for given in (path, path.removeprefix(PREFIX)):
         if given in known:

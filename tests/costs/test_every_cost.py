@@ -315,6 +315,6 @@ def test_a_controller_says_so_too() -> None:
     robot = DifferentialDrive()
     given = {"horizon": 3, "num_samples": 4, "noise_std": [1.0, 1.0], "dt": 0.1}
     mppi = MPPI(robot, MovingObstacleCost(), **given, temperature=1.0)
-    for known in (None, Belief()):
-        with pytest.raises(ValueError, match=r"^belief has no obstacles; accepted"):
+    for known, said in ((None, "is None, and a cost reads its"), (Belief(), "has no")):
+        with pytest.raises(ValueError, match=f"^belief {said} obstacles; accepted"):
             mppi.step(mppi.init(), jnp.zeros(5), known, key=jax.random.key(0))

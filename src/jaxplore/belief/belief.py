@@ -130,7 +130,14 @@ def part(belief: Any, name: str) -> Any:
     """
     found = getattr(belief, name, None)
     if found is None:
-        raise MissingPartError(f"belief has no {name}; accepted: {_SOURCES.get(name, _MAP)}")
+        source = _SOURCES.get(name, _MAP)
+        if belief is None:
+            made = ", such as perception.init(grid, pose)" if source == _MAP else ""
+            raise MissingPartError(
+                f"belief is None, and a cost reads its {name}; accepted: step(state, observation, "
+                f"belief, key=key) with {source}{made}"
+            )
+        raise MissingPartError(f"belief has no {name}; accepted: {source}")
     return found
 
 

@@ -156,6 +156,10 @@ class Perception(eqx.Module):
         is_goal_apart: bool = False,
         unknown_factor: ArrayLike = 0.5,
     ) -> None:
+        _checks.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
+        _checks.instance("ground", ground, Ground, may_be_none=True)
+        _checks.instance("watch", watch, IdlenessMap, may_be_none=True)
+        _checks.flag("is_goal_apart", is_goal_apart)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -380,10 +384,14 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
     Raises:
         ValueError: no sensor, or something that is not a sensor.
     """
-    given = (sensors,) if isinstance(sensors, Sensor) else tuple(sensors)
-    if not given or not all(isinstance(sensor, Sensor) for sensor in given):
-        raise ValueError(f"sensors is {sensors!r}; accepted: a sensor, or several")
-    return given
+    if isinstance(sensors, Sensor):
+        return (sensors,)
+    if not isinstance(sensors, (list, tuple)):
+        _checks.instance("sensors", sensors, Sensor, hint="or a list of them")
+    if not sensors:
+        raise ValueError("sensors is empty; accepted: a Sensor, or a list of them")
+    _checks.instances("sensors", sensors, Sensor)
+    return tuple(sensors)
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:

@@ -40,6 +40,7 @@ def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
     Raises:
         ValueError: a threshold outside [0, 1).
     """
+    _checks.instance("grid", grid, OccupancyGrid)
     bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
     return jnp.mean(entropy_proxy(grid.probability) > bound)
 
@@ -87,6 +88,12 @@ class Zones(eqx.Module):
     """
 
     member: Bool[Array, "Z H W"]
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.member, (Array, np.ndarray)):
+            raise ValueError(
+                f"member is {_checks.described(self.member)}; accepted: an array (Z, H, W)"
+            )
 
     @classmethod
     def from_rectangles(cls, rectangles: Rectangles, grid: OccupancyGrid) -> "Zones":

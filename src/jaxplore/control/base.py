@@ -135,6 +135,10 @@ class Controller(eqx.Module):
 
         Returns:
             The control (nu,), the controller's new state, and diagnostics.
+
+        Raises:
+            ValueError: a state of another controller, an observation of another size, something
+                else than a key, no belief for a cost that reads one.
         """
 
     @abc.abstractmethod
@@ -156,6 +160,13 @@ class Controller(eqx.Module):
             key: as of `step`; the same key gives the same samples.
             num_trajectories: number of sampled rollouts to return.
         """
+
+    def __hash__(self) -> int:
+        # `jax.jit` hashes the method that it is given, and with it the controller.
+        raise TypeError(
+            f"{type(self).__name__} holds arrays, which have no hash; accepted: "
+            "equinox.filter_jit(controller.step) instead of jax.jit"
+        )
 
     @property
     def member_names(self) -> tuple[str, ...]:

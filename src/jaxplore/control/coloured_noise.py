@@ -34,6 +34,7 @@ class ColouredNoise(Noise):
     noise: Noise
 
     def __init__(self, exponent: ArrayLike = 1.0, noise: Noise | None = None) -> None:
+        _checks.instance("noise", noise, Noise, may_be_none=True)
         self.exponent = _checks.scalar("exponent", exponent, at_least=0.0, at_most=4.0)
         self.noise = WhiteNoise() if noise is None else noise
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplore import _checks
 from jaxplore._trees import stack_trees
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.belief.belief import part
@@ -168,6 +169,7 @@ class ModelEnsemble(Disturbance):
     models: Dynamics
 
     def __init__(self, *models: Dynamics) -> None:
+        _checks.instances("models", models, Dynamics)
         arrays, static = eqx.partition(models, eqx.is_array)
         structures = {jax.tree.structure(model) for model in arrays}
         if len(structures) != 1 or any(each != static[0] for each in static):
@@ -225,6 +227,9 @@ class UncertainObstacles(Disturbance):
 
     robot: Disturbance | None = None
 
+    def __check_init__(self) -> None:
+        _checks.instance("robot", self.robot, Disturbance, may_be_none=True)
+
     @property
     def moves_robot(self) -> bool:
         """Whether the robot itself is disturbed."""
@@ -267,7 +272,7 @@ class UncertainObstacles(Disturbance):
 
 def _deviations(value: Vector) -> Array:
     if not isinstance(value, jax.core.Tracer):
-        array = np.asarray(value, np.float32)
+        array = _checks.floats("std", value, "a vector of numbers >= 0")
         if array.ndim != 1 or not (np.isfinite(array) & (array >= 0)).all():
             raise ValueError(f"std is {value!r}; accepted: a vector of numbers >= 0")
         value = array

@@ -12,6 +12,7 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.gains import step_with_gains
+from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.control.trajectory import rollout
@@ -61,6 +62,7 @@ class FeedbackMPPI(Controller):
     commands_per_plan: Count
 
     def __init__(self, planner: MPPI, commands_per_plan: int = 4) -> None:
+        _checks.instance("planner", planner, MPPI)
         self.planner = planner
         self.commands_per_plan = jnp.asarray(
             _checks.positive_int("commands_per_plan", commands_per_plan), jnp.int32
@@ -101,6 +103,8 @@ class FeedbackMPPI(Controller):
         Returns:
             The control (nu,), the new state, and the `Info` of the last plan.
         """
+        model = self.planner.dynamics
+        observation = checked_call(model, state, FeedbackState, observation, key)
         state = jax.lax.cond(
             state.commands % self.commands_per_plan == 0,
             lambda: self._plan(state, observation, belief, key),

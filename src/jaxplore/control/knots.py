@@ -44,6 +44,7 @@ class Knots(Parameterisation):
     num_knots: int = eqx.field(static=True)
 
     def __init__(self, num_knots: int, interpolation: Interpolation | None = None) -> None:
+        _checks.instance("interpolation", interpolation, Interpolation, may_be_none=True)
         self.num_knots = _checks.positive_int("num_knots", num_knots)
         self.interpolation = CubicSpline() if interpolation is None else interpolation
 

@@ -80,10 +80,11 @@ class BiasedProposal(OuterProposal):
         *,
         likelihood_ratio: bool = True,
     ) -> None:
+        _checks.instance("proposal", proposal, GaussianProposal)
         self.proposal = proposal
         self.reference = _control_sequences("reference", reference, 2)
         self.fraction = _checks.scalar("fraction", fraction, at_least=0.0, at_most=1.0)
-        self.likelihood_ratio = likelihood_ratio
+        self.likelihood_ratio = _checks.flag("likelihood_ratio", likelihood_ratio)
 
     def sample(
         self,
@@ -163,6 +164,9 @@ class InjectedProposal(OuterProposal):
         null_action: bool = False,
         last_solution: bool = False,
     ) -> None:
+        _checks.instance("proposal", proposal, Proposal)
+        self.null_action = _checks.flag("null_action", null_action)
+        self.last_solution = _checks.flag("last_solution", last_solution)
         if sequences is None and not (null_action or last_solution):
             raise ValueError(
                 "sequences is None, null_action and last_solution are False; accepted: at least "
@@ -172,8 +176,6 @@ class InjectedProposal(OuterProposal):
         self.sequences = (
             None if sequences is None else _control_sequences("sequences", sequences, 3)
         )
-        self.null_action = null_action
-        self.last_solution = last_solution
 
     @property
     def num_injected(self) -> int:
@@ -228,9 +230,9 @@ class InjectedProposal(OuterProposal):
 def _control_sequences(name: str, value: Rows | Sequence[Rows], ndim: int) -> Array:
     """Return controls as a finite float32 array with `ndim` axes."""
     if not isinstance(value, jax.core.Tracer):
-        array = np.asarray(value, np.float32)
+        shape = "(T, nu)" if ndim == 2 else "(N, T, nu)"
+        array = _checks.floats(name, value, f"finite controls of shape {shape}")
         if array.ndim != ndim or array.size == 0 or not np.isfinite(array).all():
-            shape = "(T, nu)" if ndim == 2 else "(N, T, nu)"
             raise ValueError(
                 f"{name} has shape {array.shape}; accepted: finite controls of shape {shape}"
             )

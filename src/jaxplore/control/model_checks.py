@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxplore import _checks
+from jaxplore._types import StateVector
 from jaxplore.belief.belief import MissingPartError
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics, State
@@ -20,6 +21,11 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     size = dynamics.control_size
     for name in ("control_min", "control_max"):
         bound = getattr(dynamics, name)
+        if not isinstance(bound, (Array, np.ndarray)):
+            raise ValueError(
+                f"{name} of {type(dynamics).__name__} is {_checks.described(bound)}; accepted: an "
+                f"array of shape ({size},), such as jax.numpy.array([...])"
+            )
         if jnp.shape(bound) != (size,):
             raise ValueError(
                 f"{name} of {type(dynamics).__name__} has shape {jnp.shape(bound)}; "
@@ -36,11 +42,51 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     reached = jax.eval_shape(
         lambda x, u, t, dt: dynamics.step_at(x, u, t, dt), state, control, number, number
     )
+    if not hasattr(reached, "shape"):
+        raise ValueError(
+            f"step of {type(dynamics).__name__} returns {_checks.described(reached)}; accepted: "
+            f"an array of shape ({dynamics.state_size},), such as jax.numpy.stack([...])"
+        )
     check_state(dynamics, reached.shape)
     for _, term in cost.terms():
         # There is no belief yet, so a cost that reads one fails here. `step` checks it.
         with contextlib.suppress(AttributeError, TypeError, MissingPartError):
             check_costs(dynamics, term, horizon, None)
+
+
+def checked_call(
+    dynamics: Dynamics, state: Any, kind: type, observation: Any, key: Any
+) -> StateVector:
+    """Check the arguments of a controller's `step`, and return the observed state as an array.
+
+    The numbers of an observation are not checked, nor anything of one that is traced.
+
+    Args:
+        dynamics: model of the robot.
+        state: state of the controller.
+        kind: class of this state.
+        observation: (nx,) observed state of the robot, an array or a list.
+        key: random key.
+
+    Raises:
+        ValueError: a state of another class, an observation of another size, something else than a
+            key.
+    """
+    _checks.instance("state", state, kind, hint="from init() or the last step")
+    _checks.key("key", key)
+    if _checks.is_traced(observation):
+        traced: StateVector = observation
+        return traced
+    names = dynamics.state_names
+    accepted = f"{len(names)} numbers: {', '.join(names)}"
+    if isinstance(observation, (list, tuple)) and _checks.is_traced(*observation):
+        observation = jnp.asarray(observation)
+    if not isinstance(observation, Array):
+        observation = jnp.asarray(_checks.floats("observation", observation, accepted))
+    known: StateVector = observation
+    if known.shape != (len(names),):
+        raise ValueError(f"observation has shape {known.shape}; accepted: {accepted}")
+    return known
 
 
 def check_state(dynamics: Dynamics, shape: tuple[int, ...]) -> None:
@@ -69,10 +115,23 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
         }
         for method, call in calls.items():
             paid = jax.eval_shape(call, values, control, controls, number, belief)
+            if not hasattr(paid, "shape"):
+                given = _checks.described(paid)
+                raise ValueError(f"{method} of {name} returns {given}; accepted: one number")
             if paid.shape != ():
                 raise ValueError(
                     f"{method} of {name} returns shape {paid.shape}; accepted: (), one number"
                 )
+
+
+def without_belief(dynamics: Dynamics, cost: Cost, horizon: int) -> str | None:
+    """Return the name of the first term of a cost that cannot be computed without a belief."""
+    for name, term in cost.terms():
+        try:
+            check_costs(dynamics, term, horizon, None)
+        except (AttributeError, TypeError, MissingPartError):
+            return name
+    return None
 
 
 def _floats(*shape: int) -> jax.ShapeDtypeStruct:

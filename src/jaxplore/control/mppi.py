@@ -16,7 +16,7 @@ from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
-from jaxplore.control.model_checks import check_parts
+from jaxplore.control.model_checks import check_parts, checked_call, without_belief
 from jaxplore.control.mppi_state import MPPIState, SampledControls
 from jaxplore.control.parameterisations import (
     ControlSpace,
@@ -31,7 +31,7 @@ from jaxplore.control.rollout import Outcomes, rollout_costs
 from jaxplore.control.smoothing import SavitzkyGolay
 from jaxplore.control.trajectory import Trajectory, rollout
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
-from jaxplore.costs.base import Cost
+from jaxplore.costs.base import Cost, check_cost
 from jaxplore.dynamics.base import Dynamics
 
 
@@ -84,9 +84,9 @@ class MPPI(Controller):
         mesh: devices that share the samples equally; one device when absent.
 
     Raises:
-        ValueError: a horizon or a number of samples below 1; a step, period or temperature that is
-            not positive; parts or bounds that do not fit the model; both or neither of two
-            alternatives; a model or cost that returns the wrong shape.
+        ValueError: a part of another class; a horizon or a number of samples below 1; a step,
+            period or temperature that is not positive; parts or bounds that do not fit the model;
+            both or neither of two alternatives; a model or cost that returns the wrong shape.
     """
 
     dynamics: Dynamics
@@ -126,6 +126,15 @@ class MPPI(Controller):
         interpolate_shift: bool = True,
         mesh: Mesh | None = None,
     ) -> None:
+        _checks.instance("dynamics", dynamics, Dynamics)
+        check_cost("cost", cost)
+        _checks.instance("proposal", proposal, Proposal, may_be_none=True)
+        _checks.instance("parameterisation", parameterisation, Parameterisation, may_be_none=True)
+        _checks.instance("weighting", weighting, Weighting, may_be_none=True)
+        _checks.instance("smoothing", smoothing, SavitzkyGolay, may_be_none=True)
+        _checks.instance("disturbance", disturbance, Disturbance, may_be_none=True)
+        _checks.instance("risk", risk, Risk, may_be_none=True)
+        _checks.instance("mesh", mesh, Mesh, may_be_none=True)
         if (proposal is None) == (noise_std is None):
             given = f"noise_std is {noise_std!r} and proposal is {proposal!r}"
             raise ValueError(f"{given}; accepted: one of them")
@@ -153,7 +162,7 @@ class MPPI(Controller):
         self.smoothing = smoothing
         self.disturbance = disturbance
         self.risk = MeanVariance() if risk is None else risk
-        self.interpolate_shift = interpolate_shift
+        self.interpolate_shift = _checks.flag("interpolate_shift", interpolate_shift)
         self.mesh = None if mesh is None else devices.auto_mesh(mesh)
         num_controls = dynamics.control_size
         self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)
@@ -230,7 +239,11 @@ class MPPI(Controller):
 
         Returns:
             The control (nu,), the new state, and `Info`.
+
+        Raises:
+            ValueError: as of `Controller.step`.
         """
+        observation = checked_call(self.dynamics, state, MPPIState, observation, key)
         sampled = self.sample(state, key=key, perturbations=perturbations, shift=shift)
         return self.update(sampled, self.evaluate(sampled, observation, belief))
 
@@ -308,9 +321,19 @@ class MPPI(Controller):
                 dynamics, cost, start, controls, dt, knowledge, applied=applied, outcomes=outcomes
             )
 
-        if self.mesh is None:
-            return costs(initial, sampled.controls, arrays)
-        return devices.map_over_devices(costs, self.mesh, initial, sampled.controls, arrays)
+        try:
+            if self.mesh is None:
+                return costs(initial, sampled.controls, arrays)
+            return devices.map_over_devices(costs, self.mesh, initial, sampled.controls, arrays)
+        except (AttributeError, TypeError) as error:
+            # A cost that a user wrote asks None for what it knows.
+            name = without_belief(self.dynamics, self.cost, self.horizon)
+            if belief is not None or name is None or "NoneType" not in str(error):
+                raise
+            raise ValueError(
+                f"belief is None, and {name} reads it ({error}); accepted: step(state, "
+                "observation, belief, key=key)"
+            ) from error
 
     def update(
         self, sampled: SampledControls, costs: Float[Array, " K"]
@@ -368,6 +391,7 @@ class MPPI(Controller):
             key: as of `step`; the same key gives the same samples.
             num_trajectories: number of the K samples to return, taken at even distances.
         """
+        observation = checked_call(self.dynamics, state, MPPIState, observation, key)
         sampled = self.sample(state, key=key)
         costs = self.evaluate(sampled, observation, belief)
         _, _, info = self.update(sampled, costs)

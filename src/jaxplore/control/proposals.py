@@ -154,6 +154,8 @@ class GaussianProposal(Proposal):
         noise: Noise | None = None,
         adaptation: CovarianceAdaptation | None = None,
     ) -> None:
+        _checks.instance("noise", noise, Noise, may_be_none=True)
+        _checks.instance("adaptation", adaptation, CovarianceAdaptation, may_be_none=True)
         if (noise_std is None) == (noise_covariance is None):
             raise ValueError(
                 f"noise_std is {noise_std!r} and noise_covariance is {noise_covariance!r}; "
@@ -287,7 +289,7 @@ class GaussianProposal(Proposal):
 def _standard_deviation(value: Vector) -> ControlVector:
     """Check a vector of standard deviations; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
-        std = np.asarray(value, np.float32)
+        std = _checks.floats("noise_std", value, "one positive number per control")
         if std.ndim != 1 or not (np.isfinite(std) & (std > 0)).all():
             raise ValueError(f"noise_std is {value!r}; accepted: one positive number per control")
         value = std
@@ -297,12 +299,12 @@ def _standard_deviation(value: Vector) -> ControlVector:
 def _covariance(value: Rows) -> Float[Array, "nu nu"]:
     """Check a covariance matrix; a traced one is taken as it is."""
     if not isinstance(value, jax.core.Tracer):
+        accepted = "a symmetric matrix, one row per control"
+        _checks.floats("noise_covariance", value, accepted)
         matrix = np.asarray(value, np.float64)
         square = matrix.ndim == 2 and matrix.shape[0] == matrix.shape[1] > 0
         if not square or not np.isfinite(matrix).all() or not np.allclose(matrix, matrix.T):
-            raise ValueError(
-                f"noise_covariance is {value!r}; accepted: a symmetric matrix, one row per control"
-            )
+            raise ValueError(f"noise_covariance is {value!r}; accepted: {accepted}")
         least = float(np.linalg.eigvalsh(matrix).min())
         # The Cholesky factorisation in float32 fails for matrices closer to singular than this.
         if least <= 1e-6 * float(np.abs(matrix).max()):

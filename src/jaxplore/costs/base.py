@@ -2,7 +2,7 @@
 
 import abc
 from collections.abc import Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -66,7 +66,15 @@ class Cost(eqx.Module):
         return describe_fields(self)
 
     def __add__(self, other: "Cost") -> "SumCost":
+        _check_summand(other)
         return SumCost((self, other))
+
+    def __radd__(self, other: object) -> "Cost":
+        # `sum` begins with 0.
+        if isinstance(other, int) and other == 0:
+            return self
+        _check_summand(other)
+        raise AssertionError  # a cost on the left would have been asked first
 
     def __mul__(self, weight: ArrayLike) -> "WeightedCost":
         return WeightedCost(_checks.scalar("weight", weight), self)
@@ -78,6 +86,26 @@ class Cost(eqx.Module):
         """Return this cost as one term with a name, to distinguish it from others of its class."""
         return NamedCost(name, self)
 
+    if not TYPE_CHECKING:  # for type checkers any attribute could be set
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            _checks.annotated(self, name)
+            super().__setattr__(name, value)
+
+
+def check_cost(name: str, value: object) -> None:
+    """Raise a `ValueError` unless `value` is a cost."""
+    hint = "such as A() + 2.0 * B(), or an instance of your own subclass of jaxplore.Cost"
+    _checks.instance(name, value, Cost, hint=hint)
+
+
+def _check_summand(value: object) -> None:
+    # Python's operators raise a `TypeError`.
+    try:
+        check_cost("summand", value)
+    except ValueError as error:
+        raise TypeError(str(error)) from None
+
 
 class WeightedCost(Cost):
     """A cost times a weight. The weight is a leaf: changing it does not recompile."""
@@ -87,6 +115,9 @@ class WeightedCost(Cost):
 
     def __repr__(self) -> str:
         return f"{describe(self.weight)} * {_in_brackets(self.cost)}"
+
+    def __check_init__(self) -> None:
+        check_cost("cost", self.cost)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the weighted stage cost."""
@@ -172,6 +203,7 @@ class NamedCost(Cost):
     name: str = eqx.field(static=True)
 
     def __init__(self, name: str, cost: Cost) -> None:
+        check_cost("cost", cost)
         if not isinstance(name, str) or not name.strip():
             raise ValueError(f"name is {name!r}; accepted: a text that is not empty")
         self.name = name

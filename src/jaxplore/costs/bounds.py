@@ -54,8 +54,8 @@ class StateBoundsCost(Cost):
                 raise ValueError(
                     f"lower[{name!r}] is {low}; accepted: at most the upper one, {high}"
                 )
-        names_within("scale", list(scale or {}), bounded)
         given = by_name("scale", scale, above=0.0)
+        names_within("scale", list(given), bounded)
         self.scale = {name: given.get(name, jnp.ones(())) for name in sorted(bounded)}
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:

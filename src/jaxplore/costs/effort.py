@@ -115,7 +115,7 @@ class ControlRateCost(ControlDifferenceCost):
 
     def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
-        self.include_applied = include_applied
+        self.include_applied = _checks.flag("include_applied", include_applied)
 
     def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]
@@ -150,7 +150,7 @@ class ControlJerkCost(ControlDifferenceCost):
 
     def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
-        self.include_applied = include_applied
+        self.include_applied = _checks.flag("include_applied", include_applied)
 
     def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]

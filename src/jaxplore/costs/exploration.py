@@ -36,6 +36,9 @@ class InformationCost(Cost):
 
     is_fading: bool = eqx.field(static=True, default=False)
 
+    def __check_init__(self) -> None:
+        _checks.flag("is_fading", self.is_fading)
+
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Compute the negative information of a scan per beam."""
         field: InformationField = part(belief, "information")
@@ -105,6 +108,9 @@ class PotentialCost(Cost):
     """
 
     by_heading: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        _checks.flag("by_heading", self.by_heading)
 
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief

@@ -102,6 +102,7 @@ class MovingObstacleCost(Cost):
         caution: ArrayLike | None = None,
         nearest_only: bool = False,
     ) -> None:
+        _checks.instance("obstacles", obstacles, Obstacles, may_be_none=True)
         self.obstacles = obstacles
         self.nearness = _factor("nearness", nearness)
         self.clearance = (
@@ -111,7 +112,7 @@ class MovingObstacleCost(Cost):
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
         self.caution = _factor("caution", caution)
-        self.nearest_only = bool(nearest_only)
+        self.nearest_only = _checks.flag("nearest_only", nearest_only)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the cost of a state that is reached `t` seconds from now."""

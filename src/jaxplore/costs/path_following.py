@@ -51,6 +51,12 @@ class PathErrorCost(Cost):
     position: Extractor = eqx.field(static=True, default=extract.position)
     parameter: Extractor = eqx.field(static=True, default=PHI)
 
+    def __check_init__(self) -> None:
+        _checks.instance("path", self.path, Path)
+        accepted = "a function of a State"
+        _checks.function("position", self.position, accepted)
+        _checks.function("parameter", self.parameter, accepted)
+
     @abc.abstractmethod
     def chosen(self, errors: PathErrors) -> Scalar:
         """Select the error component that the cost squares."""
@@ -114,6 +120,11 @@ class ProgressCost(Cost):
 
     rate: str = eqx.field(static=True, default="phi_rate")
 
+    def __check_init__(self) -> None:
+        if not isinstance(self.rate, str):
+            given = _checks.described(self.rate)
+            raise ValueError(f"rate is {given}; accepted: the name of a control")
+
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the negative rate [m/s]."""
         names = state.dynamics.control_names
@@ -156,6 +167,9 @@ class CorridorCost(Cost):
         scale: ArrayLike = 0.05,
         parameter: Extractor | None = None,
     ) -> None:
+        _checks.instance("path", path, Path)
+        if parameter is not None:
+            _checks.function("parameter", parameter, "a function of a State")
         if not path.has_room:
             raise ValueError("path has no half_widths; accepted: a path with room to keep to")
         self.path = path

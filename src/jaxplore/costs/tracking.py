@@ -288,10 +288,13 @@ class StateCost(ErrorCost):
         self.weights = by_name("weights", weights, at_least=0.0)
         if not self.weights:
             raise ValueError(f"weights is {weights!r}; accepted: one weight or more")
-        names_within("target", list(target or {}), self.weights)
+        wanted = by_name("target", target)
+        names_within("target", list(wanted), self.weights)
+        if not isinstance(angles, (list, tuple)):
+            given = _checks.described(angles)
+            raise ValueError(f"angles is {given}; accepted: names of angles, such as ('yaw',)")
         names_within("angles", angles, self.weights)
-        given = by_name("target", target)
-        self.target = {name: given.get(name, jnp.zeros(())) for name in self.weights}
+        self.target = {name: wanted.get(name, jnp.zeros(())) for name in self.weights}
         # The names are static: sorted, so that another order does not recompile.
         self.angles = tuple(sorted(set(angles)))
         self.terminal_weight = _checks.scalar("terminal_weight", terminal_weight, at_least=0.0)

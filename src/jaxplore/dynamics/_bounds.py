@@ -22,11 +22,15 @@ def positive(name: str, value: Vector, size: int) -> ControlVector:
     # The numbers of a traced value are unknown, so only its shape matters, in the broadcast below.
     if not _checks.is_traced(value):
         accepted = f"one positive number, or {size}"
-        try:
-            array = np.asarray(value, np.float32)
-        except (TypeError, ValueError):
-            raise ValueError(f"{name} is {value!r}; accepted: {accepted}") from None
+        array = _checks.floats(name, value, accepted)
         if array.shape not in ((), (size,)) or not (np.isfinite(array) & (array > 0.0)).all():
             raise ValueError(f"{name} is {value!r}; accepted: {accepted}")
         return on_device(np.broadcast_to(array, (size,)).copy())
     return jnp.broadcast_to(jnp.asarray(value, jnp.float32), (size,))
+
+
+def radius_of_robot(value: ArrayLike) -> Scalar:
+    """Return the radius of a robot [m]; warn if its unit is likely to be another one."""
+    radius = _checks.scalar("radius", value, above=0.0)
+    _checks.warn_above("radius", radius, 50.0, "a radius is in metres, not in centimetres")
+    return radius

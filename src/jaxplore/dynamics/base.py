@@ -1,13 +1,14 @@
 """Define the interface of dynamics models, and how costs read a state."""
 
 import abc
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
+from jaxplore import _checks
 from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore._xla import computed
@@ -32,6 +33,11 @@ class Dynamics(eqx.Module):
     control_min: eqx.AbstractVar[ControlVector]
     control_max: eqx.AbstractVar[ControlVector]
     radius: eqx.AbstractVar[Scalar]
+
+    def __check_init__(self) -> None:
+        for name in ("state_names", "control_names"):
+            kind, hint = type(self).__name__, "such as ('x', 'y')"
+            _checks.instance(f"{name} of {kind}", getattr(self, name, None), tuple, list, hint=hint)
 
     @abc.abstractmethod
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
@@ -137,6 +143,12 @@ class Dynamics(eqx.Module):
         stays = jnp.asarray([name in kept for name in self.state_names])
         stops = jnp.asarray([name in ("v", "vx", "vy", "vz") for name in self.state_names])
         return jnp.where(stays, before, jnp.where(stops, 0.0, after))
+
+    if not TYPE_CHECKING:  # for type checkers any attribute could be set
+
+        def __setattr__(self, name: str, value: Any) -> None:
+            _checks.annotated(self, name)
+            super().__setattr__(name, value)
 
 
 class ContinuousDynamics(Dynamics):

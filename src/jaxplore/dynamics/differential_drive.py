@@ -8,6 +8,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
+from jaxplore.dynamics._bounds import radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import Euler, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -59,6 +60,7 @@ class DifferentialDrive(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
+        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
         self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
         self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         self.control_max = computed(
@@ -68,7 +70,7 @@ class DifferentialDrive(ContinuousDynamics):
         )
         self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.radius = radius_of_robot(radius)
         self.integrator = Euler() if integrator is None else integrator
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:

@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed, cut
-from jaxplore.dynamics._bounds import speed_range
+from jaxplore.dynamics._bounds import radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Derivative, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -69,6 +69,7 @@ class KinematicBicycle(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
+        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
         self.front_length = _checks.scalar("front_length", front_length, above=0.0)
         self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
@@ -78,7 +79,7 @@ class KinematicBicycle(ContinuousDynamics):
             _checks.scalar("max_steering", max_steering, above=0.0, below=0.5 * math.pi),
         )
         self.control_min = computed(lambda xp, high: -high, self.control_max)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:

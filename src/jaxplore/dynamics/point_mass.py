@@ -7,7 +7,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import positive
+from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.vectors import angle, length
@@ -53,6 +53,7 @@ class PointMass(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
+        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
         if isinstance(dimensions, bool) or dimensions not in (1, 2, 3):
             raise ValueError(f"dimensions is {dimensions!r}; accepted: 1, 2 or 3")
         self.dimensions = int(dimensions)
@@ -62,7 +63,7 @@ class PointMass(ContinuousDynamics):
         self.control_max = positive("max_acceleration", max_acceleration, self.dimensions)
         self.control_min = computed(lambda xp, high: -high, self.control_max)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     # Properties instead of class variables: the names depend on the number of dimensions.

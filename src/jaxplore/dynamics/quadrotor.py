@@ -9,7 +9,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector, Vector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import positive
+from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics, as_state
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.vectors import TINY, angle, length
@@ -71,6 +71,7 @@ class Quadrotor(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
+        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
         self.mass = _checks.scalar("mass", mass, above=0.0)
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)
         self.rate_time_constant = _checks.scalar(
@@ -86,7 +87,7 @@ class Quadrotor(ContinuousDynamics):
             lambda xp, most: xp.append(xp.zeros_like(most[:1]), -most), rates
         )
         self.control_max = computed(lambda xp, *each: xp.append(*each), highest, rates)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     @property

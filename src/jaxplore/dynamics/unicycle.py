@@ -8,7 +8,7 @@ from jax.typing import ArrayLike
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import speed_range
+from jaxplore.dynamics._bounds import radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -51,11 +51,12 @@ class Unicycle(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
+        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
         lowest, highest = speed_range(min_speed, max_speed)
         turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)
         self.control_max = computed(lambda xp, *each: xp.stack(each), highest, turn_rate)
-        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:

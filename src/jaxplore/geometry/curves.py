@@ -105,7 +105,14 @@ def clothoid_path(
         ValueError: no pieces, a piece that is not a positive length and two finite curvatures, a
             closed path that does not end at its start.
     """
+    _checks.flag("is_closed", is_closed)
     x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
+    accepted = "rows of a length and two curvatures"
+    if not isinstance(pieces, (list, tuple, np.ndarray)):
+        raise ValueError(f"pieces is {_checks.described(pieces)}; accepted: {accepted}")
+    for piece in pieces:
+        if not isinstance(piece, (list, tuple, np.ndarray)) or len(piece) != 3:
+            raise ValueError(f"pieces has {_checks.described(piece)}; accepted: {accepted}")
     rows = [
         (
             _checks.number(f"pieces[{index}] length", piece[0], above=0.0),
@@ -184,6 +191,7 @@ def path_through(
         ValueError: too few points, points that are not finite, the same point twice in a row, an
             unknown method or boundary, half widths that are not positive.
     """
+    _checks.flag("is_closed", is_closed)
     knots = _waypoints(points, is_closed)
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
@@ -265,8 +273,9 @@ def _spline(
 
 
 def _waypoints(points: Rows, is_closed: bool) -> np.ndarray:
-    given = np.asarray(points, np.float64)
     least = 3 if is_closed else 2
+    _checks.floats("points", points, f"(M, 2) with M >= {least}")
+    given = np.asarray(points, np.float64)
     if given.ndim != 2 or given.shape[1] != 2 or len(given) < least:
         raise ValueError(f"points has shape {given.shape}; accepted: (M, 2) with M >= {least}")
     if not np.isfinite(given).all():
@@ -295,6 +304,7 @@ def _widths_along(
     """Interpolate the half widths of the waypoints at `count` equally spaced arc lengths."""
     if half_widths is None:
         return None
+    _checks.floats("half_widths", half_widths, "(2,) or a row for each waypoint")
     given = np.asarray(half_widths, np.float64)
     if given.shape == (2,):
         return given

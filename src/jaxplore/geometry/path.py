@@ -111,6 +111,10 @@ class Path(eqx.Module):
         num_nodes: int = 257,
         half_widths: Rows | None = None,
     ) -> None:
+        accepted = "a function of arc lengths (N,) that returns (N, 2)"
+        _checks.function("position", position, accepted)
+        _checks.function("direction", direction, accepted)
+        _checks.flag("is_closed", is_closed)
         total = _checks.number("length", length, above=0.0)
         count = _checks.whole_number("num_nodes", num_nodes, at_least=2)
         along = np.linspace(0.0, total, count)
@@ -318,6 +322,7 @@ def _hermite(
 def _widths(half_widths: Rows | None, count: int) -> Float[Array, "N 2"]:
     if half_widths is None:
         return jnp.full((count, 2), jnp.inf)
+    _checks.floats("half_widths", half_widths, "(2,) or (M, 2)")
     given = np.asarray(half_widths, np.float64)
     if given.shape == (2,):
         given = given[None]

@@ -70,11 +70,12 @@ class EntropyFan(eqx.Module):
         decay_length: ArrayLike | None = None,
         line_of_sight: bool = True,
     ) -> None:
+        _checks.instance("lidar", lidar, Lidar)
         self.lidar = lidar
         self.num_ranges = _checks.positive_int("num_ranges", num_ranges)
         decay_length = lidar.max_range if decay_length is None else decay_length
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
-        self.line_of_sight = bool(line_of_sight)
+        self.line_of_sight = _checks.flag("line_of_sight", line_of_sight)
 
     @classmethod
     def camera(

@@ -84,6 +84,10 @@ class FieldSensor(eqx.Module):
         near_weight: bool = True,
         method: str | None = None,
     ) -> None:
+        _checks.instance("lidar", lidar, Sensor)
+        _checks.instance("noise", noise, RangeNoise, may_be_none=True)
+        _checks.flag("no_return", no_return)
+        _checks.flag("near_weight", near_weight)
         resolution = _checks.number("resolution", resolution, above=0.0)
         count = _checks.positive_int("num_directions", num_directions)
         stride = _checks.positive_int("stride", stride)

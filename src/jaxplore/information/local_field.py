@@ -61,6 +61,7 @@ class LocalFieldSensor(eqx.Module):
         spacing: float = 0.5,
         num_headings: int = 8,
     ) -> None:
+        _checks.instance("pose", pose, PoseInformation)
         resolution = _checks.number("resolution", resolution, above=0.0)
         spacing = _checks.number("spacing", spacing, above=0.0)
         extent = _checks.number("extent", extent, at_least=spacing)

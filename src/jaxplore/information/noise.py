@@ -122,7 +122,7 @@ class ToeplitzNoise(RangeNoise):
 
     def __init__(self, weights: Vector) -> None:
         if not isinstance(weights, jax.core.Tracer):
-            values = np.asarray(weights, np.float32)
+            values = _checks.floats("weights", weights, "an odd number of values >= 0")
             if values.ndim != 1 or len(values) % 2 == 0:
                 raise ValueError(
                     f"weights has shape {values.shape}; accepted: an odd number of them"

@@ -8,11 +8,12 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
+from jaxplore import _checks
 from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.beam import contributions
-from jaxplore.information.gain import CellGains, CellSensor, cell_gains, settled
+from jaxplore.information.gain import CellGains, CellSensor, IdealSensor, cell_gains, settled
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -72,11 +73,14 @@ class PoseInformation(eqx.Module):
         no_return: bool = True,
         near_weight: bool = True,
     ) -> None:
+        _checks.instance("lidar", lidar, Lidar)
+        _checks.instance("sensor", sensor, InverseSensorModel, IdealSensor, may_be_none=True)
+        _checks.instance("noise", noise, RangeNoise, may_be_none=True)
         self.lidar = lidar
         self.sensor = InverseSensorModel() if sensor is None else sensor
         self.noise = noise
-        self.no_return = bool(no_return)
-        self.near_weight = bool(near_weight)
+        self.no_return = _checks.flag("no_return", no_return)
+        self.near_weight = _checks.flag("near_weight", near_weight)
 
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]

@@ -70,6 +70,7 @@ class TrajectoryInformation(eqx.Module):
         decay: ArrayLike = 0.7,
         discount: ArrayLike = 0.95,
     ) -> None:
+        _checks.instance("pose", pose, PoseInformation)
         if method not in METHODS:
             raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
         self.pose = pose

@@ -77,6 +77,13 @@ def disc_distance(
     return distance.min(axis=0, initial=jnp.inf)
 
 
+def checked_range(name: str, value: float) -> float:
+    """Return a greatest range [m]; warn if its unit is likely to be another one."""
+    reach = _checks.number(name, value, above=0.0)
+    _checks.warn_above(name, reach, 1000.0, "a range is in metres, not in millimetres")
+    return reach
+
+
 def checked_view(name: str, value: float) -> float:
     """Check a horizontal field of view, in (0, 2 pi] [rad], and return it.
 

@@ -64,7 +64,7 @@ class InverseSensorModel(eqx.Module):
         *,
         is_decisive: bool = False,
     ) -> None:
-        self.is_decisive = is_decisive
+        self.is_decisive = _checks.flag("is_decisive", is_decisive)
         self.occupied = _checks.scalar("occupied", occupied, above=0.0)
         self.free = _checks.scalar("free", free, below=0.0)
         self.minimum = _checks.scalar("minimum", minimum, below=0.0)

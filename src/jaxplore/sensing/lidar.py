@@ -11,7 +11,7 @@ from jaxplore import _checks
 from jaxplore._types import Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.sensing.base import Sensor
-from jaxplore.sensing.fan import checked_view, first_entry
+from jaxplore.sensing.fan import checked_range, checked_view, first_entry
 
 NEAR_GROUND = 3.0
 """Standard deviations before higher ground within which a reading is taken for the ground. With
@@ -58,7 +58,7 @@ class Lidar(Sensor):
         height: ArrayLike = 0.5,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams)
-        self.max_range = _checks.number("max_range", max_range, above=0.0)
+        self.max_range = checked_range("max_range", max_range)
         self.field_of_view = checked_view("field_of_view", field_of_view)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)

@@ -68,7 +68,10 @@ def record_runs(
     Raises:
         ValueError: fewer than one step; no keys.
     """
-    if keys.ndim != 1 or not len(keys):
+    _checks.instance("controller", controller, Controller)
+    _checks.instance("scenario", scenario, Scenario)
+    _checks.key("keys", keys, ndim=1)
+    if not len(keys):
         raise ValueError(f"keys has shape {keys.shape}; accepted: (B,), one for each run")
     experiments = [Experiment(controller, scenario, num_steps, key) for key in keys]
     runs, _ = record_experiments(experiments, num_steps)

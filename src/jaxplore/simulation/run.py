@@ -152,8 +152,10 @@ def simulate(
             and the controller is not compiled a second time for inspection.
 
     Raises:
-        ValueError: fewer than one step, or fewer than 0 rollouts.
+        ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
+            a scenario or a key.
     """
+    _checks.flag("progress", progress)
     with progress_bar("simulating", enabled=progress) as advance:
 
         def show(now: RunProgress) -> None:
@@ -202,8 +204,13 @@ def record_run(
         num_trajectories: rollouts in each frame.
 
     Raises:
-        ValueError: fewer than one step, or fewer than 0 rollouts.
+        ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
+            a scenario or a key.
     """
+    order = "in the order simulate(controller, scenario, num_steps)"
+    _checks.instance("controller", controller, Controller, hint=order)
+    _checks.instance("scenario", scenario, Scenario, hint=order)
+    _checks.key("key", key)
     limit = _checks.positive_int("num_steps", num_steps)
     rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
     period = scenario.period

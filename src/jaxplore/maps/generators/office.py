@@ -99,6 +99,7 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     Raises:
         ValueError: a grid without a cell of that clearance.
     """
+    _checks.instance("grid", grid, OccupancyGrid)
     from scipy import ndimage  # slow to import, and few need it
 
     free = np.asarray(grid.is_free)

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks
 from jaxplore._trees import stack_trees
 from jaxplore._types import Rows, Vector
-from jaxplore.costs.base import Cost
+from jaxplore.costs.base import Cost, check_cost
 
 
 def stack_costs(name: str, costs: Sequence[Cost], number: int) -> Cost:
@@ -80,6 +80,9 @@ def normalised_weights(
                 f"{argument} is {given.tolist()}; accepted: in each row a weight that is not 0"
             )
     count = given.shape[0]
+    if names is not None and not isinstance(names, (list, tuple)):
+        text = _checks.described(names)
+        raise ValueError(f"names is {text}; accepted: {count} different names")
     labels = tuple(str(index + 1) for index in range(count)) if names is None else tuple(names)
     if len(labels) != count or len(set(labels)) != count:
         raise ValueError(f"names is {labels}; accepted: {count} different names")
@@ -105,3 +108,14 @@ def positive_each(name: str, value: Vector | None, number: int) -> Float[Array, 
     if not _checks.is_traced(given) and (np.asarray(given) <= 0.0).any():
         raise ValueError(f"{name} is {given.tolist()}; accepted: {number} positive numbers")
     return given
+
+
+def check_objectives(objectives: object) -> None:
+    """Raise a `ValueError` unless `objectives` maps names to costs, or to one for each member."""
+    if not isinstance(objectives, Mapping):
+        given = _checks.described(objectives)
+        raise ValueError(f"objectives is {given}; accepted: costs by the name of the objective")
+    for name, cost in objectives.items():
+        each = cost if isinstance(cost, (list, tuple)) else [cost]
+        for one in each:
+            check_cost(f"objectives[{name!r}]", one)

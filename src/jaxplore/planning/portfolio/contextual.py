@@ -62,6 +62,9 @@ class Contextual(Fusion):
         rich_information: ArrayLike = 0.2,
         hysteresis: ArrayLike = 0.2,
     ) -> None:
+        if not isinstance(names, (list, tuple)):
+            given = _checks.described(names)
+            raise ValueError(f"names is {given}; accepted: the names of the members")
         for role in ROLES:
             if role not in names:
                 raise ValueError(

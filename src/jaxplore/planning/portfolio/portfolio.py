@@ -14,11 +14,16 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
+from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import Cost, SumCost, WeightedCost
 from jaxplore.dynamics.base import State
-from jaxplore.planning.portfolio._members import normalised_weights, values_in_order
+from jaxplore.planning.portfolio._members import (
+    check_objectives,
+    normalised_weights,
+    values_in_order,
+)
 from jaxplore.planning.portfolio.common_objective import CommonObjective
 from jaxplore.planning.portfolio.fusion import (
     Candidates,
@@ -115,6 +120,10 @@ class Portfolio(Controller):
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
+        _checks.instance("mppi", mppi, MPPI)
+        check_objectives(objectives)
+        _checks.instance("fusion", fusion, Fusion, str, may_be_none=True)
+        _checks.flag("is_normalised", is_normalised)
         self.members = MemberControllers(
             mppi,
             objectives,
@@ -199,6 +208,8 @@ class Portfolio(Controller):
         Returns:
             The control (nu,), the new state, and `Info` with the diagnostics of each member.
         """
+        model = self.members.mppi.dynamics
+        observation = checked_call(model, state, PortfolioState, observation, key)
         plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
         candidates, fused, memory = self._fuse(state, plans, spread, observation, belief)
         control = fused.controls[0]

@@ -60,6 +60,7 @@ class SafeFusion(Fusion):
         regret: ArrayLike | None = None,
         tolerated: ArrayLike = 1e-6,
     ) -> None:
+        _checks.instance("fusion", fusion, Fusion, may_be_none=True)
         self.fusion = WeightedVote() if fusion is None else fusion
         self.regret = None if regret is None else _checks.scalar("regret", regret, at_least=0.0)
         self.tolerated = _checks.scalar("tolerated", tolerated, at_least=0.0)
@@ -125,6 +126,7 @@ def fusion_by_name(name: str) -> Fusion:
     Raises:
         ValueError: a name that is not in `FUSIONS`.
     """
-    if name not in FUSIONS:
-        raise ValueError(f"fusion is {name!r}; accepted: {', '.join(FUSIONS)}")
+    if not isinstance(name, str) or name not in FUSIONS:
+        given = _checks.described(name)
+        raise ValueError(f"name of the fusion is {given}; accepted: {', '.join(FUSIONS)}")
     return FUSIONS[name]()

@@ -4,6 +4,7 @@ from typing import Any
 
 from jax.typing import ArrayLike
 
+from jaxplore import _checks
 from jaxplore._types import Vector
 from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
@@ -52,12 +53,13 @@ def explorer(
     Raises:
         ValueError: a value that a part does not accept.
     """
+    _checks.instance("robot", robot, Dynamics)
     return _ground_mppi(
         robot,
-        obstacle_weight * ObstacleCost(clearance)
-        + information_weight * InformationCost()
-        + guidance_weight * GuidanceCost()
-        + control_weight * ControlCost(),
+        _checks.scalar("obstacle_weight", obstacle_weight) * ObstacleCost(clearance)
+        + _checks.scalar("information_weight", information_weight) * InformationCost()
+        + _checks.scalar("guidance_weight", guidance_weight) * GuidanceCost()
+        + _checks.scalar("control_weight", control_weight) * ControlCost(),
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
@@ -97,14 +99,15 @@ def waypoint_mppi(
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.
     """
+    _checks.instance("robot", robot, Dynamics)
     # No term of the cost holds an altitude.
     if "z" in robot.state_names:
         raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")
     return _ground_mppi(
         robot,
-        obstacle_weight * ObstacleCost(clearance)
-        + guidance_weight * ToGoalCost()
-        + control_weight * ControlCost(),
+        _checks.scalar("obstacle_weight", obstacle_weight) * ObstacleCost(clearance)
+        + _checks.scalar("guidance_weight", guidance_weight) * ToGoalCost()
+        + _checks.scalar("control_weight", control_weight) * ControlCost(),
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,

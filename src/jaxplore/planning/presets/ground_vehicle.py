@@ -168,6 +168,10 @@ def ground_portfolio(
     Raises:
         ValueError: an unknown decomposition, member or objective, or a value that a part rejects.
     """
+    _checks.instance("robot", robot, Dynamics)
+    _checks.instance("mission", mission, Mission, may_be_none=True)
+    _checks.instance("fusion", fusion, Fusion, str, may_be_none=True)
+    effort = _checks.number("effort", effort, at_least=0.0)
     mission = Mission() if mission is None else mission
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
     weights, horizons = _weights(decomposition, members, mission, effort), None
@@ -256,7 +260,7 @@ def _weights(
         "temporal": dict.fromkeys(HORIZONS, balanced),
         "regional": dict.fromkeys(REGIONS, balanced),
     }
-    if decomposition not in known:
+    if not isinstance(decomposition, str) or decomposition not in known:
         raise ValueError(f"decomposition is {decomposition!r}; accepted: {', '.join(known)}")
     if isinstance(members, Mapping):
         if decomposition != "roles":
@@ -273,12 +277,16 @@ def _weights(
                 )
         return {name: {"effort": effort, **row} for name, row in members.items()}
     rows = known[decomposition]
+    if members is not None and not isinstance(members, (list, tuple)):
+        text = _checks.described(members)
+        raise ValueError(f"members is {text}; accepted: some of {', '.join(rows)}")
     chosen = tuple(rows) if members is None else tuple(members)
     if not chosen:
         raise ValueError(f"members is {members!r}; accepted: at least one of {', '.join(rows)}")
     for name in chosen:
         if name not in rows:
-            raise ValueError(f"member is {name!r}; accepted: {', '.join(rows)}")
+            text = _checks.described(name)
+            raise ValueError(f"members has {text}; accepted: {', '.join(rows)}")
     return {name: {"effort": effort, **_fitted(rows[name], mission)} for name in chosen}
 
 

@@ -14,7 +14,7 @@ from jaxplore.control.parameterisations import Parameterisation
 from jaxplore.control.proposals import GaussianProposal, Proposal
 from jaxplore.control.risk import Risk
 from jaxplore.control.weighting import Softmax
-from jaxplore.costs.base import Cost
+from jaxplore.costs.base import Cost, check_cost
 from jaxplore.costs.comfort import ComfortCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
@@ -82,6 +82,8 @@ def augmented_mppi(
     Raises:
         ValueError: parts that do not fit together, or a value that `MPPI` rejects.
     """
+    _checks.instance("physical_proposal", physical_proposal, Proposal)
+    _checks.instance("virtual_proposal", virtual_proposal, Proposal)
     model = Augmented(physical, virtual)
     return MPPI(
         model,
@@ -199,6 +201,18 @@ def mpcc(
             robot, negative weights, a robot without a `max_speed` if none is given, a
             `comfort_weight` for a robot without a time derivative, or a value that a part rejects.
     """
+    _checks.scalar("corridor_margin", corridor_margin, at_least=0.0)
+    _checks.positive_int("num_outcomes", num_outcomes)
+    _checks.instance("robot", robot, Dynamics)
+    _checks.instance("path", path, Path)
+    if other is not None:
+        check_cost("other", other)
+    if corridor is not None:
+        _checks.flag("corridor", corridor)
+    _checks.scalar("max_lateral", max_lateral, at_least=0.0)
+    _checks.scalar("max_longitudinal", max_longitudinal, at_least=0.0)
+    if max_speed is not None:
+        _checks.scalar("max_speed", max_speed, above=0.0)
     contouring, lag = ContouringCost(path), LagCost(path)
     step = _checks.scalar("dt", dt, above=0.0)
     gain = _checks.scalar("progress_weight", progress_weight, at_least=0.0)

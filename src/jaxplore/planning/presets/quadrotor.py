@@ -32,7 +32,7 @@ from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.tracking import GoalCost, StateCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.information.gain import CellSensor
+from jaxplore.information.gain import CellSensor, IdealSensor
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.information.noise import GaussianNoise
 from jaxplore.information.pose import PoseInformation
@@ -269,6 +269,21 @@ def informative_mppi(
         ValueError: an unknown architecture, a reference or target choice for the parallel one, a
             value that a part does not accept.
     """
+    _checks.positive_int("reference_steps", reference_steps)
+    _checks.flag("by_heading", by_heading)
+    _checks.scalar("goal_weight", goal_weight)
+    _checks.scalar("reference_speed", reference_speed, above=0.0)
+    _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
+    _checks.instance("robot", robot, Dynamics)
+    _checks.instance(
+        "sensor_model", sensor_model, InverseSensorModel, IdealSensor, may_be_none=True
+    )
+    _checks.instance("flight", flight, Flight, may_be_none=True)
+    _checks.instance("fields", fields, FieldNumbers, may_be_none=True)
+    _checks.instance("reference", reference, StrategicReference, may_be_none=True)
+    _checks.instance("target_choice", target_choice, TargetChoice, may_be_none=True)
+    _checks.flag("goal_when_explored", goal_when_explored)
+    _checks.flag("likelihood_ratio", likelihood_ratio)
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
     for name, given in (("reference", reference), ("target_choice", target_choice)):
@@ -282,16 +297,18 @@ def informative_mppi(
     model = InverseSensorModel.line_of_sight() if sensor_model is None else sensor_model
     cost = (
         flight.cost(robot)
-        + field_weight * PotentialCost(by_heading)
-        + local_weight * LocalInformationCost()
-        + guidance_weight * GuidanceCost()
+        + _checks.scalar("field_weight", field_weight) * PotentialCost(by_heading)
+        + _checks.scalar("local_weight", local_weight) * LocalInformationCost()
+        + _checks.scalar("guidance_weight", guidance_weight) * GuidanceCost()
     )
     if goal is not None:
-        cost = cost + goal_weight * (HomingCost(goal) if goal_when_explored else GoalCost(goal))
+        cost = cost + _checks.scalar("goal_weight", goal_weight) * (
+            HomingCost(goal) if goal_when_explored else GoalCost(goal)
+        )
     proposal: Proposal = flight.noise(robot)
     follower = None
     if architecture != "parallel":
-        cost = cost + reference_weight * StrategyReferenceCost()
+        cost = cost + _checks.scalar("reference_weight", reference_weight) * StrategyReferenceCost()
         follower = follower_for(robot)
         # Only the shape of these controls matters: every step replaces them by those of the
         # reference.
@@ -365,6 +382,8 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
         goal: goal position (x, y) or (x, y, z) [m].
         flight: parameters of MPPI and of safety.
     """
+    _checks.instance("robot", robot, Dynamics)
+    _checks.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
     cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
     return flight.mppi(robot, cost, flight.noise(robot))
@@ -377,6 +396,8 @@ def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
         robot: model of the robot.
         flight: parameters of MPPI and of safety.
     """
+    _checks.instance("robot", robot, Dynamics)
+    _checks.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
     mppi = flight.mppi(robot, flight.cost(robot), flight.noise(robot))
     # Scaled to the mean over the steps, like all other terms.

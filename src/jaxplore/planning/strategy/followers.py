@@ -133,6 +133,7 @@ def follower_for(dynamics: Dynamics) -> Follower:
     Raises:
         ValueError: a model without a follower.
     """
+    _checks.instance("dynamics", dynamics, Dynamics)
     followers: dict[type[Dynamics], type[Follower]] = {
         Quadrotor: QuadrotorFollower,
         DifferentialDrive: DifferentialDriveFollower,

@@ -14,15 +14,17 @@ from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mixtures import BiasedProposal
+from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.information.gain import CellSensor
+from jaxplore.information.gain import CellSensor, IdealSensor
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.maps.field import ScalarField
 from jaxplore.planning.strategy.follower import Follower
 from jaxplore.planning.strategy.references import StrategicReference
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
 class StrategicPlan(NamedTuple):
@@ -71,6 +73,11 @@ class ShortRangeField(eqx.Module):
     sensor: FieldSensor
     num_nodes: int = eqx.field(static=True)
     num_headings: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        _checks.instance("sensor", self.sensor, FieldSensor)
+        _checks.positive_int("num_nodes", self.num_nodes)
+        _checks.positive_int("num_headings", self.num_headings)
 
     def __call__(self, belief: Belief, model: CellSensor, position: Array) -> HeadingField:
         """Compute the field around a position [nat]."""
@@ -131,6 +138,12 @@ class InformativeMPPI(Controller):
         strategy_period: ArrayLike = 0.2,
         altitude: ArrayLike = 0.0,
     ) -> None:
+        _checks.instance("mppi", mppi, MPPI)
+        _checks.instance("potential_sensor", potential_sensor, LocalFieldSensor)
+        _checks.instance("short_range_field", short_range_field, ShortRangeField)
+        _checks.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor)
+        _checks.instance("reference", reference, StrategicReference, may_be_none=True)
+        _checks.instance("follower", follower, Follower, may_be_none=True)
         is_biased = isinstance(mppi.proposal, BiasedProposal)
         if is_biased != (follower is not None) or (is_biased and reference is None):
             raise ValueError(
@@ -198,6 +211,8 @@ class InformativeMPPI(Controller):
         Raises:
             ValueError: no belief.
         """
+        model = self.mppi.dynamics
+        observation = checked_call(model, state, InformativeState, observation, key)
         mppi, known, plan, age = self._prepare(state, observation, belief)
         control, inner, info = mppi.step(state.mppi, observation, known, key=key)
         return control, InformativeState(inner, plan, age + 1), info

@@ -11,6 +11,7 @@ from jaxplore import _checks
 from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
 from jaxplore.costs.base import SumCost
@@ -58,6 +59,7 @@ class RandomWalk(Controller):
         distance: ArrayLike = 3.0,
         period: ArrayLike = 2.0,
     ) -> None:
+        _checks.instance("mppi", mppi, MPPI)
         # The goal is a leaf of the cost: a new target does not recompile.
         pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
         self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))
@@ -83,6 +85,8 @@ class RandomWalk(Controller):
         key: Key,
     ) -> tuple[ControlVector, RandomWalkState, Info]:
         """Draw a new target if one is due, and plan towards the target."""
+        model = self.mppi.dynamics
+        observation = checked_call(model, state, RandomWalkState, observation, key)
         mppi, target, inner_key = self._prepare(state, observation, key)
         control, inner, info = mppi.step(state.mppi, observation, belief, key=inner_key)
         # Counting begins with the first target, so that a robot which is lost at first draws a

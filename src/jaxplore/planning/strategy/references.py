@@ -62,6 +62,9 @@ class ClimbingReference(StrategicReference):
     def __init__(
         self, gradient_reference: GradientReference | None = None, min_gain: ArrayLike = 1.0
     ) -> None:
+        _checks.instance(
+            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
+        )
         self.gradient_reference = (
             GradientReference() if gradient_reference is None else gradient_reference
         )

@@ -16,6 +16,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
 from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE
 from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
@@ -103,6 +104,11 @@ class TargetExplorer(Controller):
         every: int,
         stays: bool = False,
     ) -> None:
+        _checks.instance("tracker", tracker, MPPI)
+        _checks.instance("rule", rule, TargetRule)
+        _checks.instance("frame", frame, GridFrame)
+        if not isinstance(shape, tuple) or len(shape) != 2:
+            raise ValueError(f"shape is {_checks.described(shape)}; accepted: (H, W)")
         self.tracker, self.rule, self.frame = tracker, rule, frame
         rows, columns = (_checks.positive_int("shape", side) for side in shape)
         self.shape = (rows, columns)
@@ -120,7 +126,7 @@ class TargetExplorer(Controller):
         )
         self.min_frontier = _checks.scalar("min_frontier", min_frontier, at_least=0.0)
         self.near = _checks.scalar("near", near, above=0.0)
-        self.stays = stays
+        self.stays = _checks.flag("stays", stays)
         self.every = jnp.asarray(_checks.positive_int("every", every), jnp.int32)
 
     def init(self) -> TargetState:
@@ -147,6 +153,8 @@ class TargetExplorer(Controller):
         self, state: TargetState, observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, TargetState, Info]:
         """Choose a target if a choice is due, and plan towards it; see `Controller.step`."""
+        model = self.tracker.dynamics
+        observation = checked_call(model, state, TargetState, observation, key)
         state, known, control_key = self._prepare(state, observation, belief, key)
         control, tracker, info = self.tracker.step(
             state.tracker, observation, known, key=control_key

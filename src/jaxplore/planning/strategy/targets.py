@@ -78,6 +78,7 @@ class Targets(eqx.Module):
         required_clearance: ArrayLike = 0.35,
         stride: int = 1,
     ) -> None:
+        _checks.instance("zones", zones, Zones)
         if zones.member.ndim != 3 or zones.member.shape[0] == 0:
             raise ValueError(
                 f"zones has members of shape {zones.member.shape}; accepted: (Z, H, W) with Z >= 1"
@@ -249,9 +250,10 @@ class RemainingInformation(TargetChoice):
     def __init__(
         self, targets: Targets, weight: ArrayLike = 0.05, *, straight: bool = False
     ) -> None:
+        _checks.instance("targets", targets, Targets)
         self.targets = targets
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
-        self.straight = bool(straight)
+        self.straight = _checks.flag("straight", straight)
 
     def __call__(self, belief: Belief, position: Position) -> TargetScores:
         """Score all targets and select one."""
@@ -305,6 +307,11 @@ class TrajectoryChoice(TargetChoice):
         gradient_reference: GradientReference | None = None,
         weight: ArrayLike = 1.0,
     ) -> None:
+        _checks.instance("targets", targets, Targets)
+        _checks.instance("information", information, TrajectoryInformation)
+        _checks.instance(
+            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
+        )
         self.targets = targets
         self.information = information
         self.gradient_reference = (
@@ -363,6 +370,10 @@ class TargetReference(StrategicReference):
     def __init__(
         self, choice: TargetChoice, gradient_reference: GradientReference | None = None
     ) -> None:
+        _checks.instance("choice", choice, TargetChoice)
+        _checks.instance(
+            "gradient_reference", gradient_reference, GradientReference, may_be_none=True
+        )
         self.choice = choice
         self.gradient_reference = (
             GradientReference() if gradient_reference is None else gradient_reference

@@ -73,6 +73,9 @@ class ControlMode(ActionMode):
 
     robot: Dynamics
 
+    def __check_init__(self) -> None:
+        _checks.instance("robot", self.robot, Dynamics)
+
     @property
     def low(self) -> ActionVector:
         """Lower bounds (nu,) of the robot's controls."""
@@ -118,6 +121,7 @@ class WaypointMode(ActionMode):
     reach: Scalar
 
     def __init__(self, drive: Controller, reach: ArrayLike = 3.0) -> None:
+        _checks.instance("drive", drive, Controller)
         self.drive = drive
         self.reach = _checks.scalar("reach", reach, above=0.0)
 

@@ -132,10 +132,14 @@ class Environment(eqx.Module):
         collision_penalty: ArrayLike = 1.0,
         view: float | None = None,
     ) -> None:
-        given = (scenarios,) if isinstance(scenarios, Scenario) else tuple(scenarios)
-        if not given or not all(isinstance(each, Scenario) for each in given):
-            raise ValueError(f"scenarios is {scenarios!r}; accepted: a scenario, or several")
-        self.scenarios = Stacked.from_trees(given, name="scenarios")
+        _checks.instance("mode", mode, ActionMode)
+        given = [scenarios] if isinstance(scenarios, Scenario) else scenarios
+        if not isinstance(given, (list, tuple)):
+            _checks.instance("scenarios", given, Scenario, hint="or a list of them")
+        if not given:
+            raise ValueError("scenarios is empty; accepted: a Scenario, or a list of them")
+        _checks.instances("scenarios", given, Scenario)
+        self.scenarios = Stacked.from_trees(tuple(given), name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)
         self.mode = mode.at_period(given[0].control_period)

@@ -57,7 +57,7 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
     """
     if targets is None:
         return on_device(np.zeros((0, 2), np.float32))
-    given = np.asarray(targets, np.float32)
+    given = _checks.floats("targets", targets, "(M, 2) with M >= 1")
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != 2:
         raise ValueError(f"targets has shape {given.shape}; accepted: (M, 2) with M >= 1")
     for index, spot in enumerate(given):
@@ -120,9 +120,10 @@ def start_state(robot: Dynamics, pose: np.ndarray, altitude: float) -> StateVect
         ValueError: an altitude that is not finite.
     """
     state = robot.at_pose(*(float(value) for value in pose))
+    height = _checks.number("altitude", altitude)
     if "z" not in robot.state_names:
         return state
-    return robot.with_component(state, "z", _checks.number("altitude", altitude))
+    return robot.with_component(state, "z", height)
 
 
 def checked_perception(

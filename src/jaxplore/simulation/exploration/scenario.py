@@ -1,6 +1,7 @@
 """The exploration scenario: a robot with sensors in an unknown world."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -103,12 +104,12 @@ class ExplorationScenario(Scenario):
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
 
     Raises:
-        ValueError: a perception made for another range, resolution or goal; a start that is off the
-            map, in a wall, in unknown space, or so close to either that the robot touches it; a
-            rate that is not positive, above the control rate or no whole fraction of it; a target
-            coverage outside (0, 1]; a prior or walls of another shape; a goal off the map, in a
-            wall, or where the robot cannot get from its start; a target off the map or in a
-            wall.
+        ValueError: a part of another class; a perception made for another range, resolution or
+            goal; a start that is off the map, in a wall, in unknown space, or so close to either
+            that the robot touches it; a rate that is not positive, above the control rate or no
+            whole fraction of it; a target coverage outside (0, 1]; a prior or walls of another
+            shape; a goal off the map, in a wall, or where the robot cannot get from its start; a
+            target off the map or in a wall.
     """
 
     frame_type = ExplorationFrame
@@ -159,12 +160,20 @@ class ExplorationScenario(Scenario):
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = (0.05, 0.1),
     ) -> None:
+        all_sensors = as_sensors(sensors)
+        _checks.instance("world", world, OccupancyGrid, TerrainMap)
+        _checks.instance("robot", robot, Dynamics)
+        _checks.instance("perception", perception, Perception, may_be_none=True)
+        _checks.instance("prior", prior, OccupancyGrid, may_be_none=True)
+        _checks.instance("faults", faults, Faults, may_be_none=True)
+        _checks.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
+        _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.ground = None
         if isinstance(world, TerrainMap):
             self.ground = world.ground
             world = world.grid
-        self.world, self.robot, self.sensors = world, robot, as_sensors(sensors)
+        self.world, self.robot, self.sensors = world, robot, all_sensors
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles

@@ -1,6 +1,7 @@
 """The path-following scenario: a robot on a path among obstacles."""
 
 import functools
+import math
 import operator
 from typing import Any
 
@@ -107,6 +108,11 @@ class PathScenario(Scenario):
         turn_growth: ArrayLike = 0.1,
         faults: Faults | None = None,
     ) -> None:
+        _checks.instance("robot", robot, Augmented)
+        _checks.instance("path", path, Path)
+        _checks.instance("traffic", traffic, Traffic, may_be_none=True)
+        _checks.instance("standing", standing, Outlines, may_be_none=True)
+        _checks.instance("faults", faults, Faults, may_be_none=True)
         if "phi" not in robot.state_names:
             raise ValueError(
                 f"robot has the states {', '.join(robot.state_names)}; accepted: one with phi, "
@@ -125,6 +131,8 @@ class PathScenario(Scenario):
             pose = [float(value) for value in (point.x, point.y, point.heading)]
         else:
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
+            unit = "a yaw is in radians, not in degrees"
+            _checks.warn_above("yaw of start", pose[2], math.tau, unit)
         state = robot.at_pose(*pose)
         phi = _start_of(path, robot.position(state))
         self.start = robot.with_component(state, "phi", phi)

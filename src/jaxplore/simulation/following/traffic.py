@@ -50,6 +50,8 @@ class Traffic(eqx.Module):
         *,
         radii: Vector | None = None,
     ) -> None:
+        _checks.instance("path", path, Path)
+        _checks.instance("outlines", outlines, Outlines, may_be_none=True)
         self.path = path
         self.phi = array("phi", phi, ("N",), may_be_empty=True)
         number = self.phi.shape[0]

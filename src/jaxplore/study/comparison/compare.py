@@ -5,7 +5,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import jax
+import numpy as np
 
+from jaxplore import _checks
 from jaxplore.control.base import Controller
 from jaxplore.report.console import progress_bar
 from jaxplore.report.metrics import Metrics
@@ -90,6 +92,9 @@ def compare(
     Raises:
         ValueError: no experiments, no seeds, a repeated seed, a name that is not a file name.
     """
+    _check_arguments(experiments, seeds)
+    _checks.instance("runner", runner, Runner, may_be_none=True)
+    _checks.flag("progress", progress)
     if not experiments:
         raise ValueError("experiments is empty; accepted: at least one controller")
     check_names(experiments)
@@ -125,6 +130,26 @@ def compare(
     }
     ordered = {name: recordings[name] for name in experiments if name in recordings}
     return Comparison(runs, ordered, is_interrupted)
+
+
+def _check_arguments(experiments: object, seeds: object) -> None:
+    """Raise a `ValueError` for another type; `compare` checks the values."""
+    if not isinstance(experiments, Mapping):
+        given = _checks.described(experiments)
+        raise ValueError(f"experiments is {given}; accepted: the arguments of simulate by name")
+    for name, experiment in experiments.items():
+        label = f"experiments[{name!r}]"
+        if not isinstance(experiment, (list, tuple)) or len(experiment) < 3:
+            given = _checks.described(experiment)
+            raise ValueError(f"{label} is {given}; accepted: (controller, scenario, num_steps)")
+        _checks.instance(f"controller of {label}", experiment[0], Controller)
+        _checks.instance(f"scenario of {label}", experiment[1], Scenario)
+        _checks.positive_int(f"num_steps of {label}", experiment[2])
+    if not isinstance(seeds, Sequence) or isinstance(seeds, str):
+        given = _checks.described(seeds)
+        raise ValueError(f"seeds is {given}; accepted: different whole numbers, at least one")
+    for index, seed in enumerate(seeds):
+        _checks.instance(f"seeds[{index}]", seed, int, np.integer)
 
 
 def _show(
