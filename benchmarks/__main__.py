@@ -17,6 +17,7 @@ from benchmarks import (
     control,
     control_step,
     exploration,
+    first_hour,
     information,
     informative,
     path_following,
@@ -152,6 +153,12 @@ def _exploration(arguments: argparse.Namespace, console: Console) -> dict[str, A
     return {"exploration": summary, "runs": rows}
 
 
+def _first_hour(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = first_hour.measure()
+    console.print(table("First hour: whole commands in fresh processes", rows))
+    return {"first_hour": rows}
+
+
 SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "control": _control,
     "information": _information,
@@ -161,6 +168,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "portfolio": _portfolio,
     "tuning": _tuning,
     "exploration": _exploration,
+    "first_hour": _first_hour,
 }
 
 
