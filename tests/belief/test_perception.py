@@ -547,7 +547,7 @@ def test_a_goal_apart_must_be_given() -> None:
 @pytest.mark.parametrize(
     ("argument", "value", "message"),
     [
-        ("sensors", (), r"sensors is \(\); accepted: a sensor, or several"),
+        ("sensors", (), "sensors is empty; accepted: a Sensor, or a list of them"),
         ("unknown_factor", -0.1, "unknown_factor is -0.1; accepted"),
         ("unknown_factor", math.nan, "unknown_factor is nan; accepted"),
     ],

@@ -179,7 +179,7 @@ def test_parts_of_the_template() -> None:
     ("arguments", "message"),
     [
         ({"decomposition": "teams"}, r"'teams'; accepted: roles, temporal, regional"),
-        ({"members": ("pilot",)}, r"member is 'pilot'; accepted: explorer, balanced"),
+        ({"members": ("pilot",)}, r"members has 'pilot'; accepted: explorer, balanced"),
         ({"decomposition": "temporal", "members": ("balanced",)}, r"accepted: short, middle, long"),
         ({"decomposition": "regional", "members": ("short",)}, r"accepted: left, forward, right"),
         ({"members": ()}, r"members is \(\); accepted: at least one of"),

@@ -100,7 +100,7 @@ def test_costs_of_one_s_own_are_added() -> None:
         (S_CURVE, {"horizon": 0}, "horizon is 0; accepted"),
         (S_CURVE, {"noise_std": None, "noise_share": 0.0}, "noise_share is 0.0; accepted"),
         (S_CURVE, {"comfort_weight": -1.0}, "comfort_weight is -1.0; accepted"),
-        (S_CURVE, {"max_lateral": -1.0, "comfort_weight": 1.0}, "free_lateral is -1.0; accepted"),
+        (S_CURVE, {"max_lateral": -1.0, "comfort_weight": 1.0}, "max_lateral is -1.0; accepted"),
     ],
 )
 def test_bad_input(path, changes, message: str) -> None:

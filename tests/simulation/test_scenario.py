@@ -304,7 +304,7 @@ def test_a_goal_is_reached_from_as_far_as_its_radius() -> None:
 
 
 def test_no_sensor_and_no_mover() -> None:
-    with pytest.raises(ValueError, match=r"sensors is \(\); accepted: a sensor, or several"):
+    with pytest.raises(ValueError, match="sensors is empty; accepted: a Sensor, or a list of them"):
         ExplorationScenario(GRID, ROBOT, (), START)
     assert scenario(moving_obstacles=MovingObstacles.none()).moving_obstacles is None
     assert scenario().moving_obstacles is None
