@@ -25,7 +25,8 @@ def describe(value: Any) -> str:
     """
     if isinstance(value, (np.ndarray, np.generic, jax.Array)):
         return _array(value)
-    if isinstance(value, (list, tuple)) and type(value) in (list, tuple):
+    # A named tuple has names that its own repr shows.
+    if type(value) in (list, tuple):
         return _in_lines("[", [describe(each) for each in value], "]")
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -180,11 +180,12 @@ def run_in_chunks[S, R, F](
     # A run may end between two regular frames, and its last frame must show the end.
     if shown != total:
         frames.append(frame(state, total))
+    has_long = timed[True][1] > 0
     return ChunkedRun(
         state,
         jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
         tuple(frames),
-        Timing(compile_seconds, *timed[timed[True][1] > 0], np.asarray(step_seconds)),
+        Timing(compile_seconds, *timed[has_long], np.asarray(step_seconds)),
         total,
         is_interrupted,
     )
