@@ -69,12 +69,9 @@ class Cost(eqx.Module):
         _check_summand(other)
         return SumCost((self, other))
 
-    def __radd__(self, other: object) -> "Cost":
-        # `sum` begins with 0.
-        if isinstance(other, int) and other == 0:
-            return self
-        _check_summand(other)
-        raise AssertionError  # a cost on the left would have been asked first
+    def __radd__(self, other: Any) -> "Cost":
+        # `sum` begins with 0. Nothing else gets here but what `+` refuses.
+        return self if isinstance(other, int) and other == 0 else self + other
 
     def __mul__(self, weight: ArrayLike) -> "WeightedCost":
         return WeightedCost(_checks.scalar("weight", weight), self)

@@ -171,7 +171,8 @@ def ground_portfolio(
     _checks.instance("robot", robot, Dynamics)
     _checks.instance("mission", mission, Mission, may_be_none=True)
     _checks.instance("fusion", fusion, Fusion, str, may_be_none=True)
-    effort = _checks.number("effort", effort, at_least=0.0)
+    if not _checks.is_traced(effort):
+        effort = _checks.number("effort", effort, at_least=0.0)
     mission = Mission() if mission is None else mission
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
     weights, horizons = _weights(decomposition, members, mission, effort), None
