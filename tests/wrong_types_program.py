@@ -210,6 +210,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         },
         "PoseInformation": {},
         "QuadraticControlCost": {"weights": [1.0, 1.0]},
+        "target_explorer": {"rule": "nearest-frontier", "perception": scenario.perception},
         "Rectangle": {"front": 0.5, "rear": 0.5, "width": 0.5},
         "ReferenceCost": {"reference": np.zeros((4, 2)), "period": 0.1},
         "ShortRangeField": {
@@ -273,7 +274,8 @@ def walk(folder: Path) -> Iterator[tuple[str, str]]:
     common, own = examples(folder)
     for label, call in everything().items():
         signature = inspect.signature(call).parameters.values()
-        parameters = [each for each in signature if each.kind is not each.VAR_POSITIONAL]
+        variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD
+        parameters = [each for each in signature if each.kind not in variable]
         given = own.get(label, {})
         needed = {
             each.name: given.get(each.name, common.get(each.name))

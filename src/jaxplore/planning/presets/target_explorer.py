@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from jaxplore import _checks
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -35,12 +36,16 @@ def target_explorer(
             robot must turn its sensor to the target, and stays until it has scanned it.
 
     Raises:
-        ValueError: a rule that is not in `RULES`, or a value that a part rejects.
+        ValueError: a rule that is not in `RULES`, a part of another class, or a value that a part
+            rejects.
     """
     if isinstance(rule, str):
         if rule not in RULES:
             raise ValueError(f"rule is {rule!r}; accepted: {', '.join(RULES)}")
         rule = RULES[rule]()
+    _checks.instance("rule", rule, TargetRule, hint=f"or one of {', '.join(RULES)}")
+    _checks.instance("perception", perception, Perception)
+    _checks.instance("grid", grid, OccupancyGrid)
     looks_around = perception.sensors[0].is_full_circle
     if looks_around:
         driving = {**driving, "information_weight": 0.0}
