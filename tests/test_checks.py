@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 
 
 @pytest.mark.parametrize("value", [0, -3, 1.5, "2", None, True, math.nan])
@@ -63,22 +63,22 @@ def test_vector_refuses(value: object) -> None:
     ],
 )
 def test_a_wrong_value_is_described_in_a_few_words(value: object, words: str) -> None:
-    assert _checks.described(value) == words
+    assert _kinds.described(value) == words
 
 
 def test_instance_refuses() -> None:
-    _checks.instance("x", 3, int)
-    _checks.instance("x", None, int, may_be_none=True)
+    _kinds.instance("x", 3, int)
+    _kinds.instance("x", None, int, may_be_none=True)
     with pytest.raises(ValueError, match=r"^x is None; accepted: an int or a str, of letters$"):
-        _checks.instance("x", None, int, str, hint="of letters")
+        _kinds.instance("x", None, int, str, hint="of letters")
     with pytest.raises(ValueError, match=r"^x is 'a'; accepted: an int or None$"):
-        _checks.instance("x", "a", int, may_be_none=True)
+        _kinds.instance("x", "a", int, may_be_none=True)
     with pytest.raises(ValueError, match=r"^x is the class bool; accepted: an instance, such as"):
-        _checks.instance("x", bool, int)
+        _kinds.instance("x", bool, int)
     with pytest.raises(ValueError, match=r"^x\[1\] is 'a'; accepted: an int$"):
-        _checks.instances("x", [1, "a"], int)
+        _kinds.instances("x", [1, "a"], int)
     with pytest.raises(ValueError, match=r"^x is 3; accepted: a list or tuple of int$"):
-        _checks.instances("x", 3, int)
+        _kinds.instances("x", 3, int)
 
 
 @pytest.mark.parametrize("value", ["1", ["1", "2"], [[1.0], 2.0], 1j, np.datetime64("2026-01-01")])
@@ -89,18 +89,18 @@ def test_texts_and_dates_are_no_numbers(value: object) -> None:
 
 @pytest.mark.parametrize("value", [1, 0, None, "yes", jnp.array(True)])
 def test_flag_refuses(value: object) -> None:
-    assert _checks.flag("is_on", np.True_) is True
+    assert _kinds.flag("is_on", np.True_) is True
     with pytest.raises(ValueError, match=r"^is_on is .*; accepted: True or False$"):
-        _checks.flag("is_on", value)
+        _kinds.flag("is_on", value)
 
 
 def test_a_key_may_be_raw_or_traced() -> None:
-    _checks.key("key", jax.random.key(0))
-    _checks.key("key", jax.random.PRNGKey(0))
-    _checks.key("keys", jax.random.split(jax.random.key(0)), ndim=1)
-    jax.jit(lambda key: _checks.key("key", key))(jnp.zeros(3))
+    _kinds.key("key", jax.random.key(0))
+    _kinds.key("key", jax.random.PRNGKey(0))
+    _kinds.key("keys", jax.random.split(jax.random.key(0)), ndim=1)
+    jax.jit(lambda key: _kinds.key("key", key))(jnp.zeros(3))
     with pytest.raises(ValueError, match=r"^keys is an array of shape \(\); accepted: several"):
-        _checks.key("keys", jax.random.key(0), ndim=1)
+        _kinds.key("keys", jax.random.key(0), ndim=1)
 
 
 def test_a_number_of_another_unit_is_warned_of() -> None:

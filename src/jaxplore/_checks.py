@@ -1,10 +1,9 @@
-"""Check arguments where objects are built.
+"""Check numbers and arrays where objects are built.
 
 Each function returns the checked value, or raises a `ValueError` that names the argument, its value
 and what is accepted. Traced values pass unchecked: their numbers are unknown during tracing.
 """
 
-import inspect
 import operator
 import sys
 import warnings
@@ -19,106 +18,12 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxplore._kinds import described, is_traced
 from jaxplore._types import Rows, Scalar, Vector
 from jaxplore._xla import on_device
 
 LARGEST = float(np.finfo(np.float32).max)
 """Greatest finite number in float32, the type of all arrays."""
-MOST_LETTERS = 60
-"""Longest text of a value in a message."""
-
-
-def is_traced(*values: object) -> bool:
-    """Return whether any value is a JAX tracer: its numbers are unknown until the program runs."""
-    return any(isinstance(value, jax.core.Tracer) for value in values)
-
-
-def described(value: object) -> str:
-    """Return in a few words what a value is."""
-    if isinstance(value, type):
-        return f"the class {value.__name__}"
-    if value is None or isinstance(value, (bool, int, float, str)):
-        text = repr(value)
-        return text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
-    if isinstance(value, (np.ndarray, Array)):
-        return f"an array of shape {value.shape}"
-    if inspect.isroutine(value):
-        return f"the function {value.__name__}"
-    return _with_article(type(value).__name__)
-
-
-def instance(
-    name: str, value: object, *kinds: type, hint: str = "", may_be_none: bool = False
-) -> None:
-    """Raise a `ValueError` unless `value` is an instance of one of `kinds`.
-
-    Args:
-        name: name of the argument.
-        value: its value.
-        kinds: accepted classes.
-        hint: what else the message says of an accepted value.
-        may_be_none: whether None is accepted.
-    """
-    if isinstance(value, kinds) or (may_be_none and value is None):
-        return
-    if isinstance(value, type) and issubclass(value, kinds) and not inspect.isabstract(value):
-        accepted = f"an instance, such as {value.__name__}()"
-    else:
-        names = [_with_article(kind.__name__) for kind in kinds] + ["None"] * may_be_none
-        accepted = " or ".join(names) + (f", {hint}" if hint else "")
-    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
-
-
-def instances(name: str, value: object, *kinds: type) -> None:
-    """Raise a `ValueError` unless `value` is a list or tuple of instances of one of `kinds`."""
-    if not isinstance(value, (list, tuple)):
-        each = " or ".join(kind.__name__ for kind in kinds)
-        raise ValueError(f"{name} is {described(value)}; accepted: a list or tuple of {each}")
-    for index, item in enumerate(value):
-        instance(f"{name}[{index}]", item, *kinds)
-
-
-def function(name: str, value: object, accepted: str) -> None:
-    """Raise a `ValueError` unless `value` can be called, and is no class."""
-    if isinstance(value, type) or not callable(value):
-        raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
-
-
-def flag(name: str, value: object) -> bool:
-    """Return `value` as a bool."""
-    if not isinstance(value, (bool, np.bool_)):
-        raise ValueError(f"{name} is {described(value)}; accepted: True or False")
-    return bool(value)
-
-
-def key(name: str, value: Any, ndim: int = 0) -> None:
-    """Raise a `ValueError` unless `value` is a random key, or an array of them with `ndim` axes.
-
-    Raw keys, arrays of uint32, are accepted as well. Traced values pass.
-    """
-    if is_traced(value):
-        return
-    if isinstance(value, Array):
-        is_key = jnp.issubdtype(value.dtype, jax.dtypes.prng_key)
-        if value.ndim == (ndim if is_key else ndim + 1) and (is_key or value.dtype == jnp.uint32):
-            return
-    accepted = "jax.random.key(0)"
-    if ndim:
-        accepted = f"several keys, such as jax.random.split({accepted}, 4)"
-    raise ValueError(f"{name} is {described(value)}; accepted: {accepted}")
-
-
-def annotated(owner: Any, name: str) -> None:
-    """Raise a `ValueError` unless the class of `owner`, a module, has an annotation of a field.
-
-    Equinox refuses to set other attributes, with a message that does not say why.
-    """
-    known = getattr(type(owner), "__dataclass_fields__", {})
-    if name not in known and not name.startswith("__"):
-        raise ValueError(
-            f"{name} is no field of {type(owner).__name__}; accepted: names that the class "
-            f"annotates, such as {name}: jax.Array"
-        )
 
 
 def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
@@ -136,12 +41,6 @@ def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
     ours = (str(Path(__file__).parent), str(Path(sys.modules["equinox"].__file__ or "").parent))
     text = f"{name} is {float(np.asarray(value)):g}; {meaning}"
     warnings.warn(text, UserWarning, skip_file_prefixes=ours)
-
-
-def _with_article(name: str) -> str:
-    # "an MPPI" and "an RK4", but "a Mission": capitals are read letter by letter.
-    vowels = "AEFHILMNORSX" if name[:2].isupper() or name[1:2].isdigit() else "AEIOUaeiou"
-    return f"an {name}" if name[0] in vowels else f"a {name}"
 
 
 def positive_int(name: str, value: object) -> int:

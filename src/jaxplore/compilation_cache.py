@@ -26,7 +26,7 @@ import jax
 import platformdirs
 from jax.experimental.compilation_cache.compilation_cache import reset_cache
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 
 MAX_SIZE: Final = 2**30
 """Size of the cache above which entries are removed [bytes]."""
@@ -60,7 +60,7 @@ def enable_compilation_cache(
             be made; a size < 1.
     """
     _checks.positive_int("max_size", max_size)
-    _checks.instance("path", path, str, os.PathLike, may_be_none=True)
+    _kinds.instance("path", path, str, os.PathLike, may_be_none=True)
     given = platformdirs.user_cache_path("jaxplore", appauthor=False) if path is None else path
     name = _folder_name(_processor(), os.environ.get("XLA_FLAGS", ""))
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore.costs.base import Cost, NamedCost, SumCost, WeightedCost
 
 PREFIX = "controller."
@@ -72,7 +72,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
         ValueError: an unknown path, a value of another shape or one that is not finite.
     """
     if not isinstance(values, Mapping):
-        given = _checks.described(values)
+        given = _kinds.described(values)
         raise ValueError(f"values is {given}; accepted: numbers by the path of a parameter")
     places = _parameters_of(controller)
     for path, value in values.items():
@@ -101,7 +101,7 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
 def _parameters_of(controller: Any) -> dict[str, _Place]:
     places = _places(controller)
     if not places:  # no path could be right
-        given = _checks.described(controller)
+        given = _kinds.described(controller)
         raise ValueError(f"controller is {given}; accepted: a controller, or a tree with numbers")
     return places
 
@@ -124,7 +124,7 @@ def nearest(name: str, known: Mapping[str, Any] | tuple[str, ...], number: int =
 
 def _match(path: str, known: tuple[str, ...]) -> str:
     if not isinstance(path, str):
-        given = _checks.described(path)
+        given = _kinds.described(path)
         raise ValueError(f"path is {given}; accepted: the path of a parameter, such as {known[0]}")
     # Try the path as given first: a component may itself be called "controller".
     for given in (path, path.removeprefix(PREFIX)):

@@ -26,7 +26,8 @@ from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning import InformativeMPPI
-from jaxplore.planning.presets.quadrotor import ARCHITECTURES, FieldNumbers, Flight
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
+from jaxplore.planning.presets.quadrotor import ARCHITECTURES
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 

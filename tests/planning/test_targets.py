@@ -23,12 +23,8 @@ from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning import GradientReference
 from jaxplore.planning.strategy.references import descend
-from jaxplore.planning.strategy.targets import (
-    RemainingInformation,
-    TargetReference,
-    Targets,
-    TrajectoryChoice,
-)
+from jaxplore.planning.strategy.target_choices import RemainingInformation, TrajectoryChoice
+from jaxplore.planning.strategy.targets import TargetReference, Targets
 
 SIZE, RESOLUTION, REQUIRED = 40, 0.1, 0.21  # 4 m x 4 m
 FREE, DIM, UNKNOWN, WALL = 0.01, 0.2, 0.5, 0.99

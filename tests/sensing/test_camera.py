@@ -9,7 +9,8 @@ import pytest
 
 from jaxplore import Camera, InverseSensorModel, Lidar, OccupancyGrid
 from jaxplore.maps.ground import Ground
-from jaxplore.sensing.base import Scan, Sighting, update_grid
+from jaxplore.sensing.base import Sighting, update_grid
+from jaxplore.sensing.beams import Scan
 
 REACH, VIEW, VERTICAL, HEIGHT, TILT = 4.0, 1.2, 0.9, 0.5, -0.15
 CAMERA = Camera(24, REACH, VIEW, VERTICAL, HEIGHT, TILT)

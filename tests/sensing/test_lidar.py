@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
 from jaxplore.maps.ground import Ground
-from jaxplore.sensing.base import Scan
+from jaxplore.sensing.beams import Scan
 
 RESOLUTION, ORIGIN = 0.2, (-1.0, 2.0, 0.4)
 LIDAR = Lidar(num_beams=24, max_range=2.5, range_noise=0.0)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._checks import array, covariances, one_each, scalar
 from jaxplore._types import Key, Rows, Scalar, Vector
 from jaxplore.geometry.outlines import Outlines
@@ -92,7 +92,7 @@ class Obstacles(eqx.Module):
         is_known: ArrayLike | None = None,
         memory: ArrayLike = 3.0,
     ) -> None:
-        _checks.instance("outlines", outlines, Outlines)
+        _kinds.instance("outlines", outlines, Outlines)
         number = outlines.number
         rows: dict[str, Any] = {"may_be_empty": number == 0}
         self.outlines = outlines
@@ -117,7 +117,7 @@ class Obstacles(eqx.Module):
         self.age = None if age is None else one_each("age", age, number, at_least=0.0)
         if isinstance(is_known, (list, tuple)):
             for known in is_known:
-                _checks.flag("is_known", known)
+                _kinds.flag("is_known", known)
         self.is_known = None if is_known is None else jnp.array(is_known, bool)
         if self.is_known is not None and self.is_known.shape != (number,):
             raise ValueError(f"is_known has shape {self.is_known.shape}; accepted: ({number},)")

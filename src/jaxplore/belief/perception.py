@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.belief import Belief
@@ -33,7 +33,8 @@ from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.sensing.base import Scan, Sensor, update_grid
+from jaxplore.sensing.base import Sensor, update_grid
+from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 LEFTOVER_DETOUR = 1e3
@@ -156,10 +157,10 @@ class Perception(eqx.Module):
         is_goal_apart: bool = False,
         unknown_factor: ArrayLike = 0.5,
     ) -> None:
-        _checks.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
-        _checks.instance("ground", ground, Ground, may_be_none=True)
-        _checks.instance("watch", watch, IdlenessMap, may_be_none=True)
-        _checks.flag("is_goal_apart", is_goal_apart)
+        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
+        _kinds.instance("ground", ground, Ground, may_be_none=True)
+        _kinds.instance("watch", watch, IdlenessMap, may_be_none=True)
+        _kinds.flag("is_goal_apart", is_goal_apart)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -387,10 +388,10 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
     if isinstance(sensors, Sensor):
         return (sensors,)
     if not isinstance(sensors, (list, tuple)):
-        _checks.instance("sensors", sensors, Sensor, hint="or a list of them")
+        _kinds.instance("sensors", sensors, Sensor, hint="or a list of them")
     if not sensors:
         raise ValueError("sensors is empty; accepted: a Sensor, or a list of them")
-    _checks.instances("sensors", sensors, Sensor)
+    _kinds.instances("sensors", sensors, Sensor)
     return tuple(sensors)
 
 

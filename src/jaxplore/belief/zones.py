@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import GridMask, Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.frame import GridFrame
@@ -40,7 +40,7 @@ def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
     Raises:
         ValueError: a threshold outside [0, 1).
     """
-    _checks.instance("grid", grid, OccupancyGrid)
+    _kinds.instance("grid", grid, OccupancyGrid)
     bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
     return jnp.mean(entropy_proxy(grid.probability) > bound)
 
@@ -92,7 +92,7 @@ class Zones(eqx.Module):
     def __check_init__(self) -> None:
         if not isinstance(self.member, (Array, np.ndarray)):
             raise ValueError(
-                f"member is {_checks.described(self.member)}; accepted: an array (Z, H, W)"
+                f"member is {_kinds.described(self.member)}; accepted: an array (Z, H, W)"
             )
 
     @classmethod

@@ -15,10 +15,9 @@ from jaxplore.planning.portfolio.portfolio import Portfolio
 from jaxplore.planning.portfolio.safe_fusion import SafeFusion, fusion_by_name
 from jaxplore.planning.portfolio.voting import WeightedVote
 from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import Mission, ground_portfolio
 from jaxplore.planning.presets.quadrotor import (
-    FieldNumbers,
-    Flight,
     goal_mppi,
     informative_mppi,
     random_walk,

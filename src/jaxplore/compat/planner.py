@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.compat._inputs import Inputs, Structure, join_arrays, split_arrays
 from jaxplore.compat.batch import RolloutBatch, rollout_batch
@@ -108,7 +108,7 @@ class Planner:
         state = _array("initial_state", initial_state, (num_states,))
         before = None if applied is None else _array("applied", applied, (num_controls,))
         heat: Any = temperature
-        if not _checks.is_traced(temperature):
+        if not _kinds.is_traced(temperature):
             plain = (
                 temperature if isinstance(temperature, (int, float)) else np.asarray(temperature)
             )

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 from jaxplore.control.parameterisations import Parameters, Samples, shifted
 
@@ -43,7 +43,7 @@ class CovarianceAdaptation(eqx.Module):
         self.rate = _checks.scalar("rate", rate, at_least=0.0, at_most=1.0)
         self.floor = _checks.scalar("floor", floor, above=0.0)
         self.ceiling = _checks.scalar("ceiling", ceiling, above=0.0)
-        if not _checks.is_traced(floor, ceiling) and self.ceiling < self.floor:
+        if not _kinds.is_traced(floor, ceiling) and self.ceiling < self.floor:
             raise ValueError(f"ceiling is {ceiling!r}; accepted: at least the floor, {floor!r}")
 
     def adapted(self, scale: Parameters, weights: Float[Array, " K"], away: Samples) -> Parameters:

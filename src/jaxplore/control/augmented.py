@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._types import Key, Scalar
 from jaxplore.control.parameterisations import ControlSpace, Samples
 from jaxplore.control.proposals import Proposal, SamplingContext
@@ -42,9 +42,9 @@ class AugmentedProposal(Proposal):
     physical_size: int = eqx.field(static=True)
 
     def __init__(self, model: Augmented, physical: Proposal, virtual: Proposal) -> None:
-        _checks.instance("model", model, Augmented)
-        _checks.instance("physical", physical, Proposal)
-        _checks.instance("virtual", virtual, Proposal)
+        _kinds.instance("model", model, Augmented)
+        _kinds.instance("physical", physical, Proposal)
+        _kinds.instance("virtual", virtual, Proposal)
         self.physical = physical
         self.virtual = virtual
         self.physical_size = model.physical.control_size

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Key, Scalar
 from jaxplore.control.noise import Noise, Shape, WhiteNoise
 from jaxplore.control.parameterisations import Samples
@@ -34,7 +34,7 @@ class ColouredNoise(Noise):
     noise: Noise
 
     def __init__(self, exponent: ArrayLike = 1.0, noise: Noise | None = None) -> None:
-        _checks.instance("noise", noise, Noise, may_be_none=True)
+        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.exponent = _checks.scalar("exponent", exponent, at_least=0.0, at_most=4.0)
         self.noise = WhiteNoise() if noise is None else noise
 

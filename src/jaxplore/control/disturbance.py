@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._trees import stack_trees
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore.belief.belief import part
@@ -169,7 +169,7 @@ class ModelEnsemble(Disturbance):
     models: Dynamics
 
     def __init__(self, *models: Dynamics) -> None:
-        _checks.instances("models", models, Dynamics)
+        _kinds.instances("models", models, Dynamics)
         arrays, static = eqx.partition(models, eqx.is_array)
         structures = {jax.tree.structure(model) for model in arrays}
         if len(structures) != 1 or any(each != static[0] for each in static):
@@ -228,7 +228,7 @@ class UncertainObstacles(Disturbance):
     robot: Disturbance | None = None
 
     def __check_init__(self) -> None:
-        _checks.instance("robot", self.robot, Disturbance, may_be_none=True)
+        _kinds.instance("robot", self.robot, Disturbance, may_be_none=True)
 
     @property
     def moves_robot(self) -> bool:

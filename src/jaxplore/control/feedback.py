@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.gains import step_with_gains
@@ -62,7 +62,7 @@ class FeedbackMPPI(Controller):
     commands_per_plan: Count
 
     def __init__(self, planner: MPPI, commands_per_plan: int = 4) -> None:
-        _checks.instance("planner", planner, MPPI)
+        _kinds.instance("planner", planner, MPPI)
         self.planner = planner
         self.commands_per_plan = jnp.asarray(
             _checks.positive_int("commands_per_plan", commands_per_plan), jnp.int32

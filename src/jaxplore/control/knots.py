@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.control.interpolation import CubicSpline, Interpolation
 from jaxplore.control.parameterisations import (
@@ -44,7 +44,7 @@ class Knots(Parameterisation):
     num_knots: int = eqx.field(static=True)
 
     def __init__(self, num_knots: int, interpolation: Interpolation | None = None) -> None:
-        _checks.instance("interpolation", interpolation, Interpolation, may_be_none=True)
+        _kinds.instance("interpolation", interpolation, Interpolation, may_be_none=True)
         self.num_knots = _checks.positive_int("num_knots", num_knots)
         self.interpolation = CubicSpline() if interpolation is None else interpolation
 

@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Key, Rows, Scalar
 from jaxplore.control.parameterisations import Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
@@ -80,11 +80,11 @@ class BiasedProposal(OuterProposal):
         *,
         likelihood_ratio: bool = True,
     ) -> None:
-        _checks.instance("proposal", proposal, GaussianProposal)
+        _kinds.instance("proposal", proposal, GaussianProposal)
         self.proposal = proposal
         self.reference = _control_sequences("reference", reference, 2)
         self.fraction = _checks.scalar("fraction", fraction, at_least=0.0, at_most=1.0)
-        self.likelihood_ratio = _checks.flag("likelihood_ratio", likelihood_ratio)
+        self.likelihood_ratio = _kinds.flag("likelihood_ratio", likelihood_ratio)
 
     def sample(
         self,
@@ -164,9 +164,9 @@ class InjectedProposal(OuterProposal):
         null_action: bool = False,
         last_solution: bool = False,
     ) -> None:
-        _checks.instance("proposal", proposal, Proposal)
-        self.null_action = _checks.flag("null_action", null_action)
-        self.last_solution = _checks.flag("last_solution", last_solution)
+        _kinds.instance("proposal", proposal, Proposal)
+        self.null_action = _kinds.flag("null_action", null_action)
+        self.last_solution = _kinds.flag("last_solution", last_solution)
         if sequences is None and not (null_action or last_solution):
             raise ValueError(
                 "sequences is None, null_action and last_solution are False; accepted: at least "

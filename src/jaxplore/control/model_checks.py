@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import StateVector
 from jaxplore.belief.belief import MissingPartError
 from jaxplore.costs.base import Cost
@@ -23,7 +23,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
         bound = getattr(dynamics, name)
         if not isinstance(bound, (Array, np.ndarray)):
             raise ValueError(
-                f"{name} of {type(dynamics).__name__} is {_checks.described(bound)}; accepted: an "
+                f"{name} of {type(dynamics).__name__} is {_kinds.described(bound)}; accepted: an "
                 f"array of shape ({size},), such as jax.numpy.array([...])"
             )
         if jnp.shape(bound) != (size,):
@@ -31,7 +31,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
                 f"{name} of {type(dynamics).__name__} has shape {jnp.shape(bound)}; "
                 f"accepted: ({size},), one per name in control_names"
             )
-    if not _checks.is_traced(dynamics.control_min, dynamics.control_max):
+    if not _kinds.is_traced(dynamics.control_min, dynamics.control_max):
         low, high = np.asarray(dynamics.control_min), np.asarray(dynamics.control_max)
         if not (low <= high).all():
             raise ValueError(
@@ -44,7 +44,7 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
     )
     if not hasattr(reached, "shape"):
         raise ValueError(
-            f"step of {type(dynamics).__name__} returns {_checks.described(reached)}; accepted: "
+            f"step of {type(dynamics).__name__} returns {_kinds.described(reached)}; accepted: "
             f"an array of shape ({dynamics.state_size},), such as jax.numpy.stack([...])"
         )
     check_state(dynamics, reached.shape)
@@ -72,14 +72,14 @@ def checked_call(
         ValueError: a state of another class, an observation of another size, something else than a
             key.
     """
-    _checks.instance("state", state, kind, hint="from init() or the last step")
-    _checks.key("key", key)
-    if _checks.is_traced(observation):
+    _kinds.instance("state", state, kind, hint="from init() or the last step")
+    _kinds.key("key", key)
+    if _kinds.is_traced(observation):
         traced: StateVector = observation
         return traced
     names = dynamics.state_names
     accepted = f"{len(names)} numbers: {', '.join(names)}"
-    if isinstance(observation, (list, tuple)) and _checks.is_traced(*observation):
+    if isinstance(observation, (list, tuple)) and _kinds.is_traced(*observation):
         observation = jnp.asarray(observation)
     if not isinstance(observation, Array):
         observation = jnp.asarray(_checks.floats("observation", observation, accepted))
@@ -116,7 +116,7 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
         for method, call in calls.items():
             paid = jax.eval_shape(call, values, control, controls, number, belief)
             if not hasattr(paid, "shape"):
-                given = _checks.described(paid)
+                given = _kinds.described(paid)
                 raise ValueError(f"{method} of {name} returns {given}; accepted: one number")
             if paid.shape != ():
                 raise ValueError(

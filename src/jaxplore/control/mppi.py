@@ -10,7 +10,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore._xla import cut
 from jaxplore.control import devices
@@ -126,15 +126,15 @@ class MPPI(Controller):
         interpolate_shift: bool = True,
         mesh: Mesh | None = None,
     ) -> None:
-        _checks.instance("dynamics", dynamics, Dynamics)
+        _kinds.instance("dynamics", dynamics, Dynamics)
         check_cost("cost", cost)
-        _checks.instance("proposal", proposal, Proposal, may_be_none=True)
-        _checks.instance("parameterisation", parameterisation, Parameterisation, may_be_none=True)
-        _checks.instance("weighting", weighting, Weighting, may_be_none=True)
-        _checks.instance("smoothing", smoothing, SavitzkyGolay, may_be_none=True)
-        _checks.instance("disturbance", disturbance, Disturbance, may_be_none=True)
-        _checks.instance("risk", risk, Risk, may_be_none=True)
-        _checks.instance("mesh", mesh, Mesh, may_be_none=True)
+        _kinds.instance("proposal", proposal, Proposal, may_be_none=True)
+        _kinds.instance("parameterisation", parameterisation, Parameterisation, may_be_none=True)
+        _kinds.instance("weighting", weighting, Weighting, may_be_none=True)
+        _kinds.instance("smoothing", smoothing, SavitzkyGolay, may_be_none=True)
+        _kinds.instance("disturbance", disturbance, Disturbance, may_be_none=True)
+        _kinds.instance("risk", risk, Risk, may_be_none=True)
+        _kinds.instance("mesh", mesh, Mesh, may_be_none=True)
         if (proposal is None) == (noise_std is None):
             given = f"noise_std is {noise_std!r} and proposal is {proposal!r}"
             raise ValueError(f"{given}; accepted: one of them")
@@ -162,7 +162,7 @@ class MPPI(Controller):
         self.smoothing = smoothing
         self.disturbance = disturbance
         self.risk = MeanVariance() if risk is None else risk
-        self.interpolate_shift = _checks.flag("interpolate_shift", interpolate_shift)
+        self.interpolate_shift = _kinds.flag("interpolate_shift", interpolate_shift)
         self.mesh = None if mesh is None else devices.auto_mesh(mesh)
         num_controls = dynamics.control_size
         self.proposal.check(self._num_parameters, self.horizon, num_controls, self.num_samples)

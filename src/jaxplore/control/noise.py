@@ -10,7 +10,7 @@ import jax.scipy.linalg
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Key, Scalar
 from jaxplore.control.parameterisations import Parameters, Samples
 
@@ -82,7 +82,7 @@ class AntitheticNoise(Noise):
     noise: Noise
 
     def __init__(self, noise: Noise | None = None) -> None:
-        _checks.instance("noise", noise, Noise, may_be_none=True)
+        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.noise = WhiteNoise() if noise is None else noise
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:
@@ -124,7 +124,7 @@ class LogNormalNoise(Noise):
     noise: Noise
 
     def __init__(self, spread: ArrayLike = 0.5, noise: Noise | None = None) -> None:
-        _checks.instance("noise", noise, Noise, may_be_none=True)
+        _kinds.instance("noise", noise, Noise, may_be_none=True)
         self.spread = _checks.scalar("spread", spread, at_least=0.0)
         self.noise = WhiteNoise() if noise is None else noise
 
@@ -173,10 +173,10 @@ class NoiseBank(Noise):
     def __init__(
         self, shape: Shape, *, key: Key, num_draws: int = 16, noise: Noise | None = None
     ) -> None:
-        _checks.instance("noise", noise, Noise, may_be_none=True)
-        _checks.key("key", key)
+        _kinds.instance("noise", noise, Noise, may_be_none=True)
+        _kinds.key("key", key)
         if not isinstance(shape, (list, tuple)) or len(shape) != 3:
-            raise ValueError(f"shape is {_checks.described(shape)}; accepted: (P, nu, K)")
+            raise ValueError(f"shape is {_kinds.described(shape)}; accepted: (P, nu, K)")
         for name, size in zip(("P", "nu", "K"), shape, strict=True):
             _checks.positive_int(f"{name} of shape", size)
         self.noise = WhiteNoise() if noise is None else noise

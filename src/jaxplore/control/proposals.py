@@ -10,7 +10,7 @@ import jax.scipy.linalg
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Rows, Scalar, Vector
 from jaxplore.control.adaptation import CovarianceAdaptation
 from jaxplore.control.noise import Noise, WhiteNoise
@@ -154,8 +154,8 @@ class GaussianProposal(Proposal):
         noise: Noise | None = None,
         adaptation: CovarianceAdaptation | None = None,
     ) -> None:
-        _checks.instance("noise", noise, Noise, may_be_none=True)
-        _checks.instance("adaptation", adaptation, CovarianceAdaptation, may_be_none=True)
+        _kinds.instance("noise", noise, Noise, may_be_none=True)
+        _kinds.instance("adaptation", adaptation, CovarianceAdaptation, may_be_none=True)
         if (noise_std is None) == (noise_covariance is None):
             raise ValueError(
                 f"noise_std is {noise_std!r} and noise_covariance is {noise_covariance!r}; "

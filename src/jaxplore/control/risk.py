@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 
 Totals = Float[Array, "M K"]
@@ -147,7 +147,7 @@ class Entropic(Risk):
 
     def __init__(self, theta: ArrayLike = 1.0) -> None:
         self.theta = _checks.scalar("theta", theta)
-        if not _checks.is_traced(theta) and self.theta == 0.0:
+        if not _kinds.is_traced(theta) and self.theta == 0.0:
             raise ValueError(f"theta is {theta!r}; accepted: a finite number other than 0")
 
     def costs(self, totals: Totals, variation: Costs) -> Costs:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._describe import WIDTH, describe, describe_fields
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.dynamics.base import Dynamics, State
@@ -86,14 +86,14 @@ class Cost(eqx.Module):
     if not TYPE_CHECKING:  # for type checkers any attribute could be set
 
         def __setattr__(self, name: str, value: Any) -> None:
-            _checks.annotated(self, name)
+            _kinds.annotated(self, name)
             super().__setattr__(name, value)
 
 
 def check_cost(name: str, value: object) -> None:
     """Raise a `ValueError` unless `value` is a cost."""
     hint = "such as A() + 2.0 * B(), or an instance of your own subclass of jaxplore.Cost"
-    _checks.instance(name, value, Cost, hint=hint)
+    _kinds.instance(name, value, Cost, hint=hint)
 
 
 def _check_summand(value: object) -> None:

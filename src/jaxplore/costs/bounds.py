@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._checks import by_name, names_within
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.costs.base import Cost
@@ -50,7 +50,7 @@ class StateBoundsCost(Cost):
             )
         for name in sorted(self.lower.keys() & self.upper.keys()):
             low, high = self.lower[name], self.upper[name]
-            if not _checks.is_traced(low, high) and low > high:
+            if not _kinds.is_traced(low, high) and low > high:
                 raise ValueError(
                     f"lower[{name!r}] is {low}; accepted: at most the upper one, {high}"
                 )

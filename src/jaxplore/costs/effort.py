@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
 from jaxplore.costs.base import Cost
@@ -115,7 +115,7 @@ class ControlRateCost(ControlDifferenceCost):
 
     def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
-        self.include_applied = _checks.flag("include_applied", include_applied)
+        self.include_applied = _kinds.flag("include_applied", include_applied)
 
     def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]
@@ -150,7 +150,7 @@ class ControlJerkCost(ControlDifferenceCost):
 
     def __init__(self, scale: Vector | None = None, include_applied: bool = True) -> None:
         self.scale = None if scale is None else array("scale", scale, (), ("nu",), above=0.0)
-        self.include_applied = _checks.flag("include_applied", include_applied)
+        self.include_applied = _kinds.flag("include_applied", include_applied)
 
     def _squares(self, controls: Float[Array, "T nu"], applied: ControlVector) -> ControlVector:
         changes = controls[1:] - controls[:-1]
@@ -188,7 +188,7 @@ def _check_size(name: str, value: Array, dynamics: Dynamics) -> None:
 
 def _check_no_reward(weights: Array) -> None:
     """Raise a `ValueError` if the quadratic form of the weights is not bounded below."""
-    if _checks.is_traced(weights):
+    if _kinds.is_traced(weights):
         return
     given = np.asarray(weights, np.float64)
     # A quadratic form depends on the symmetric part of its matrix alone.

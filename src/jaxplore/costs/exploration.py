@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._checks import array
 from jaxplore._types import ControlVector, Scalar, Vector
 from jaxplore.belief.belief import Belief, StrategicBelief, part
@@ -37,7 +37,7 @@ class InformationCost(Cost):
     is_fading: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
-        _checks.flag("is_fading", self.is_fading)
+        _kinds.flag("is_fading", self.is_fading)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Compute the negative information of a scan per beam."""
@@ -110,7 +110,7 @@ class PotentialCost(Cost):
     by_heading: bool = eqx.field(static=True, default=False)
 
     def __check_init__(self) -> None:
-        _checks.flag("by_heading", self.by_heading)
+        _kinds.flag("by_heading", self.by_heading)
 
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: StrategicBelief

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.belief.belief import part
 from jaxplore.belief.obstacles import Obstacles
@@ -102,7 +102,7 @@ class MovingObstacleCost(Cost):
         caution: ArrayLike | None = None,
         nearest_only: bool = False,
     ) -> None:
-        _checks.instance("obstacles", obstacles, Obstacles, may_be_none=True)
+        _kinds.instance("obstacles", obstacles, Obstacles, may_be_none=True)
         self.obstacles = obstacles
         self.nearness = _factor("nearness", nearness)
         self.clearance = (
@@ -112,7 +112,7 @@ class MovingObstacleCost(Cost):
         self.margin = _checks.scalar("margin", margin, at_least=0.0)
         self.reaction_time = _checks.scalar("reaction_time", reaction_time, at_least=0.0)
         self.caution = _factor("caution", caution)
-        self.nearest_only = _checks.flag("nearest_only", nearest_only)
+        self.nearest_only = _kinds.flag("nearest_only", nearest_only)
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the cost of a state that is reached `t` seconds from now."""

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar
 from jaxplore.costs import extract
 from jaxplore.costs._contact import levers, shifted
@@ -52,10 +52,10 @@ class PathErrorCost(Cost):
     parameter: Extractor = eqx.field(static=True, default=PHI)
 
     def __check_init__(self) -> None:
-        _checks.instance("path", self.path, Path)
+        _kinds.instance("path", self.path, Path)
         accepted = "a function of a State"
-        _checks.function("position", self.position, accepted)
-        _checks.function("parameter", self.parameter, accepted)
+        _kinds.function("position", self.position, accepted)
+        _kinds.function("parameter", self.parameter, accepted)
 
     @abc.abstractmethod
     def chosen(self, errors: PathErrors) -> Scalar:
@@ -122,7 +122,7 @@ class ProgressCost(Cost):
 
     def __check_init__(self) -> None:
         if not isinstance(self.rate, str):
-            given = _checks.described(self.rate)
+            given = _kinds.described(self.rate)
             raise ValueError(f"rate is {given}; accepted: the name of a control")
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
@@ -167,9 +167,9 @@ class CorridorCost(Cost):
         scale: ArrayLike = 0.05,
         parameter: Extractor | None = None,
     ) -> None:
-        _checks.instance("path", path, Path)
+        _kinds.instance("path", path, Path)
         if parameter is not None:
-            _checks.function("parameter", parameter, "a function of a State")
+            _kinds.function("parameter", parameter, "a function of a State")
         if not path.has_room:
             raise ValueError("path has no half_widths; accepted: a path with room to keep to")
         self.path = path
@@ -180,7 +180,7 @@ class CorridorCost(Cost):
     def check(self, dynamics: Dynamics) -> None:
         """Raise a `ValueError` if the robot does not fit into the corridor."""
         radius, widths = dynamics.footprint.radius, self.path.half_widths
-        if _checks.is_traced(radius, self.margin, widths):
+        if _kinds.is_traced(radius, self.margin, widths):
             return
         least, needed = float(widths.sum(axis=1).min()), 2.0 * float(radius + self.margin)
         if least < needed:
@@ -216,7 +216,7 @@ def _check_reach(path: Path, dynamics: Dynamics) -> None:
     virtual = dynamics.virtual if isinstance(dynamics, Augmented) else None
     if not isinstance(virtual, PathParameter) or virtual.end is None:
         return
-    if _checks.is_traced(virtual.end, path.length):
+    if _kinds.is_traced(virtual.end, path.length):
         return
     end, length = float(virtual.end), float(path.length)
     # The tolerance absorbs the rounding of both lengths to float32.

@@ -20,7 +20,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._checks import array, by_name, names_within
 from jaxplore._types import ControlVector, Rows, Scalar, Vector
 from jaxplore.costs._distance import offset
@@ -291,7 +291,7 @@ class StateCost(ErrorCost):
         wanted = by_name("target", target)
         names_within("target", list(wanted), self.weights)
         if not isinstance(angles, (list, tuple)):
-            given = _checks.described(angles)
+            given = _kinds.described(angles)
             raise ValueError(f"angles is {given}; accepted: names of angles, such as ('yaw',)")
         names_within("angles", angles, self.weights)
         self.target = {name: wanted.get(name, jnp.zeros(())) for name in self.weights}

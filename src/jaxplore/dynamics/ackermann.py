@@ -6,7 +6,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import speed_range
@@ -74,8 +74,8 @@ class Ackermann(ContinuousDynamics):
         footprint: Footprint | None = None,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("footprint", footprint, Footprint, may_be_none=True)
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("footprint", footprint, Footprint, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.wheelbase = _checks.scalar("wheelbase", wheelbase, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)
         self.max_steering = _checks.scalar(

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._types import ControlVector, Position, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
@@ -30,8 +30,8 @@ class Augmented(Dynamics):
     virtual: Dynamics
 
     def __init__(self, physical: Dynamics, virtual: Dynamics) -> None:
-        _checks.instance("physical", physical, Dynamics)
-        _checks.instance("virtual", virtual, Dynamics)
+        _kinds.instance("physical", physical, Dynamics)
+        _kinds.instance("virtual", virtual, Dynamics)
         for kind in ("state_names", "control_names"):
             both = [name for name in getattr(physical, kind) if name in getattr(virtual, kind)]
             if both:

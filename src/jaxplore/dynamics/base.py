@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore._xla import computed
@@ -37,7 +37,7 @@ class Dynamics(eqx.Module):
     def __check_init__(self) -> None:
         for name in ("state_names", "control_names"):
             kind, hint = type(self).__name__, "such as ('x', 'y')"
-            _checks.instance(f"{name} of {kind}", getattr(self, name, None), tuple, list, hint=hint)
+            _kinds.instance(f"{name} of {kind}", getattr(self, name, None), tuple, list, hint=hint)
 
     @abc.abstractmethod
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
@@ -147,7 +147,7 @@ class Dynamics(eqx.Module):
     if not TYPE_CHECKING:  # for type checkers any attribute could be set
 
         def __setattr__(self, name: str, value: Any) -> None:
-            _checks.annotated(self, name)
+            _kinds.annotated(self, name)
             super().__setattr__(name, value)
 
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import radius_of_robot
@@ -60,7 +60,7 @@ class DifferentialDrive(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
         self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         self.control_max = computed(

@@ -6,7 +6,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed, cut
 from jaxplore.dynamics._bounds import radius_of_robot, speed_range
@@ -69,7 +69,7 @@ class KinematicBicycle(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.front_length = _checks.scalar("front_length", front_length, above=0.0)
         self.rear_length = _checks.scalar("rear_length", rear_length, above=0.0)
         self.min_speed, self.max_speed = speed_range(min_speed, max_speed)

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.path import Path
@@ -44,7 +44,7 @@ class PathParameter(Dynamics):
     ) -> None:
         high = _checks.scalar("max_rate", max_rate, above=0.0)
         low = _checks.scalar("min_rate", min_rate)
-        if not _checks.is_traced(high, low) and float(low) > float(high):
+        if not _kinds.is_traced(high, low) and float(low) > float(high):
             raise ValueError(f"min_rate is {min_rate!r}; accepted: at most max_rate, {max_rate!r}")
         self.control_min, self.control_max = low[None], high[None]
         self.end = None if end is None else _checks.scalar("end", end, above=0.0)

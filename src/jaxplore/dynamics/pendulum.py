@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics.base import ContinuousDynamics
@@ -60,7 +60,7 @@ class Pendulum(ContinuousDynamics):
         max_rate: ArrayLike = 8.0,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.mass = _checks.scalar("mass", mass, above=0.0)
         self.length = _checks.scalar("length", length, above=0.0)
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive, radius_of_robot
@@ -53,7 +53,7 @@ class PointMass(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         if isinstance(dimensions, bool) or dimensions not in (1, 2, 3):
             raise ValueError(f"dimensions is {dimensions!r}; accepted: 1, 2 or 3")
         self.dimensions = int(dimensions)

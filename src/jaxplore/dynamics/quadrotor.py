@@ -6,7 +6,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector, Vector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive, radius_of_robot
@@ -71,7 +71,7 @@ class Quadrotor(ContinuousDynamics):
         radius: ArrayLike = 0.3,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.mass = _checks.scalar("mass", mass, above=0.0)
         self.gravity = _checks.scalar("gravity", gravity, above=0.0)
         self.rate_time_constant = _checks.scalar(

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import radius_of_robot, speed_range
@@ -51,7 +51,7 @@ class Unicycle(ContinuousDynamics):
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
     ) -> None:
-        _checks.instance("integrator", integrator, Integrator, may_be_none=True)
+        _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         lowest, highest = speed_range(min_speed, max_speed)
         turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
         self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn_rate)

@@ -12,4 +12,5 @@ from jaxplore.geometry.outlines import Outlines as Outlines
 from jaxplore.geometry.path import Path as Path
 from jaxplore.geometry.path import PathErrors as PathErrors
 from jaxplore.geometry.path import PathPoint as PathPoint
+from jaxplore.geometry.rays import RayCells as RayCells
 from jaxplore.geometry.track import race_track as race_track

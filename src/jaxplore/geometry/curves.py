@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Rows, Vector
 from jaxplore.geometry.path import Path, count_nodes
 
@@ -105,14 +105,14 @@ def clothoid_path(
         ValueError: no pieces, a piece that is not a positive length and two finite curvatures, a
             closed path that does not end at its start.
     """
-    _checks.flag("is_closed", is_closed)
+    _kinds.flag("is_closed", is_closed)
     x, y, heading = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
     accepted = "rows of a length and two curvatures"
     if not isinstance(pieces, (list, tuple, np.ndarray)):
-        raise ValueError(f"pieces is {_checks.described(pieces)}; accepted: {accepted}")
+        raise ValueError(f"pieces is {_kinds.described(pieces)}; accepted: {accepted}")
     for piece in pieces:
         if not isinstance(piece, (list, tuple, np.ndarray)) or len(piece) != 3:
-            raise ValueError(f"pieces has {_checks.described(piece)}; accepted: {accepted}")
+            raise ValueError(f"pieces has {_kinds.described(piece)}; accepted: {accepted}")
     rows = [
         (
             _checks.number(f"pieces[{index}] length", piece[0], above=0.0),
@@ -191,7 +191,7 @@ def path_through(
         ValueError: too few points, points that are not finite, the same point twice in a row, an
             unknown method or boundary, half widths that are not positive.
     """
-    _checks.flag("is_closed", is_closed)
+    _kinds.flag("is_closed", is_closed)
     knots = _waypoints(points, is_closed)
     if method not in METHODS:
         raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")

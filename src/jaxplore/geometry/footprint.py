@@ -8,7 +8,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 
 
@@ -88,7 +88,7 @@ class Rectangle(Footprint):
         self.rear = _checks.scalar("rear", rear, at_least=0.0)
         self.width = _checks.scalar("width", width, above=0.0)
         if num_discs is None:
-            if _checks.is_traced(front, rear, width):
+            if _kinds.is_traced(front, rear, width):
                 raise ValueError(
                     "num_discs is None; accepted: a whole number >= 1 where lengths are traced"
                 )

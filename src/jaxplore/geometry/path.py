@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Position, Rows, Scalar
 
 NODES_PER_RADIUS = 10.0
@@ -112,9 +112,9 @@ class Path(eqx.Module):
         half_widths: Rows | None = None,
     ) -> None:
         accepted = "a function of arc lengths (N,) that returns (N, 2)"
-        _checks.function("position", position, accepted)
-        _checks.function("direction", direction, accepted)
-        _checks.flag("is_closed", is_closed)
+        _kinds.function("position", position, accepted)
+        _kinds.function("direction", direction, accepted)
+        _kinds.flag("is_closed", is_closed)
         total = _checks.number("length", length, above=0.0)
         count = _checks.whole_number("num_nodes", num_nodes, at_least=2)
         along = np.linspace(0.0, total, count)
@@ -145,7 +145,7 @@ class Path(eqx.Module):
     @property
     def has_room(self) -> bool:
         """Whether the free width is bounded anywhere; true if the half widths are traced."""
-        if _checks.is_traced(self.half_widths):
+        if _kinds.is_traced(self.half_widths):
             return True
         return bool(np.isfinite(np.asarray(self.half_widths)).any())
 

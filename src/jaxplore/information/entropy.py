@@ -11,7 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import GridValues, Position, Scalar
 from jaxplore.geometry.rays import traverse
 from jaxplore.information.batches import over_poses
@@ -70,12 +70,12 @@ class EntropyFan(eqx.Module):
         decay_length: ArrayLike | None = None,
         line_of_sight: bool = True,
     ) -> None:
-        _checks.instance("lidar", lidar, Lidar)
+        _kinds.instance("lidar", lidar, Lidar)
         self.lidar = lidar
         self.num_ranges = _checks.positive_int("num_ranges", num_ranges)
         decay_length = lidar.max_range if decay_length is None else decay_length
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
-        self.line_of_sight = _checks.flag("line_of_sight", line_of_sight)
+        self.line_of_sight = _kinds.flag("line_of_sight", line_of_sight)
 
     @classmethod
     def camera(

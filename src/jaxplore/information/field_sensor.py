@@ -9,7 +9,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import GridValues, Position
 from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, CellMaps, window_maps
@@ -84,10 +84,10 @@ class FieldSensor(eqx.Module):
         near_weight: bool = True,
         method: str | None = None,
     ) -> None:
-        _checks.instance("lidar", lidar, Sensor)
-        _checks.instance("noise", noise, RangeNoise, may_be_none=True)
-        _checks.flag("no_return", no_return)
-        _checks.flag("near_weight", near_weight)
+        _kinds.instance("lidar", lidar, Sensor)
+        _kinds.instance("noise", noise, RangeNoise, may_be_none=True)
+        _kinds.flag("no_return", no_return)
+        _kinds.flag("near_weight", near_weight)
         resolution = _checks.number("resolution", resolution, above=0.0)
         count = _checks.positive_int("num_directions", num_directions)
         stride = _checks.positive_int("stride", stride)

@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Position
 from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, window_maps
@@ -61,7 +61,7 @@ class LocalFieldSensor(eqx.Module):
         spacing: float = 0.5,
         num_headings: int = 8,
     ) -> None:
-        _checks.instance("pose", pose, PoseInformation)
+        _kinds.instance("pose", pose, PoseInformation)
         resolution = _checks.number("resolution", resolution, above=0.0)
         spacing = _checks.number("spacing", spacing, above=0.0)
         extent = _checks.number("extent", extent, at_least=spacing)

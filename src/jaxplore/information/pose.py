@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore._types import Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.information.batches import over_poses
@@ -73,14 +73,14 @@ class PoseInformation(eqx.Module):
         no_return: bool = True,
         near_weight: bool = True,
     ) -> None:
-        _checks.instance("lidar", lidar, Lidar)
-        _checks.instance("sensor", sensor, InverseSensorModel, IdealSensor, may_be_none=True)
-        _checks.instance("noise", noise, RangeNoise, may_be_none=True)
+        _kinds.instance("lidar", lidar, Lidar)
+        _kinds.instance("sensor", sensor, InverseSensorModel, IdealSensor, may_be_none=True)
+        _kinds.instance("noise", noise, RangeNoise, may_be_none=True)
         self.lidar = lidar
         self.sensor = InverseSensorModel() if sensor is None else sensor
         self.noise = noise
-        self.no_return = _checks.flag("no_return", no_return)
-        self.near_weight = _checks.flag("near_weight", near_weight)
+        self.no_return = _kinds.flag("no_return", no_return)
+        self.near_weight = _kinds.flag("near_weight", near_weight)
 
     def __call__(
         self, grid: OccupancyGrid, position: Float[Array, "*N 2"], heading: Float[Array, "*N"]

@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike, DTypeLike
 from jaxtyping import Bool, Float, Int
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Flag, Position, Scalar
 from jaxplore.information.pose import PoseInformation
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
@@ -70,7 +70,7 @@ class TrajectoryInformation(eqx.Module):
         decay: ArrayLike = 0.7,
         discount: ArrayLike = 0.95,
     ) -> None:
-        _checks.instance("pose", pose, PoseInformation)
+        _kinds.instance("pose", pose, PoseInformation)
         if method not in METHODS:
             raise ValueError(f"method is {method!r}; accepted: {', '.join(METHODS)}")
         self.pose = pose

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import GridMask, GridValues, Scalar, Vector
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
@@ -232,7 +232,7 @@ def _elevation(value: ArrayLike) -> GridValues:
     shape = np.shape(value)
     if len(shape) != 2 or 0 in shape:
         raise ValueError(f"elevation has shape {shape}; accepted: (H, W) with H, W >= 1")
-    if not _checks.is_traced(value):
+    if not _kinds.is_traced(value):
         array = np.asarray(value, np.float64)
         if not (np.abs(array) <= HIGHEST).all():
             raise ValueError(

@@ -9,7 +9,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._describe import describe
 from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
 from jaxplore.maps import resample
@@ -59,7 +59,7 @@ class OccupancyGrid(eqx.Module):
     def __repr__(self) -> str:
         height, width = (self.resolution * size for size in self.shape)
         text = f"{type(self).__name__}({width:g} m x {height:g} m, cells of {self.resolution:g} m"
-        if not _checks.is_traced(self.probability):
+        if not _kinds.is_traced(self.probability):
             values = np.asarray(self.probability)
             shares = (values < FREE_THRESHOLD).mean(), (values > OCCUPIED_THRESHOLD).mean()
             text += f", {100 * shares[0]:.0f} % free, {100 * shares[1]:.0f} % occupied"

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import GridMask, GridValues, Vector
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
@@ -62,7 +62,7 @@ class TerrainMap(eqx.Module):
         _check_same("resolution", ground.resolution, grid.resolution)
         # Shapes and resolutions are static, but origins may be traced and cannot be compared then.
         origins = (ground.frame.origin, grid.frame.origin)
-        if not _checks.is_traced(*origins):
+        if not _kinds.is_traced(*origins):
             _check_same("origin", *(tuple(np.asarray(origin).tolist()) for origin in origins))
         self.grid = grid
         self.ground = ground

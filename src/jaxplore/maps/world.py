@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore.maps.files import untrusted
 from jaxplore.maps.files.world_entries import (
     CHECKS,
@@ -116,7 +116,7 @@ class World:
     def __post_init__(self) -> None:
         # The class is frozen, so checked values are written with `object.__setattr__`.
         for name in ("known", "hidden"):
-            _checks.instance(name, getattr(self, name), Shapes)
+            _kinds.instance(name, getattr(self, name), Shapes)
         for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
         self._check_cells()

@@ -19,6 +19,8 @@ from jaxplore.planning.portfolio.voting import TrustWeighted as TrustWeighted
 from jaxplore.planning.portfolio.voting import WeightedVote as WeightedVote
 from jaxplore.planning.presets.explorer import explorer as explorer
 from jaxplore.planning.presets.explorer import waypoint_mppi as waypoint_mppi
+from jaxplore.planning.presets.flight import FieldNumbers as FieldNumbers
+from jaxplore.planning.presets.flight import Flight as Flight
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS as ROLE_WEIGHTS
 from jaxplore.planning.presets.ground_vehicle import Mission as Mission
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio as ground_portfolio
@@ -26,8 +28,6 @@ from jaxplore.planning.presets.path_following import PathFollowing as PathFollow
 from jaxplore.planning.presets.path_following import augmented_mppi as augmented_mppi
 from jaxplore.planning.presets.path_following import avoidance_cost as avoidance_cost
 from jaxplore.planning.presets.path_following import mpcc as mpcc
-from jaxplore.planning.presets.quadrotor import FieldNumbers as FieldNumbers
-from jaxplore.planning.presets.quadrotor import Flight as Flight
 from jaxplore.planning.presets.quadrotor import goal_mppi as goal_mppi
 from jaxplore.planning.presets.quadrotor import informative_mppi as informative_mppi
 from jaxplore.planning.presets.quadrotor import random_walk as random_walk
@@ -45,6 +45,8 @@ from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower as Q
 from jaxplore.planning.strategy.random_walk import RandomWalk as RandomWalk
 from jaxplore.planning.strategy.references import ClimbingReference as ClimbingReference
 from jaxplore.planning.strategy.references import StrategicReference as StrategicReference
+from jaxplore.planning.strategy.target_choices import RemainingInformation as RemainingInformation
+from jaxplore.planning.strategy.target_choices import TrajectoryChoice as TrajectoryChoice
 from jaxplore.planning.strategy.target_explorer import TargetExplorer as TargetExplorer
 from jaxplore.planning.strategy.target_rules import DiscountedInformation as DiscountedInformation
 from jaxplore.planning.strategy.target_rules import DistanceAdvantage as DistanceAdvantage
@@ -54,9 +56,7 @@ from jaxplore.planning.strategy.target_rules import NextBestView as NextBestView
 from jaxplore.planning.strategy.target_rules import RandomFrontier as RandomFrontier
 from jaxplore.planning.strategy.target_rules import TargetRule as TargetRule
 from jaxplore.planning.strategy.target_rules import Wander as Wander
-from jaxplore.planning.strategy.targets import RemainingInformation as RemainingInformation
 from jaxplore.planning.strategy.targets import TargetChoice as TargetChoice
 from jaxplore.planning.strategy.targets import TargetReference as TargetReference
 from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
-from jaxplore.planning.strategy.targets import TrajectoryChoice as TrajectoryChoice

@@ -1,8 +1,8 @@
 """Sensors: simulated scans, and map updates from scans."""
 
-from jaxplore.sensing.base import Scan as Scan
 from jaxplore.sensing.base import Sensor as Sensor
 from jaxplore.sensing.base import Sighting as Sighting
+from jaxplore.sensing.beams import Scan as Scan
 from jaxplore.sensing.camera import Camera as Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
 from jaxplore.sensing.lidar import Lidar as Lidar

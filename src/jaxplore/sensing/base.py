@@ -1,98 +1,25 @@
 """Define range sensors: simulated scans, and the update of an occupancy grid by a scan."""
 
 import abc
-import math
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxplore import _checks
 from jaxplore._describe import describe_fields
-from jaxplore._types import GridMask, Key, Pose, Scalar, Vector
-from jaxplore._xla import on_device
+from jaxplore._types import GridMask, Key, Pose, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.sensing.beams import ROUNDING, Beams, Scan
 from jaxplore.sensing.fan import disc_distance, fan, first_entry
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 ONE_HIT_IN = 3
 """A cell is measured occupied if at least one of this many beams that hit or pass it hits it."""
-ROUNDING = 1e-6
-"""Tolerance of distances [m], and of bearings at the edge of the field of view [rad]."""
-
-
-class Scan(NamedTuple):
-    """One scan: `ranges` (B,) [m], and a mask `is_return` (B,) of the beams that returned.
-
-    A beam that met nothing within the sensor's range has the maximum range and no return. A beam
-    that ended at a moving obstacle has its range and no return: the cells before it are free, and
-    the cell in which it ended must not be marked in the map.
-    """
-
-    ranges: Float[Array, " B"]
-    is_return: Bool[Array, " B"]
-
-    @classmethod
-    def from_ranges(
-        cls,
-        ranges: Vector,
-        angle_min: float,
-        angle_increment: float,
-        sensor: "Sensor",
-        *,
-        range_min: float = 0.0,
-        range_max: float = math.inf,
-    ) -> "Scan":
-        """Make a scan from the readings of a real lidar, such as a ROS `LaserScan`.
-
-        Each beam of the sensor gets the reading whose direction is nearest, if one is within half
-        a beam spacing of the sensor or half an increment. An infinite reading, and one beyond the
-        sensor's range, met nothing. A reading that is NaN, zero, negative, below `range_min` or
-        above `range_max` is no measurement, as is a beam without a reading: its range is 0, so it
-        changes no cell. These are the rules of `LaserScan` and of REP 117.
-
-        Args:
-            ranges: (R,) readings [m].
-            angle_min: direction of the first reading relative to the heading [rad].
-            angle_increment: angle between two readings [rad]; negative for a reversed scan.
-            sensor: sensor that the scan is for; its beams are filled.
-            range_min: shortest valid reading [m].
-            range_max: longest valid reading [m].
-
-        Raises:
-            ValueError: readings of another shape, an increment that is 0, an angle that is not
-                finite, a negative range.
-        """
-        given = np.asarray(ranges, np.float64)
-        if given.ndim != 1 or given.size == 0:
-            raise ValueError(f"ranges has shape {given.shape}; accepted: (R,) with R >= 1")
-        first = _checks.number("angle_min", angle_min)
-        step = _checks.number("angle_increment", angle_increment)
-        if step == 0.0:
-            raise ValueError("angle_increment is 0.0; accepted: an angle that is not 0 [rad]")
-        least = _checks.number("range_min", range_min, at_least=0.0)
-        if not range_max > least:
-            raise ValueError(f"range_max is {range_max!r}; accepted: more than range_min, {least}")
-        # A full circle of readings may begin anywhere, so the differences are taken modulo 2 pi.
-        readings = first + step * np.arange(given.size)
-        away = sensor.beam_angles.astype(np.float64)[:, None] - readings
-        away = np.abs(away - 2.0 * math.pi * np.round(away / (2.0 * math.pi)))
-        nearest = away.argmin(axis=1)
-        half = 0.5 * max(abs(step), sensor.beam_spacing) + ROUNDING
-        is_near = away[np.arange(len(nearest)), nearest] <= half
-        found = given[nearest]
-        # NaN fails every comparison, so it is no measurement.
-        is_in_range = (found > 0.0) & (found >= least) & (found <= range_max)
-        is_valid = is_near & (is_in_range | (found == math.inf))
-        is_return = is_valid & (found <= sensor.max_range)
-        distance = np.where(is_return, found, np.where(is_valid, sensor.max_range, 0.0))
-        return cls(on_device(distance.astype(np.float32)), on_device(is_return))
 
 
 class Sighting(NamedTuple):
@@ -107,7 +34,7 @@ class Sighting(NamedTuple):
         return (self.hits + self.passes) > 0
 
 
-class Sensor(eqx.Module):
+class Sensor(Beams):
     """Fan of beams from the robot's centre that measure ranges; abstract.
 
     A beam is a vertical slice of the view: a line for a lidar, a column of pixels for a camera. A
@@ -118,9 +45,6 @@ class Sensor(eqx.Module):
     the ground of the robot's cell, and does not tilt with the ground.
     """
 
-    num_beams: eqx.AbstractVar[int]
-    max_range: eqx.AbstractVar[float]
-    field_of_view: eqx.AbstractVar[float]
     range_noise: eqx.AbstractVar[Scalar]
     height: eqx.AbstractVar[Scalar]
 
@@ -128,7 +52,7 @@ class Sensor(eqx.Module):
         return describe_fields(self)
 
     @abc.abstractmethod
-    def _stops(
+    def stops(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
@@ -147,17 +71,17 @@ class Sensor(eqx.Module):
         """
 
     @abc.abstractmethod
-    def _shown(
+    def visible(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> Bool[Array, "B N"]:
-        """Return the mask of the cells that are visible to each beam; arguments as in `_stops`."""
+        """Return the mask of the cells that are visible to each beam; arguments as in `stops`."""
 
     @abc.abstractmethod
-    def _believed(
+    def consistent(
         self,
         cells: RayCells,
         is_hit: Bool[Array, "B N"],
@@ -176,27 +100,6 @@ class Sensor(eqx.Module):
             rise: height of each cell's ground above the sensor [m]; None without a ground.
             resolution: side of a cell [m].
         """
-
-    @property
-    def is_full_circle(self) -> bool:
-        """Whether the field of view is 2 pi."""
-        return self.field_of_view >= 2.0 * math.pi - 1e-6
-
-    @property
-    def beam_spacing(self) -> float:
-        """Angle between neighbouring beams [rad]."""
-        # On a full circle the last beam is followed by the first: there are as many gaps as beams.
-        gaps = self.num_beams if self.is_full_circle else max(1, self.num_beams - 1)
-        return self.field_of_view / gaps
-
-    @property
-    def beam_angles(self) -> np.ndarray:
-        """Direction of each beam (B,) relative to the heading [rad]."""
-        # A single beam has no edges to lie on: it points along the heading.
-        if self.num_beams == 1:
-            return np.zeros(1, np.float32)
-        first = -math.pi if self.is_full_circle else -self.field_of_view / 2.0
-        return (first + self.beam_spacing * np.arange(self.num_beams)).astype(np.float32)
 
     def scan(
         self,
@@ -230,7 +133,7 @@ class Sensor(eqx.Module):
         cells = self._cells(world, pose)
         solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
         rise = self._rise(cells, pose, world, ground)
-        stops, ends = self._stops(cells, solid, rise, world.resolution)
+        stops, ends = self.stops(cells, solid, rise, world.resolution)
         first = first_entry(cells, stops, world.resolution)
         # Moving obstacles hide what is behind them, but are themselves hidden by whatever ends a
         # beam before, which for a camera includes ground that gives no return.
@@ -282,7 +185,7 @@ class Sensor(eqx.Module):
         is_long = cells.exit - cells.entry >= least
         is_hit = is_return & is_long & (cells.entry <= depth) & (depth < cells.exit)
         is_passed = is_long & (cells.exit <= reading + 1e-3)
-        is_hit, is_passed = self._believed(cells, is_hit, is_passed, reading, rise, resolution)
+        is_hit, is_passed = self.consistent(cells, is_hit, is_passed, reading, rise, resolution)
         height, width = grid.shape
         seen = cells.is_crossed & (is_hit | is_passed)
         index = cells.cell[..., 0] * width + cells.cell[..., 1]
@@ -362,7 +265,7 @@ class Sensor(eqx.Module):
         is_target = jnp.where(is_target.any(axis=-1, keepdims=True), is_target, holds)
         solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
         rise = self._rise(cells, pose, world, ground)
-        shown = self._shown(cells, solid, rise, world.resolution)
+        shown = self.visible(cells, solid, rise, world.resolution)
         is_shown = (is_target & shown).any(axis=-1)
         return is_shown & in_view & (distance <= self.max_range) & world.contains(target)
 

@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
@@ -81,32 +81,34 @@ class Camera(Sensor):
         self.vertical_view = view
         self.height = _checks.scalar("height", height, above=0.0)
         # Both edges of the view must stay below the steepest angle.
-        most = STEEPEST - (0.0 if _checks.is_traced(view) else 0.5 * float(view))
+        most = STEEPEST - (0.0 if _kinds.is_traced(view) else 0.5 * float(view))
         self.tilt = _checks.scalar("tilt", tilt, at_least=-most, at_most=most)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
 
-    def _stops(
+    def stops(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        """Return the masks of the cells that return a beam and of those that end it."""
         # Ground that fills the view ends a column without a return.
-        _, wall = self._visible(cells, solid, rise, resolution)
+        _, wall = self._surfaces(cells, solid, rise, resolution)
         return solid & wall, solid | (cells.is_crossed & ~wall)
 
-    def _shown(
+    def visible(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> Bool[Array, "B N"]:
-        ground, wall = self._visible(cells, solid, rise, resolution)
+        """Return the mask of the cells that are visible to each beam."""
+        ground, wall = self._surfaces(cells, solid, rise, resolution)
         return jnp.where(solid, wall, ground)
 
-    def _believed(
+    def consistent(
         self,
         cells: RayCells,
         is_hit: Bool[Array, "B N"],
@@ -115,12 +117,13 @@ class Camera(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        """Return the hits and passes that are consistent with the known ground."""
         # What is solid is not known here: visibility follows from the ground alone, and obstacles
         # in front are accounted for by the reading.
-        ground, wall = self._visible(cells, jnp.zeros_like(is_hit), rise, resolution)
+        ground, wall = self._surfaces(cells, jnp.zeros_like(is_hit), rise, resolution)
         return is_hit & wall, is_passed & ground
 
-    def _visible(
+    def _surfaces(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],

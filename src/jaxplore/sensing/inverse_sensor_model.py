@@ -9,7 +9,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 from jaxplore._xla import computed
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
@@ -64,7 +64,7 @@ class InverseSensorModel(eqx.Module):
         *,
         is_decisive: bool = False,
     ) -> None:
-        self.is_decisive = _checks.flag("is_decisive", is_decisive)
+        self.is_decisive = _kinds.flag("is_decisive", is_decisive)
         self.occupied = _checks.scalar("occupied", occupied, above=0.0)
         self.free = _checks.scalar("free", free, below=0.0)
         self.minimum = _checks.scalar("minimum", minimum, below=0.0)

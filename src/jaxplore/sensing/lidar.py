@@ -63,29 +63,31 @@ class Lidar(Sensor):
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
         self.height = _checks.scalar("height", height, above=0.0)
 
-    def _stops(
+    def stops(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        """Return the masks of the cells that return a beam and of those that end it."""
         if rise is None:
             return solid, solid
         stops = solid | _is_higher(cells, rise)
         return stops, stops
 
-    def _shown(
+    def visible(
         self,
         cells: RayCells,
         solid: Bool[Array, "B N"],
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> Bool[Array, "B N"]:
-        stops, _ = self._stops(cells, solid, rise, resolution)
+        """Return the mask of the cells that are visible to each beam."""
+        stops, _ = self.stops(cells, solid, rise, resolution)
         return cells.entry <= first_entry(cells, stops)[:, None]
 
-    def _believed(
+    def consistent(
         self,
         cells: RayCells,
         is_hit: Bool[Array, "B N"],
@@ -94,6 +96,7 @@ class Lidar(Sensor):
         rise: Float[Array, "B N"] | None,
         resolution: float,
     ) -> tuple[Bool[Array, "B N"], Bool[Array, "B N"]]:
+        """Return the hits and passes that are consistent with the known ground."""
         if rise is None:
             return is_hit, is_passed
         # A reading just before higher ground is the ground itself, seen through the noise.

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel, Field
 
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.planning.presets.quadrotor import FieldNumbers, Flight
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
 
 Owner = Callable[..., Any]
 

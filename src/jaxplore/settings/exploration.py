@@ -16,13 +16,9 @@ from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.safe_fusion import SafeFusion
 from jaxplore.planning.portfolio.voting import WeightedVote
 from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
-from jaxplore.planning.presets.quadrotor import (
-    FieldNumbers,
-    Flight,
-    informative_mppi,
-    zone_choice,
-)
+from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.robot import (
     CameraSettings,

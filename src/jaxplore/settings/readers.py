@@ -17,14 +17,10 @@ from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.safe_fusion import SafeFusion
 from jaxplore.planning.portfolio.voting import WeightedVote
 from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import avoidance_cost
-from jaxplore.planning.presets.quadrotor import (
-    FieldNumbers,
-    Flight,
-    informative_mppi,
-    zone_choice,
-)
+from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.settings.defaults import Owner
 from jaxplore.settings.exploration import (

@@ -12,9 +12,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from jaxplore.planning.presets.explorer import explorer
+from jaxplore.planning.presets.flight import Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import mpcc
-from jaxplore.planning.presets.quadrotor import Flight
 from jaxplore.settings.accepted import accepted_values, choices
 from jaxplore.settings.defaults import DIFFERENCES, descriptions, unit
 from jaxplore.settings.exploration import (

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 from jaxtyping import Key as KeyArray
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Flag, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.recording import Frame, Recording
@@ -68,9 +68,9 @@ def record_runs(
     Raises:
         ValueError: fewer than one step; no keys.
     """
-    _checks.instance("controller", controller, Controller)
-    _checks.instance("scenario", scenario, Scenario)
-    _checks.key("keys", keys, ndim=1)
+    _kinds.instance("controller", controller, Controller)
+    _kinds.instance("scenario", scenario, Scenario)
+    _kinds.key("keys", keys, ndim=1)
     if not len(keys):
         raise ValueError(f"keys has shape {keys.shape}; accepted: (B,), one for each run")
     experiments = [Experiment(controller, scenario, num_steps, key) for key in keys]

@@ -7,7 +7,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Flag, GridMask, Scalar, StateVector, Vector
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -108,7 +108,7 @@ class Faults(eqx.Module):
 def _interval(name: str, value: Vector) -> Array:
     given = _checks.vector(name, value, 2)
     # The value of a traced array is not known yet.
-    if not _checks.is_traced(given) and not 0.0 <= float(given[0]) <= float(given[1]):
+    if not _kinds.is_traced(given) and not 0.0 <= float(given[0]) <= float(given[1]):
         raise ValueError(
             f"{name} is {given.tolist()}; accepted: beginning and end [s], 0 <= beginning <= end"
         )

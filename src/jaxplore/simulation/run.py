@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.console import progress_bar
@@ -155,7 +155,7 @@ def simulate(
         ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
             a scenario or a key.
     """
-    _checks.flag("progress", progress)
+    _kinds.flag("progress", progress)
     with progress_bar("simulating", enabled=progress) as advance:
 
         def show(now: RunProgress) -> None:
@@ -208,9 +208,9 @@ def record_run(
             a scenario or a key.
     """
     order = "in the order simulate(controller, scenario, num_steps)"
-    _checks.instance("controller", controller, Controller, hint=order)
-    _checks.instance("scenario", scenario, Scenario, hint=order)
-    _checks.key("key", key)
+    _kinds.instance("controller", controller, Controller, hint=order)
+    _kinds.instance("scenario", scenario, Scenario, hint=order)
+    _kinds.key("key", key)
     limit = _checks.positive_int("num_steps", num_steps)
     rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
     period = scenario.period

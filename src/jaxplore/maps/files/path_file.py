@@ -6,7 +6,7 @@ from pathlib import Path as FilePath
 
 import numpy as np
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
 from jaxplore.maps.files.untrusted import printable_path, read_bytes, read_yaml, short_repr
@@ -52,9 +52,9 @@ def read_path(
         ValueError: a file that cannot be read, that holds something else or fewer than two
             different waypoints, and what `path_through` refuses; one line that names the file.
     """
-    _checks.instance("path", path, str, PathLike)
+    _kinds.instance("path", path, str, PathLike)
     if is_closed is not None:
-        _checks.flag("is_closed", is_closed)
+        _kinds.flag("is_closed", is_closed)
     file = FilePath(path)
     where = printable_path(file)
     suffix = file.suffix.lower()

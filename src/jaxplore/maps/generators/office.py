@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore.maps.generators._clutter import DOOR_CLEARANCE, ROBOT_RADIUS, wall_cells
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
@@ -99,7 +99,7 @@ def start_pose(grid: OccupancyGrid) -> tuple[float, float, float]:
     Raises:
         ValueError: a grid without a cell of that clearance.
     """
-    _checks.instance("grid", grid, OccupancyGrid)
+    _kinds.instance("grid", grid, OccupancyGrid)
     from scipy import ndimage  # slow to import, and few need it
 
     free = np.asarray(grid.is_free)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._trees import stack_trees
 from jaxplore._types import Rows, Vector
 from jaxplore.costs.base import Cost, check_cost
@@ -72,7 +72,7 @@ def normalised_weights(
             f"{argument} has shape {given.shape}; accepted: (N, {len(objectives)}), one for each "
             f"member and objective ({', '.join(objectives)})"
         )
-    if not _checks.is_traced(given):
+    if not _kinds.is_traced(given):
         if not (np.isfinite(given) & (given >= 0.0)).all():
             raise ValueError(f"{argument} is {given.tolist()}; accepted: finite numbers >= 0")
         if (given.sum(axis=1) <= 0.0).any():
@@ -81,7 +81,7 @@ def normalised_weights(
             )
     count = given.shape[0]
     if names is not None and not isinstance(names, (list, tuple)):
-        text = _checks.described(names)
+        text = _kinds.described(names)
         raise ValueError(f"names is {text}; accepted: {count} different names")
     labels = tuple(str(index + 1) for index in range(count)) if names is None else tuple(names)
     if len(labels) != count or len(set(labels)) != count:
@@ -105,7 +105,7 @@ def positive_each(name: str, value: Vector | None, number: int) -> Float[Array, 
     if value is None:
         return None
     given = _checks.vector(name, value, number)
-    if not _checks.is_traced(given) and (np.asarray(given) <= 0.0).any():
+    if not _kinds.is_traced(given) and (np.asarray(given) <= 0.0).any():
         raise ValueError(f"{name} is {given.tolist()}; accepted: {number} positive numbers")
     return given
 
@@ -113,7 +113,7 @@ def positive_each(name: str, value: Vector | None, number: int) -> Float[Array, 
 def check_objectives(objectives: object) -> None:
     """Raise a `ValueError` unless `objectives` maps names to costs, or to one for each member."""
     if not isinstance(objectives, Mapping):
-        given = _checks.described(objectives)
+        given = _kinds.described(objectives)
         raise ValueError(f"objectives is {given}; accepted: costs by the name of the objective")
     for name, cost in objectives.items():
         each = cost if isinstance(cost, (list, tuple)) else [cost]

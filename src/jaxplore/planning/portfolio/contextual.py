@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar, Vector
 from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation, select_member
 
@@ -63,7 +63,7 @@ class Contextual(Fusion):
         hysteresis: ArrayLike = 0.2,
     ) -> None:
         if not isinstance(names, (list, tuple)):
-            given = _checks.described(names)
+            given = _kinds.described(names)
             raise ValueError(f"names is {given}; accepted: the names of the members")
         for role in ROLES:
             if role not in names:

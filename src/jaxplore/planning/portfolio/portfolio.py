@@ -11,7 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.control.model_checks import checked_call
@@ -120,10 +120,10 @@ class Portfolio(Controller):
         is_normalised: bool = True,
         smoothing_time: ArrayLike = 1.0,
     ) -> None:
-        _checks.instance("mppi", mppi, MPPI)
+        _kinds.instance("mppi", mppi, MPPI)
         check_objectives(objectives)
-        _checks.instance("fusion", fusion, Fusion, str, may_be_none=True)
-        _checks.flag("is_normalised", is_normalised)
+        _kinds.instance("fusion", fusion, Fusion, str, may_be_none=True)
+        _kinds.flag("is_normalised", is_normalised)
         self.members = MemberControllers(
             mppi,
             objectives,

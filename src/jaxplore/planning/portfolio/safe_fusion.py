@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Scalar
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import (
@@ -60,7 +60,7 @@ class SafeFusion(Fusion):
         regret: ArrayLike | None = None,
         tolerated: ArrayLike = 1e-6,
     ) -> None:
-        _checks.instance("fusion", fusion, Fusion, may_be_none=True)
+        _kinds.instance("fusion", fusion, Fusion, may_be_none=True)
         self.fusion = WeightedVote() if fusion is None else fusion
         self.regret = None if regret is None else _checks.scalar("regret", regret, at_least=0.0)
         self.tolerated = _checks.scalar("tolerated", tolerated, at_least=0.0)
@@ -127,6 +127,6 @@ def fusion_by_name(name: str) -> Fusion:
         ValueError: a name that is not in `FUSIONS`.
     """
     if not isinstance(name, str) or name not in FUSIONS:
-        given = _checks.described(name)
+        given = _kinds.described(name)
         raise ValueError(f"name of the fusion is {given}; accepted: {', '.join(FUSIONS)}")
     return FUSIONS[name]()

@@ -4,7 +4,7 @@ from typing import Any
 
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Vector
 from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
@@ -53,7 +53,7 @@ def explorer(
     Raises:
         ValueError: a value that a part does not accept.
     """
-    _checks.instance("robot", robot, Dynamics)
+    _kinds.instance("robot", robot, Dynamics)
     return _ground_mppi(
         robot,
         _checks.scalar("obstacle_weight", obstacle_weight) * ObstacleCost(clearance)
@@ -99,7 +99,7 @@ def waypoint_mppi(
     Raises:
         ValueError: a robot that flies, a value that a part does not accept.
     """
-    _checks.instance("robot", robot, Dynamics)
+    _kinds.instance("robot", robot, Dynamics)
     # No term of the cost holds an altitude.
     if "z" in robot.state_names:
         raise ValueError(f"robot is a {type(robot).__name__}; accepted: a robot on the ground")

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Vector
 from jaxplore._xla import computed
 from jaxplore.control.knots import Knots
@@ -168,10 +168,10 @@ def ground_portfolio(
     Raises:
         ValueError: an unknown decomposition, member or objective, or a value that a part rejects.
     """
-    _checks.instance("robot", robot, Dynamics)
-    _checks.instance("mission", mission, Mission, may_be_none=True)
-    _checks.instance("fusion", fusion, Fusion, str, may_be_none=True)
-    if not _checks.is_traced(effort):
+    _kinds.instance("robot", robot, Dynamics)
+    _kinds.instance("mission", mission, Mission, may_be_none=True)
+    _kinds.instance("fusion", fusion, Fusion, str, may_be_none=True)
+    if not _kinds.is_traced(effort):
         effort = _checks.number("effort", effort, at_least=0.0)
     mission = Mission() if mission is None else mission
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
@@ -279,14 +279,14 @@ def _weights(
         return {name: {"effort": effort, **row} for name, row in members.items()}
     rows = known[decomposition]
     if members is not None and not isinstance(members, (list, tuple)):
-        text = _checks.described(members)
+        text = _kinds.described(members)
         raise ValueError(f"members is {text}; accepted: some of {', '.join(rows)}")
     chosen = tuple(rows) if members is None else tuple(members)
     if not chosen:
         raise ValueError(f"members is {members!r}; accepted: at least one of {', '.join(rows)}")
     for name in chosen:
         if name not in rows:
-            text = _checks.described(name)
+            text = _kinds.described(name)
             raise ValueError(f"members has {text}; accepted: {', '.join(rows)}")
     return {name: {"effort": effort, **_fitted(rows[name], mission)} for name in chosen}
 

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Vector
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.disturbance import Disturbance
@@ -82,8 +82,8 @@ def augmented_mppi(
     Raises:
         ValueError: parts that do not fit together, or a value that `MPPI` rejects.
     """
-    _checks.instance("physical_proposal", physical_proposal, Proposal)
-    _checks.instance("virtual_proposal", virtual_proposal, Proposal)
+    _kinds.instance("physical_proposal", physical_proposal, Proposal)
+    _kinds.instance("virtual_proposal", virtual_proposal, Proposal)
     model = Augmented(physical, virtual)
     return MPPI(
         model,
@@ -203,12 +203,12 @@ def mpcc(
     """
     _checks.scalar("corridor_margin", corridor_margin, at_least=0.0)
     _checks.positive_int("num_outcomes", num_outcomes)
-    _checks.instance("robot", robot, Dynamics)
-    _checks.instance("path", path, Path)
+    _kinds.instance("robot", robot, Dynamics)
+    _kinds.instance("path", path, Path)
     if other is not None:
         check_cost("other", other)
     if corridor is not None:
-        _checks.flag("corridor", corridor)
+        _kinds.flag("corridor", corridor)
     _checks.scalar("max_lateral", max_lateral, at_least=0.0)
     _checks.scalar("max_longitudinal", max_longitudinal, at_least=0.0)
     if max_speed is not None:

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from jaxplore import _checks
+from jaxplore import _kinds
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -43,9 +43,9 @@ def target_explorer(
         if rule not in RULES:
             raise ValueError(f"rule is {rule!r}; accepted: {', '.join(RULES)}")
         rule = RULES[rule]()
-    _checks.instance("rule", rule, TargetRule, hint=f"or one of {', '.join(RULES)}")
-    _checks.instance("perception", perception, Perception)
-    _checks.instance("grid", grid, OccupancyGrid)
+    _kinds.instance("rule", rule, TargetRule, hint=f"or one of {', '.join(RULES)}")
+    _kinds.instance("perception", perception, Perception)
+    _kinds.instance("grid", grid, OccupancyGrid)
     looks_around = perception.sensors[0].is_full_circle
     if looks_around:
         driving = {**driving, "information_weight": 0.0}

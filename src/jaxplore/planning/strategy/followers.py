@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
@@ -133,7 +133,7 @@ def follower_for(dynamics: Dynamics) -> Follower:
     Raises:
         ValueError: a model without a follower.
     """
-    _checks.instance("dynamics", dynamics, Dynamics)
+    _kinds.instance("dynamics", dynamics, Dynamics)
     followers: dict[type[Dynamics], type[Follower]] = {
         Quadrotor: QuadrotorFollower,
         DifferentialDrive: DifferentialDriveFollower,

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.base import Controller, Info, SampledPlan
@@ -75,7 +75,7 @@ class ShortRangeField(eqx.Module):
     num_headings: int = eqx.field(static=True)
 
     def __check_init__(self) -> None:
-        _checks.instance("sensor", self.sensor, FieldSensor)
+        _kinds.instance("sensor", self.sensor, FieldSensor)
         _checks.positive_int("num_nodes", self.num_nodes)
         _checks.positive_int("num_headings", self.num_headings)
 
@@ -138,12 +138,12 @@ class InformativeMPPI(Controller):
         strategy_period: ArrayLike = 0.2,
         altitude: ArrayLike = 0.0,
     ) -> None:
-        _checks.instance("mppi", mppi, MPPI)
-        _checks.instance("potential_sensor", potential_sensor, LocalFieldSensor)
-        _checks.instance("short_range_field", short_range_field, ShortRangeField)
-        _checks.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor)
-        _checks.instance("reference", reference, StrategicReference, may_be_none=True)
-        _checks.instance("follower", follower, Follower, may_be_none=True)
+        _kinds.instance("mppi", mppi, MPPI)
+        _kinds.instance("potential_sensor", potential_sensor, LocalFieldSensor)
+        _kinds.instance("short_range_field", short_range_field, ShortRangeField)
+        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, IdealSensor)
+        _kinds.instance("reference", reference, StrategicReference, may_be_none=True)
+        _kinds.instance("follower", follower, Follower, may_be_none=True)
         is_biased = isinstance(mppi.proposal, BiasedProposal)
         if is_biased != (follower is not None) or (is_biased and reference is None):
             raise ValueError(
@@ -160,7 +160,7 @@ class InformativeMPPI(Controller):
         self.strategy_period = _checks.scalar("strategy_period", strategy_period, above=0.0)
         self.altitude = _checks.scalar("altitude", altitude)
         # Compared with a tolerance: periods such as 0.2 and 0.02 are not exact in float32.
-        if not _checks.is_traced(self.strategy_period, mppi.control_period):
+        if not _kinds.is_traced(self.strategy_period, mppi.control_period):
             ratio = float(self.strategy_period) / float(mppi.control_period)
             if abs(ratio - round(ratio)) > 1e-3 * ratio or round(ratio) < 1:
                 raise ValueError(

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
@@ -59,7 +59,7 @@ class RandomWalk(Controller):
         distance: ArrayLike = 3.0,
         period: ArrayLike = 2.0,
     ) -> None:
-        _checks.instance("mppi", mppi, MPPI)
+        _kinds.instance("mppi", mppi, MPPI)
         # The goal is a leaf of the cost: a new target does not recompile.
         pull = _checks.scalar("weight", weight, above=0.0) * GoalCost([0.0, 0.0])
         self.mppi = eqx.tree_at(lambda inner: inner.cost, mppi, SumCost((pull, mppi.cost)))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
@@ -62,7 +62,7 @@ class ClimbingReference(StrategicReference):
     def __init__(
         self, gradient_reference: GradientReference | None = None, min_gain: ArrayLike = 1.0
     ) -> None:
-        _checks.instance(
+        _kinds.instance(
             "gradient_reference", gradient_reference, GradientReference, may_be_none=True
         )
         self.gradient_reference = (

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
@@ -104,11 +104,11 @@ class TargetExplorer(Controller):
         every: int,
         stays: bool = False,
     ) -> None:
-        _checks.instance("tracker", tracker, MPPI)
-        _checks.instance("rule", rule, TargetRule)
-        _checks.instance("frame", frame, GridFrame)
+        _kinds.instance("tracker", tracker, MPPI)
+        _kinds.instance("rule", rule, TargetRule)
+        _kinds.instance("frame", frame, GridFrame)
         if not isinstance(shape, tuple) or len(shape) != 2:
-            raise ValueError(f"shape is {_checks.described(shape)}; accepted: (H, W)")
+            raise ValueError(f"shape is {_kinds.described(shape)}; accepted: (H, W)")
         self.tracker, self.rule, self.frame = tracker, rule, frame
         rows, columns = (_checks.positive_int("shape", side) for side in shape)
         self.shape = (rows, columns)
@@ -126,7 +126,7 @@ class TargetExplorer(Controller):
         )
         self.min_frontier = _checks.scalar("min_frontier", min_frontier, at_least=0.0)
         self.near = _checks.scalar("near", near, above=0.0)
-        self.stays = _checks.flag("stays", stays)
+        self.stays = _kinds.flag("stays", stays)
         self.every = jnp.asarray(_checks.positive_int("every", every), jnp.int32)
 
     def init(self) -> TargetState:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
@@ -74,7 +74,7 @@ class ControlMode(ActionMode):
     robot: Dynamics
 
     def __check_init__(self) -> None:
-        _checks.instance("robot", self.robot, Dynamics)
+        _kinds.instance("robot", self.robot, Dynamics)
 
     @property
     def low(self) -> ActionVector:
@@ -121,7 +121,7 @@ class WaypointMode(ActionMode):
     reach: Scalar
 
     def __init__(self, drive: Controller, reach: ArrayLike = 3.0) -> None:
-        _checks.instance("drive", drive, Controller)
+        _kinds.instance("drive", drive, Controller)
         self.drive = drive
         self.reach = _checks.scalar("reach", reach, above=0.0)
 

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Flag, Key, Scalar
 from jaxplore.simulation.environment.action_modes import ActionMode, ActionVector
 from jaxplore.simulation.loop import (
@@ -132,13 +132,13 @@ class Environment(eqx.Module):
         collision_penalty: ArrayLike = 1.0,
         view: float | None = None,
     ) -> None:
-        _checks.instance("mode", mode, ActionMode)
+        _kinds.instance("mode", mode, ActionMode)
         given = [scenarios] if isinstance(scenarios, Scenario) else scenarios
         if not isinstance(given, (list, tuple)):
-            _checks.instance("scenarios", given, Scenario, hint="or a list of them")
+            _kinds.instance("scenarios", given, Scenario, hint="or a list of them")
         if not given:
             raise ValueError("scenarios is empty; accepted: a Scenario, or a list of them")
-        _checks.instances("scenarios", given, Scenario)
+        _kinds.instances("scenarios", given, Scenario)
         self.scenarios = Stacked.from_trees(tuple(given), name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)

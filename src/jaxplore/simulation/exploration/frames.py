@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.sensing.base import Scan, Sensor
+from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.state import ExplorationState
 
 

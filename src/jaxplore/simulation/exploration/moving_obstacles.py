@@ -11,7 +11,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import Key, Position, Scalar
 from jaxplore.maps.world import MovingObstacle
 
@@ -61,7 +61,7 @@ class MovingObstacles(eqx.Module):
     def __init__(
         self, movers: Sequence[MovingObstacle], phase: ArrayLike | Sequence[float] | None = None
     ):
-        _checks.instances("movers", movers, MovingObstacle)
+        _kinds.instances("movers", movers, MovingObstacle)
         most = max((len(mover.path) for mover in movers), default=1)
         rows = [[*mover.path, *mover.path[-1:] * (most - len(mover.path))] for mover in movers]
         corners = np.array(rows, np.float64).reshape(-1, most, 2)
@@ -132,7 +132,7 @@ def _place(
 
 def _phases(value: ArrayLike | Sequence[float], size: int) -> Array:
     phase = _checks.vector("phase", value, size)
-    if not _checks.is_traced(phase):
+    if not _kinds.is_traced(phase):
         given = np.asarray(value, np.float64)
         if not ((given >= 0.0) & (given < 1.0)).all():
             raise ValueError(f"phase is {given.tolist()}; accepted: numbers in [0, 1)")

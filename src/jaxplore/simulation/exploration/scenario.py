@@ -11,7 +11,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import (
     ControlVector,
@@ -161,12 +161,12 @@ class ExplorationScenario(Scenario):
         tracking_noise: Vector = (0.05, 0.1),
     ) -> None:
         all_sensors = as_sensors(sensors)
-        _checks.instance("world", world, OccupancyGrid, TerrainMap)
-        _checks.instance("robot", robot, Dynamics)
-        _checks.instance("perception", perception, Perception, may_be_none=True)
-        _checks.instance("prior", prior, OccupancyGrid, may_be_none=True)
-        _checks.instance("faults", faults, Faults, may_be_none=True)
-        _checks.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
+        _kinds.instance("world", world, OccupancyGrid, TerrainMap)
+        _kinds.instance("robot", robot, Dynamics)
+        _kinds.instance("perception", perception, Perception, may_be_none=True)
+        _kinds.instance("prior", prior, OccupancyGrid, may_be_none=True)
+        _kinds.instance("faults", faults, Faults, may_be_none=True)
+        _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.ground = None

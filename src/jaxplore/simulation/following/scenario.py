@@ -12,7 +12,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Flag, Key, Position, Scalar, StateVector, Vector
 from jaxplore._xla import on_device
@@ -108,11 +108,11 @@ class PathScenario(Scenario):
         turn_growth: ArrayLike = 0.1,
         faults: Faults | None = None,
     ) -> None:
-        _checks.instance("robot", robot, Augmented)
-        _checks.instance("path", path, Path)
-        _checks.instance("traffic", traffic, Traffic, may_be_none=True)
-        _checks.instance("standing", standing, Outlines, may_be_none=True)
-        _checks.instance("faults", faults, Faults, may_be_none=True)
+        _kinds.instance("robot", robot, Augmented)
+        _kinds.instance("path", path, Path)
+        _kinds.instance("traffic", traffic, Traffic, may_be_none=True)
+        _kinds.instance("standing", standing, Outlines, may_be_none=True)
+        _kinds.instance("faults", faults, Faults, may_be_none=True)
         if "phi" not in robot.state_names:
             raise ValueError(
                 f"robot has the states {', '.join(robot.state_names)}; accepted: one with phi, "

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._checks import array, one_each
 from jaxplore._types import Scalar, Vector
 from jaxplore.belief.obstacles import Obstacles
@@ -50,8 +50,8 @@ class Traffic(eqx.Module):
         *,
         radii: Vector | None = None,
     ) -> None:
-        _checks.instance("path", path, Path)
-        _checks.instance("outlines", outlines, Outlines, may_be_none=True)
+        _kinds.instance("path", path, Path)
+        _kinds.instance("outlines", outlines, Outlines, may_be_none=True)
         self.path = path
         self.phi = array("phi", phi, ("N",), may_be_empty=True)
         number = self.phi.shape[0]
@@ -64,7 +64,7 @@ class Traffic(eqx.Module):
         elif outlines.number != number:
             raise ValueError(f"outlines has {outlines.number}; accepted: {number}, one for each")
         self.outlines = outlines
-        if not _checks.is_traced(self.offsets, path.half_widths):
+        if not _kinds.is_traced(self.offsets, path.half_widths):
             _check_offsets(path, np.asarray(self.offsets))
 
     @classmethod

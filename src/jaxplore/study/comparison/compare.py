@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import jax
 import numpy as np
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore.control.base import Controller
 from jaxplore.report.console import progress_bar
 from jaxplore.report.metrics import Metrics
@@ -93,8 +93,8 @@ def compare(
         ValueError: no experiments, no seeds, a repeated seed, a name that is not a file name.
     """
     _check_arguments(experiments, seeds)
-    _checks.instance("runner", runner, Runner, may_be_none=True)
-    _checks.flag("progress", progress)
+    _kinds.instance("runner", runner, Runner, may_be_none=True)
+    _kinds.flag("progress", progress)
     if not experiments:
         raise ValueError("experiments is empty; accepted: at least one controller")
     check_names(experiments)
@@ -135,21 +135,21 @@ def compare(
 def _check_arguments(experiments: object, seeds: object) -> None:
     """Raise a `ValueError` for another type; `compare` checks the values."""
     if not isinstance(experiments, Mapping):
-        given = _checks.described(experiments)
+        given = _kinds.described(experiments)
         raise ValueError(f"experiments is {given}; accepted: the arguments of simulate by name")
     for name, experiment in experiments.items():
         label = f"experiments[{name!r}]"
         if not isinstance(experiment, (list, tuple)) or len(experiment) < 3:
-            given = _checks.described(experiment)
+            given = _kinds.described(experiment)
             raise ValueError(f"{label} is {given}; accepted: (controller, scenario, num_steps)")
-        _checks.instance(f"controller of {label}", experiment[0], Controller)
-        _checks.instance(f"scenario of {label}", experiment[1], Scenario)
+        _kinds.instance(f"controller of {label}", experiment[0], Controller)
+        _kinds.instance(f"scenario of {label}", experiment[1], Scenario)
         _checks.positive_int(f"num_steps of {label}", experiment[2])
     if not isinstance(seeds, Sequence) or isinstance(seeds, str):
-        given = _checks.described(seeds)
+        given = _kinds.described(seeds)
         raise ValueError(f"seeds is {given}; accepted: different whole numbers, at least one")
     for index, seed in enumerate(seeds):
-        _checks.instance(f"seeds[{index}]", seed, int, np.integer)
+        _kinds.instance(f"seeds[{index}]", seed, int, np.integer)
 
 
 def _show(

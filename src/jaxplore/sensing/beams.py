@@ -1,0 +1,118 @@
+"""The beams of a sensor, and one scan of them."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplore import _checks
+from jaxplore._types import Vector
+from jaxplore._xla import on_device
+
+ROUNDING = 1e-6
+"""Tolerance of distances [m], and of bearings at the edge of the field of view [rad]."""
+
+
+class Beams(eqx.Module):
+    """Fan of beams with equal angles between them, symmetric to the heading; abstract.
+
+    Attributes:
+        num_beams: number of beams, B.
+        max_range: greatest range [m].
+        field_of_view: angle between the outermost beams [rad]; 2 pi for a full circle.
+    """
+
+    num_beams: eqx.AbstractVar[int]
+    max_range: eqx.AbstractVar[float]
+    field_of_view: eqx.AbstractVar[float]
+
+    @property
+    def is_full_circle(self) -> bool:
+        """Whether the field of view is 2 pi."""
+        return self.field_of_view >= 2.0 * math.pi - 1e-6
+
+    @property
+    def beam_spacing(self) -> float:
+        """Angle between neighbouring beams [rad]."""
+        # On a full circle the last beam is followed by the first: there are as many gaps as beams.
+        gaps = self.num_beams if self.is_full_circle else max(1, self.num_beams - 1)
+        return self.field_of_view / gaps
+
+    @property
+    def beam_angles(self) -> np.ndarray:
+        """Direction of each beam (B,) relative to the heading [rad]."""
+        # A single beam has no edges to lie on: it points along the heading.
+        if self.num_beams == 1:
+            return np.zeros(1, np.float32)
+        first = -math.pi if self.is_full_circle else -self.field_of_view / 2.0
+        return (first + self.beam_spacing * np.arange(self.num_beams)).astype(np.float32)
+
+
+class Scan(NamedTuple):
+    """One scan: `ranges` (B,) [m], and a mask `is_return` (B,) of the beams that returned.
+
+    A beam that met nothing within the sensor's range has the maximum range and no return. A beam
+    that ended at a moving obstacle has its range and no return: the cells before it are free, and
+    the cell in which it ended must not be marked in the map.
+    """
+
+    ranges: Float[Array, " B"]
+    is_return: Bool[Array, " B"]
+
+    @classmethod
+    def from_ranges(
+        cls,
+        ranges: Vector,
+        angle_min: float,
+        angle_increment: float,
+        sensor: Beams,
+        *,
+        range_min: float = 0.0,
+        range_max: float = math.inf,
+    ) -> "Scan":
+        """Make a scan from the readings of a real lidar, such as a ROS `LaserScan`.
+
+        Each beam of the sensor gets the reading whose direction is nearest, if one is within half
+        a beam spacing of the sensor or half an increment. An infinite reading, and one beyond the
+        sensor's range, met nothing. A reading that is NaN, zero, negative, below `range_min` or
+        above `range_max` is no measurement, as is a beam without a reading: its range is 0, so it
+        changes no cell. These are the rules of `LaserScan` and of REP 117.
+
+        Args:
+            ranges: (R,) readings [m].
+            angle_min: direction of the first reading relative to the heading [rad].
+            angle_increment: angle between two readings [rad]; negative for a reversed scan.
+            sensor: sensor that the scan is for; its beams are filled.
+            range_min: shortest valid reading [m].
+            range_max: longest valid reading [m].
+
+        Raises:
+            ValueError: readings of another shape, an increment that is 0, an angle that is not
+                finite, a negative range.
+        """
+        given = np.asarray(ranges, np.float64)
+        if given.ndim != 1 or given.size == 0:
+            raise ValueError(f"ranges has shape {given.shape}; accepted: (R,) with R >= 1")
+        first = _checks.number("angle_min", angle_min)
+        step = _checks.number("angle_increment", angle_increment)
+        if step == 0.0:
+            raise ValueError("angle_increment is 0.0; accepted: an angle that is not 0 [rad]")
+        least = _checks.number("range_min", range_min, at_least=0.0)
+        if not range_max > least:
+            raise ValueError(f"range_max is {range_max!r}; accepted: more than range_min, {least}")
+        # A full circle of readings may begin anywhere, so the differences are taken modulo 2 pi.
+        readings = first + step * np.arange(given.size)
+        away = sensor.beam_angles.astype(np.float64)[:, None] - readings
+        away = np.abs(away - 2.0 * math.pi * np.round(away / (2.0 * math.pi)))
+        nearest = away.argmin(axis=1)
+        half = 0.5 * max(abs(step), sensor.beam_spacing) + ROUNDING
+        is_near = away[np.arange(len(nearest)), nearest] <= half
+        found = given[nearest]
+        # NaN fails every comparison, so it is no measurement.
+        is_in_range = (found > 0.0) & (found >= least) & (found <= range_max)
+        is_valid = is_near & (is_in_range | (found == math.inf))
+        is_return = is_valid & (found <= sensor.max_range)
+        distance = np.where(is_return, found, np.where(is_valid, sensor.max_range, 0.0))
+        return cls(on_device(distance.astype(np.float32)), on_device(is_return))
