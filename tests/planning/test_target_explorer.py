@@ -174,11 +174,11 @@ def test_distance_advantage_is_by_dijkstra(half_known) -> None:
     assert chosen(rule, found)[0] >= 16
 
 
-def make(rule, **changes) -> TargetExplorer:
+def make(rule, shape=SHAPE, **changes) -> TargetExplorer:
     tracker = explorer(ROBOT, horizon=15, num_samples=64, information_weight=0.0)
     frame = OccupancyGrid(world(), RESOLUTION).frame
     given = {"required_clearance": REQUIRED, "every": 4, **NUMBERS, **changes}
-    return TargetExplorer(tracker, rule, frame, SHAPE, STRIDE, **given)
+    return TargetExplorer(tracker, rule, frame, shape, STRIDE, **given)
 
 
 def choose(controller, state, belief, position, key=KEY):
@@ -257,7 +257,16 @@ def test_rules_explore_without_contact(name: str) -> None:
         control_rate=20.0,
         target_coverage=0.95,
     )
-    controller = make(RULES[name]()).at_period(0.05)
+    shape = scenario.map_arrays.world.shape
+    with pytest.raises(ValueError, match=r"shape is \(50, 60\); accepted: .* of \(64, 64\) cells"):
+        jax.eval_shape(
+            make(RULES[name]()).step,
+            make(RULES[name]()).init(),
+            scenario.start,
+            scenario.init(KEY)[1],
+            key=KEY,
+        )
+    controller = make(RULES[name](), shape).at_period(0.05)
     state = initial_loop_state(controller, scenario, KEY)
     state, records, done = run_chunk(
         controller, scenario, state, KEY, jnp.asarray(800, jnp.int32), 800
@@ -268,7 +277,7 @@ def test_rules_explore_without_contact(name: str) -> None:
     assert end > (0.6 if name == "wander" else 0.94)
     assert end > begin + 0.2
     if name == "nearest-frontier":
-        heavier = make(RULES[name](), min_information=2.0, every=5).at_period(0.05)
+        heavier = make(RULES[name](), shape, min_information=2.0, every=5).at_period(0.05)
         before = run_chunk._cached._cache_size()
         run_chunk(heavier, scenario, state, KEY, jnp.asarray(1, jnp.int32), 800)
         assert run_chunk._cached._cache_size() == before

@@ -108,6 +108,7 @@ def test_nothing_but_sizes_recompiles(make, other_world) -> None:
     compiled = run_chunk._cached._cache_size()
     for experiment, seed in (
         (make(other_world), 0),
+        (make(a_smaller_map()), 0),
         (make(start=(1.0, 1.0, 2.0)), 0),
         (make(guidance_weight=3.0, information_weight=0.5), 0),
         (make(temperature=1.0, noise_std=(0.3, 0.4)), 0),
@@ -117,6 +118,30 @@ def test_nothing_but_sizes_recompiles(make, other_world) -> None:
     ):
         run(experiment, 5, jax.random.key(seed))
     assert run_chunk._cached._cache_size() == compiled
+
+
+def a_smaller_map() -> OccupancyGrid:
+    """Return a room of 5 m x 3.6 m, whose arrays have the shape of those of the others."""
+    walls = np.pad(np.zeros((34, 48), np.float32), 1, constant_values=1.0)
+    return OccupancyGrid(walls, 0.1)
+
+
+def test_a_run_does_not_depend_on_the_shape_of_the_arrays(make) -> None:
+    controller, scenario = make()
+    wide = make(scenario.world.padded((96, 160)))[1]
+    assert wide.map_arrays.world.shape == (96, 160)
+    recordings = [
+        record_run(controller, each, 50, key=jax.random.key(5), num_trajectories=0)
+        for each in (scenario, wide)
+    ]
+    one, other = (recording.arrays() for recording in recordings)
+    assert set(one) == set(other)
+    for name in one:
+        # The entropy is a sum over the cells, which may be added in another order.
+        if name == "entropy":
+            np.testing.assert_allclose(one[name], other[name], rtol=1e-6)
+        else:
+            np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
 def test_senses_and_plans_at_the_rates_given(make) -> None:
@@ -307,7 +332,7 @@ def test_the_prior_is_what_is_known_at_first() -> None:
     prior = np.random.default_rng(0).uniform(0.0, 1.0, HALL.shape).astype(np.float32)
     scenario = hall_scenario(prior, HALL)
     state = initial_loop_state(AHEAD, scenario)
-    belief = np.asarray(state.task.belief.grid.probability)
+    belief = np.asarray(state.task.belief.grid.unpadded().probability)
     rows, columns = np.mgrid[:30, :40]
     away = np.hypot(columns * 0.1 + 0.05 - 0.6, rows * 0.1 + 0.05 - 1.5)
     np.testing.assert_array_equal(belief[away > 0.45], prior[away > 0.45])
@@ -336,13 +361,13 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     world[1:-1, 28:30] = 0.99  # x from 2.8 to 3 m
     scenario = hall_scenario(HALL, world, goal=None, target_coverage=None)
     state, key = initial_loop_state(AHEAD, scenario), jax.random.key(0)
-    known = np.asarray(state.task.belief.grid.probability)
+    known = np.asarray(state.task.belief.grid.unpadded().probability)
     np.testing.assert_allclose(known, HALL, rtol=1e-6)
     collisions = 0
     for _ in range(80):
         reach = float(state.task.robot[0]) + 1.0
         state, records, _ = run_chunk(AHEAD, scenario, state, key, ONE, SHORT_CHUNK)
-        known = np.asarray(state.task.belief.grid.probability)
+        known = np.asarray(state.task.belief.grid.unpadded().probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
         assert float(state.task.robot[0]) <= 2.8 - 0.2 + 1e-4
         collisions += int(records.is_collision[0])

@@ -225,12 +225,14 @@ class Perception(eqx.Module):
         # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
         # give the cell of the robot the clearance that it requires.
         stands_on = distance <= self.required_clearance + 1.5 * grid.resolution
+        if grid.is_on_map is not None:
+            stands_on = stands_on & grid.is_on_map
         # Updated from 0.5 and not from the prior: a decisive model keeps cells that are occupied.
         freed = self.sensor_model.update(
             jnp.full(grid.shape, 0.5), jnp.where(stands_on, self.sensor_model.minimum, 0.0)
         )
         probability = jnp.where(stands_on, freed, grid.probability)
-        grid = OccupancyGrid(probability, grid.resolution, grid.frame.origin)
+        grid = grid.with_probability(probability)
         clearance = self._clearance(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)

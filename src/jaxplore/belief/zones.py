@@ -42,7 +42,10 @@ def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
     """
     _kinds.instance("grid", grid, OccupancyGrid)
     bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
-    return jnp.mean(entropy_proxy(grid.probability) > bound)
+    # Off the map the probability is 1, where nothing is unknown.
+    is_unknown = entropy_proxy(grid.probability) > bound
+    height, width = (jnp.asarray(side, jnp.float32) for side in grid.sides)
+    return jnp.sum(is_unknown, dtype=jnp.float32) / (height * width)
 
 
 def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lidar) -> GridMask:
@@ -118,6 +121,8 @@ class Zones(eqx.Module):
         corners = jnp.asarray(bounds, jnp.float32)[:, None, None]
         low, high = corners[..., :2], corners[..., 2:]
         member = ((centre >= low) & (centre < high)).all(axis=-1)
+        if grid.is_on_map is not None:
+            member = member & grid.is_on_map
         if not isinstance(member, Tracer):
             for row, has_cell in enumerate(np.asarray(member.any(axis=(1, 2)))):
                 if not has_cell:
@@ -140,7 +145,11 @@ class Zones(eqx.Module):
         Raises:
             ValueError: a grid of another shape.
         """
-        return self._mean("grid", entropy_proxy(grid.probability))
+        values = entropy_proxy(grid.probability)
+        if grid.map_shape is not None:
+            # The zones may be those of the map before it was padded.
+            values = values[: self.member.shape[1], : self.member.shape[2]]
+        return self._mean("grid", values)
 
     def centres(self, frame: GridFrame) -> Float[Array, "Z 2"]:
         """Return the mean position of each zone's cells, (Z, 2) as world (x, y) [m].

@@ -20,8 +20,13 @@ from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
-def build_exploration(settings: Settings) -> Experiment:
+def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = None) -> Experiment:
     """Build the experiment that settings describe.
+
+    Args:
+        settings: settings of the run.
+        map_shape: rows and columns of the arrays of the map, see `OccupancyGrid.padded`; chosen
+            when absent. The run does not depend on it, but runs of one shape share a program.
 
     Raises:
         ValueError: a map that cannot be read, a start that is not possible, or settings that a part
@@ -29,6 +34,9 @@ def build_exploration(settings: Settings) -> Experiment:
     """
     robot = build_robot(settings.robot)
     world = build_world(settings, float(robot.radius))
+    if map_shape is not None:
+        ground = None if world.ground is None else world.ground.padded(map_shape)
+        world = world._replace(grid=world.grid.padded(map_shape), ground=ground)
     sensors = build_sensors(settings)
     perception = _perception(settings, robot, world, sensors)
     ground = world.ground

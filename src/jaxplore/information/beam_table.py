@@ -297,11 +297,11 @@ def window_maps(
         first[axis] - reach + jnp.arange((shape[axis] - 1) * table.stride + 2 * reach + 1)
         for axis in (0, 1)
     )
-    height, width = belief.shape
+    (height, width), shape_ = belief.sides, belief.shape
     is_row, is_column = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
     # Off the map the clipped indices repeat the border, which `is_inside` masks.
-    piece = belief.probability[jnp.clip(rows, 0, height - 1)]
-    piece = piece[:, jnp.clip(columns, 0, width - 1)]
+    piece = belief.probability[jnp.clip(rows, 0, shape_[0] - 1)]
+    piece = piece[:, jnp.clip(columns, 0, shape_[1] - 1)]
     is_inside = is_row[:, None] & is_column[None, :]
     # Add a row and a column of phases at the far end, so that no slice reaches beyond the array.
     margin = ((0, table.stride), (0, table.stride))

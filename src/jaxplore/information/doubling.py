@@ -31,7 +31,7 @@ from jaxplore._types import GridValues
 from jaxplore.geometry.rays import ray_offsets
 from jaxplore.information.beam_table import near_share
 from jaxplore.information.gain import CellSensor, expected_gain, settled
-from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 
 WORTHWHILE = 140.0
 """Cells per beam, beyond those near the sensor, from which doubling is faster (measured)."""
@@ -140,19 +140,22 @@ class Doubling(eqx.Module):
         )
 
     def beams(
-        self, probability: GridValues, sensor: CellSensor, interest: GridValues | None = None
+        self, belief: OccupancyGrid, sensor: CellSensor, interest: GridValues | None = None
     ) -> Float[Array, "D rows columns"]:
         """Return the information of the beams in each direction, from every node [nat].
 
         Args:
-            probability: probability of occupancy (H, W).
+            belief: occupancy grid.
             sensor: update of a cell by a measurement.
             interest: additional information (H, W) of observing each cell that a beam passes [nat].
         """
-        probability = settled(probability, sensor)
+        probability = settled(belief.probability, sensor)
         gain = expected_gain(probability, sensor)
         if interest is not None:
             gain = gain + (1.0 - probability) * interest
+        if belief.is_on_map is not None:
+            gain = jnp.where(belief.is_on_map, gain, 0.0)
+            probability = jnp.where(belief.is_on_map, probability, 1.0)
         is_open = probability <= OCCUPIED_THRESHOLD
         middle, step = self.stride // 2, self.stride
         height, width = probability.shape

@@ -147,7 +147,7 @@ class FieldSensor(eqx.Module):
         shape = self._lattice(belief)
         frame = self._frame(belief)
         if self.doubling is not None:
-            sectors = self.doubling.beams(belief.probability, sensor, interest)
+            sectors = self.doubling.beams(belief, sensor, interest)
             empty, corner = jnp.zeros((sectors.shape[0] + 1, *shape)), jnp.zeros(2, jnp.int32)
             values = Values(sectors, _add_up(sectors, empty, corner, shape))
             return self._field(values, belief, frame)
@@ -257,7 +257,9 @@ class FieldSensor(eqx.Module):
             (reach, reach + (count + 1) * self.stride - size)
             for count, size in zip(self._lattice(belief), belief.shape, strict=True)
         )
-        return self.table.maps(belief.probability, None, sensor, (rows, columns), interest)
+        return self.table.maps(
+            belief.probability, belief.is_on_map, sensor, (rows, columns), interest
+        )
 
     def _all(self, maps: CellMaps, first: Array, shape: tuple[int, int]) -> Values:
         """Evaluate a whole lattice, in strips of roughly equal height."""

@@ -180,7 +180,7 @@ class TrajectoryInformation(eqx.Module):
         start = grid.frame.to_grid(position)
         steps = jnp.arange(window.size) - window.reach
         rows, columns = first[0] + steps, first[1] + steps
-        height, width = grid.shape
+        height, width = grid.sides
         is_row, is_column = (rows >= 0) & (rows < height), (columns >= 0) & (columns < width)
         down = (rows.astype(jnp.float32) + 0.5 - start[0])[:, None]
         right = (columns.astype(jnp.float32) + 0.5 - start[1])[None, :]

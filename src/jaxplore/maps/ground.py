@@ -1,6 +1,6 @@
 """Compute slope, roughness and traversability of the ground from its elevation."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -11,8 +11,10 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import GridMask, GridValues, Scalar, Vector
+from jaxplore._xla import on_device
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.padding import padded_cells
 
 HIGHEST = 1e6
 """Greatest absolute elevation that is accepted [m]: squares of differences stay finite."""
@@ -105,6 +107,29 @@ class Ground(eqx.Module):
             passable = _traversability(traversability, self.elevation.shape)
         self.traversability = jnp.where(is_known, passable, 0.0)
 
+    def padded(self, shape: tuple[int, int]) -> "Ground":
+        """Return the ground in larger arrays, with 0 in the added cells, as off the map.
+
+        Args:
+            shape: rows and columns of the arrays, at least those of the ground.
+
+        Raises:
+            ValueError: fewer rows or columns than the ground has.
+        """
+        filled = [
+            on_device(padded_cells("shape", np.asarray(layer), shape, 0.0))
+            for layer in _layers(self)
+        ]
+        same: Ground = eqx.tree_at(_layers, self, filled)
+        return same
+
+    def cropped(self, shape: tuple[int, int]) -> "Ground":
+        """Return the first rows and columns of the ground, as before `padded`."""
+        rows, columns = shape
+        kept = [on_device(np.asarray(layer)[:rows, :columns]) for layer in _layers(self)]
+        same: Ground = eqx.tree_at(_layers, self, kept)
+        return same
+
     @property
     def resolution(self) -> float:
         """Side of a cell [m]."""
@@ -170,6 +195,10 @@ class Ground(eqx.Module):
         row = jnp.clip(cell[..., 0], 0, height - 1)
         column = jnp.clip(cell[..., 1], 0, width - 1)
         return jnp.where(self.contains(cell), layer[row, column], 0.0)
+
+
+def _layers(ground: Ground) -> list[Any]:
+    return [ground.elevation, ground.slope, ground.roughness, ground.traversability]
 
 
 # Outside of `jit` each of the many slices would be compiled as a program of its own.

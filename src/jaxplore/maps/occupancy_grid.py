@@ -11,11 +11,13 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe
-from jaxplore._types import GridMask, GridValues, Position, Scalar, Vector
+from jaxplore._types import Count, GridMask, GridValues, Position, Scalar, Vector
+from jaxplore._xla import on_device
 from jaxplore.maps import resample
 from jaxplore.maps.field import bilinear
 from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.padding import padded_cells, padded_shape
 
 FREE_THRESHOLD = 0.25
 """A cell with a lower probability is free (nav2's default `free_thresh`)."""
@@ -32,6 +34,10 @@ class OccupancyGrid(eqx.Module):
     its y axis. Off the map the probability is 1. A cell is free below 0.25, occupied above 0.65 and
     unknown in between.
 
+    A compiled program is for one shape of arrays. `padded` adds rows and columns that are off the
+    map, so that maps of similar size share a program. Then `map_shape` is the number of rows and
+    columns that are on the map.
+
     Args:
         probability: probability of occupancy (H, W) in [0, 1]; 0.5 for a cell that was never
             measured.
@@ -46,6 +52,7 @@ class OccupancyGrid(eqx.Module):
 
     probability: GridValues
     frame: GridFrame
+    map_shape: Int[Array, "2"] | None
 
     def __init__(
         self,
@@ -55,12 +62,14 @@ class OccupancyGrid(eqx.Module):
     ) -> None:
         self.probability = _checks.probabilities("probability", probability, 2)
         self.frame = GridFrame(resolution, origin)
+        self.map_shape = None
 
     def __repr__(self) -> str:
-        height, width = (self.resolution * size for size in self.shape)
+        is_known = not _kinds.is_traced(self.probability)
+        values = self.cropped(self.probability) if is_known else self.probability
+        height, width = (self.resolution * size for size in values.shape)
         text = f"{type(self).__name__}({width:g} m x {height:g} m, cells of {self.resolution:g} m"
-        if not _kinds.is_traced(self.probability):
-            values = np.asarray(self.probability)
+        if is_known:
             shares = (values < FREE_THRESHOLD).mean(), (values > OCCUPIED_THRESHOLD).mean()
             text += f", {100 * shares[0]:.0f} % free, {100 * shares[1]:.0f} % occupied"
         return f"{text}, origin {describe(self.frame.origin)})"
@@ -79,7 +88,7 @@ class OccupancyGrid(eqx.Module):
         """Write a ROS `map_server` map (see `jaxplore.maps.files.ros.write_map`)."""
         ros.write_map(
             path,
-            np.asarray(self.probability),
+            self.cropped(self.probability),
             self.resolution,
             tuple(np.asarray(self.frame.origin, np.float64).tolist()),
             mode=mode,
@@ -90,8 +99,50 @@ class OccupancyGrid(eqx.Module):
 
         See `jaxplore.maps.resample.resample`.
         """
-        values = resample.resample(np.asarray(self.probability), self.resolution, resolution)
+        values = resample.resample(self.cropped(self.probability), self.resolution, resolution)
         return type(self)(values, resolution, self.frame.origin)
+
+    def padded(self, shape: tuple[int, int] | None = None) -> "OccupancyGrid":
+        """Return the map in larger arrays, whose further rows and columns are off the map.
+
+        Args:
+            shape: rows and columns of the arrays; those of `padded_shape` when absent, where a map
+                that is padded already is returned as it is.
+
+        Raises:
+            ValueError: fewer rows or columns than the map has.
+        """
+        if shape is None:
+            if self.map_shape is not None:
+                return self
+            shape = padded_shape(self.shape)
+        values = self.cropped(self.probability)
+        filled = padded_cells("shape", values, shape, OUTSIDE)
+        same = OccupancyGrid(filled, self.resolution, self.frame.origin)
+        rows_and_columns = on_device(np.asarray(values.shape, np.int32))
+        result: OccupancyGrid = eqx.tree_at(
+            lambda grid: grid.map_shape, same, rows_and_columns, is_leaf=lambda leaf: leaf is None
+        )
+        return result
+
+    def unpadded(self) -> "OccupancyGrid":
+        """Return the map in arrays of its own shape: without the rows and columns off the map."""
+        if self.map_shape is None:
+            return self
+        return OccupancyGrid(self.cropped(self.probability), self.resolution, self.frame.origin)
+
+    def cropped(self, values: ArrayLike) -> np.ndarray:
+        """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy."""
+        array = np.asarray(values)
+        if self.map_shape is None:
+            return array
+        rows, columns = np.asarray(self.map_shape).tolist()
+        return array[:rows, :columns]
+
+    def with_probability(self, probability: GridValues) -> "OccupancyGrid":
+        """Return the grid with other probabilities (H, W); they must be 1 off the map."""
+        same: OccupancyGrid = eqx.tree_at(lambda grid: grid.probability, self, probability)
+        return same
 
     @property
     def resolution(self) -> float:
@@ -100,9 +151,24 @@ class OccupancyGrid(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Rows and columns of the arrays."""
         height, width = self.probability.shape
         return height, width
+
+    @property
+    def is_on_map(self) -> GridMask | None:
+        """Mask (H, W) of the cells that are on the map; None if all are."""
+        if self.map_shape is None:
+            return None
+        rows, columns = (jnp.arange(size) for size in self.shape)
+        return (rows < self.map_shape[0])[:, None] & (columns < self.map_shape[1])[None, :]
+
+    @property
+    def sides(self) -> tuple[Count | int, Count | int]:
+        """Rows and columns that are on the map: traced numbers for a map that is padded."""
+        if self.map_shape is None:
+            return self.shape
+        return self.map_shape[0], self.map_shape[1]
 
     @property
     def is_free(self) -> GridMask:
@@ -120,12 +186,11 @@ class OccupancyGrid(eqx.Module):
         These are the cells whose probability is 0.5 to within 1e-3.
         """
         is_unknown = jnp.abs(self.probability - 0.5) < 1e-3
-        probability = jnp.where(is_unknown, prior, self.probability)
-        return OccupancyGrid(probability, self.resolution, self.frame.origin)
+        return self.with_probability(jnp.where(is_unknown, prior, self.probability))
 
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Return whether each cell (row, column) is on the map."""
-        height, width = self.shape
+        height, width = self.sides
         row, column = cell[..., 0], cell[..., 1]
         return (row >= 0) & (row < height) & (column >= 0) & (column < width)
 

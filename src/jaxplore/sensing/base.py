@@ -307,4 +307,4 @@ def update_grid(
     is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)
     change = jnp.where(is_occupied, model.occupied, jnp.where(passes > 0, model.free, 0.0))
     probability = model.update(belief.probability, change)
-    return OccupancyGrid(probability, belief.resolution, belief.frame.origin)
+    return belief.with_probability(probability)

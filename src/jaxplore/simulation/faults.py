@@ -68,7 +68,7 @@ class Faults(eqx.Module):
             return world
         is_solid = self.walls & (time >= self.walls_from)
         probability = jnp.where(is_solid, 1.0, world.probability)
-        return OccupancyGrid(probability, world.resolution, world.frame.origin)
+        return world.with_probability(probability)
 
     def is_blind(self, time: Scalar) -> Flag:
         """Check whether a dropout of scans is active."""

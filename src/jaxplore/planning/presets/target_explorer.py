@@ -53,7 +53,8 @@ def target_explorer(
         explorer(robot, **driving),
         rule,
         grid.frame,
-        grid.shape,
+        # A scenario pads its map, and the fields of its belief have that shape.
+        grid.padded().shape,
         perception.field_sensor.stride,
         required_clearance=perception.required_clearance,
         min_information=perception.min_information,

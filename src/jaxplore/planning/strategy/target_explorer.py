@@ -57,7 +57,8 @@ class TargetExplorer(Controller):
         tracker: MPPI controller whose cost reads `belief.guidance`.
         rule: rule that chooses targets.
         frame: frame of the map.
-        shape: rows and columns of the map; static.
+        shape: rows and columns of the belief's arrays, those of `scenario.map_arrays.world`;
+            static.
         stride: cells between the nodes of the fields of the belief; static.
         required_clearance: clearance that a path needs [m]. The distance between a frontier node
             and unknown space follows from it.
@@ -196,6 +197,11 @@ class TargetExplorer(Controller):
 
         def choose(state: TargetState) -> TargetState:
             position = self.tracker.dynamics.position(observation)
+            if self.shape != belief.grid.shape:
+                raise ValueError(
+                    f"shape is {self.shape}; accepted: that of the belief's map, which has arrays "
+                    f"of {belief.grid.shape} cells"
+                )
             frontiers = find_frontiers(
                 belief,
                 position,

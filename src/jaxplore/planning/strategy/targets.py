@@ -97,13 +97,19 @@ class Targets(eqx.Module):
             ValueError: a grid of another shape than the zones'.
         """
         height, width = grid.shape
-        if self.zones.member.shape[1:] != grid.shape:
-            raise ValueError(
-                f"grid has shape {grid.shape}; accepted: {self.zones.member.shape[1:]}"
-            )
+        member = self.zones.member
+        if grid.map_shape is not None:
+            # The zones may be those of the map before it was padded.
+            more = [
+                (0, max(0, size - own))
+                for size, own in zip(grid.shape, member.shape[1:], strict=True)
+            ]
+            member = jnp.pad(member, [(0, 0), *more])
+        if member.shape[1:] != grid.shape:
+            raise ValueError(f"grid has shape {grid.shape}; accepted: {member.shape[1:]}")
         cell = jnp.clip(grid.frame.to_cell(self.goal), 0, jnp.asarray([height - 1, width - 1]))
         goal = jnp.zeros((height, width), bool).at[cell[0], cell[1]].set(True)
-        return jnp.concatenate([self.zones.member, goal[None]])
+        return jnp.concatenate([member, goal[None]])
 
     def cost_to(self, belief: Belief, target: GridMask) -> GuidanceField:
         """Compute the cost to go to a target [m].

@@ -114,13 +114,12 @@ class Environment(eqx.Module):
             its range.
     """
 
-    scenarios: Stacked
+    views: Stacked
     mode: ActionMode
     steps_per_action: Count
     max_steps: Count
     collision_penalty: Scalar
     num_scenarios: int = eqx.field(static=True)
-    view_cells: int | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -139,7 +138,6 @@ class Environment(eqx.Module):
         if not given:
             raise ValueError("scenarios is empty; accepted: a Scenario, or a list of them")
         _kinds.instances("scenarios", given, Scenario)
-        self.scenarios = Stacked.from_trees(tuple(given), name="scenarios")
         self.num_scenarios = len(given)
         period = float(given[0].control_period)
         self.mode = mode.at_period(given[0].control_period)
@@ -155,10 +153,13 @@ class Environment(eqx.Module):
         self.collision_penalty = _checks.scalar(
             "collision_penalty", collision_penalty, at_least=0.0
         )
-        self.view_cells = None
+        cells = None
         if view is not None:
             side = _checks.number("view", view, above=0.0)
-            self.view_cells = max(1, round(side / given[0].cell_size))
+            cells = max(1, round(side / given[0].cell_size))
+        # The views have the scenarios in them, and sizes that are known here and not when traced.
+        views = tuple(scenario.agent_view(cells) for scenario in given)
+        self.views = Stacked.from_trees(views, name="scenarios")
 
     @property
     def control_period(self) -> float:
@@ -167,12 +168,12 @@ class Environment(eqx.Module):
 
     def scenario(self, choice: int | Count) -> Scenario:
         """Return one of the scenarios."""
-        chosen: Scenario = self.scenarios.at(choice)
-        return chosen
+        return self.agent_view(choice).scenario
 
     def agent_view(self, choice: int | Count) -> AgentView:
         """Return one of the scenarios as the agent sees it."""
-        return self.scenario(choice).agent_view(self.view_cells)
+        chosen: AgentView = self.views.at(choice)
+        return chosen
 
     def init(self, key: Key, choice: Count) -> EnvironmentState:
         """Return the state before the first perception; see `reset`.
@@ -220,8 +221,8 @@ class Environment(eqx.Module):
             num_steps: number of control periods of the action, fewer if the episode ends; with 0
                 the robot only perceives. The periods between actions when absent.
         """
-        scenario, before = self.scenario(state.choice), state.statistics
-        view = scenario.agent_view(self.view_cells)
+        view, before = self.agent_view(state.choice), state.statistics
+        scenario = view.scenario
         steps = self.steps_per_action if num_steps is None else num_steps
         controller = self.mode.controller(action, state.moment, state.belief, scenario)
 

@@ -10,6 +10,7 @@ from jaxtyping import Array
 from jaxplore._types import Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.belief_picture import belief_picture
 from jaxplore.report.exploration.data import ExplorationRecord
@@ -29,18 +30,20 @@ class ExplorationView(AgentView):
         scenario: the task.
         view_cells: side of the observed square of the map around the robot [cells]; the whole map
             when absent; static.
-        world: true map.
+        frame: frame of the map.
+        map_shape: rows and columns of the map; static.
         sensors: the robot's sensors.
         num_reachable: number of cells that the robot's centre can reach.
         hover_steps: number of steps that are simulated after the end.
         has_goal: whether the robot must end at a goal; static.
     """
 
-    world: OccupancyGrid
+    frame: GridFrame
     sensors: tuple[Sensor, ...]
     num_reachable: Scalar
     hover_steps: Count
     has_goal: bool = eqx.field(static=True)
+    map_shape: tuple[int, int] = eqx.field(static=True)
 
     def observation(
         self, state: ExplorationState, moment: Moment, belief: Belief
@@ -58,9 +61,11 @@ class ExplorationView(AgentView):
         pose = jnp.stack([x, y, yaw])
         # A run's yaw is not wrapped, but the observation space bounds it.
         is_yaw = jnp.asarray([name == "yaw" for name in robot.state_names])
-        side = self.view_cells
+        side, (rows, columns) = self.view_cells, self.map_shape
         return {
-            "belief": grid.probability if side is None else _around(grid, pose, side),
+            "belief": grid.probability[:rows, :columns]
+            if side is None
+            else _around(grid, pose, side),
             "pose": pose,
             "scan": state.ranges,
             "state": jnp.where(is_yaw, yaw, observed),
@@ -69,9 +74,9 @@ class ExplorationView(AgentView):
     def observation_bounds(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Return the bounds of `observation`: the corners of the map, and the sensors' ranges."""
         robot, side = self.scenario.robot, self.view_cells
-        rows, columns = self.world.shape
+        rows, columns = self.map_shape
         corners = np.array([(0, 0), (0, columns), (rows, 0), (rows, columns)], np.float32)
-        placed = np.asarray(self.world.frame.to_world(jnp.asarray(corners)))
+        placed = np.asarray(self.frame.to_world(jnp.asarray(corners)))
         pose = np.append(placed.min(axis=0), -np.pi), np.append(placed.max(axis=0), np.pi)
         low, high = state_bounds(robot)
         # The model does not bound the pose, but the robot cannot leave the map.
@@ -79,7 +84,7 @@ class ExplorationView(AgentView):
             if name in robot.state_names:
                 column = robot.state_names.index(name)
                 low[column], high[column] = least, greatest
-        shape = self.world.shape if side is None else (side, side)
+        shape = self.map_shape if side is None else (side, side)
         reach = max_ranges(self.sensors)
         return {
             "belief": (np.zeros(shape, np.float32), np.ones(shape, np.float32)),
@@ -115,12 +120,12 @@ class ExplorationView(AgentView):
 
     def picture(self, state: ExplorationState, moment: Moment, trail: np.ndarray) -> np.ndarray:
         """Draw the belief, the trail, the last scan and the robot."""
-        robot, frame = self.scenario.robot, self.world.frame
+        robot, frame = self.scenario.robot, self.frame
         pose = np.asarray(robot.pose(moment.observed))
         angles = pose[2] + np.concatenate([sensor.beam_angles for sensor in self.sensors])
         directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         return belief_picture(
-            np.asarray(state.belief.grid.probability),
+            state.belief.grid.cropped(state.belief.grid.probability),
             np.asarray(frame.origin),
             frame.resolution,
             path=trail,

@@ -185,8 +185,8 @@ def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid) -> Occupanc
         ValueError: another shape, origin or resolution.
     """
     if prior is None:
-        return OccupancyGrid.unknown(world.shape, world.frame)
-    _check_shape("prior", prior.shape, world)
+        return OccupancyGrid.unknown(world.cropped(world.probability).shape, world.frame)
+    _check_shape("prior", prior.cropped(prior.probability).shape, world)
     is_near = np.allclose(prior.frame.origin, world.frame.origin, rtol=1e-6, atol=1e-6)
     if not is_near or prior.resolution != world.resolution:
         raise ValueError(
@@ -208,8 +208,10 @@ def checked_faults(faults: Faults | None, world: OccupancyGrid) -> Faults | None
 
 
 def _check_shape(name: str, shape: tuple[int, ...], world: OccupancyGrid) -> None:
-    if shape != world.shape:
-        raise ValueError(f"{name} has shape {shape}; accepted: the world's, {world.shape}")
+    accepted = world.cropped(world.probability).shape
+    # A world that is padded already may come with parts that are.
+    if shape not in (accepted, world.shape):
+        raise ValueError(f"{name} has shape {shape}; accepted: the world's, {accepted}")
 
 
 def _is_same_ground(ground: Ground | None, other: Ground | None) -> bool:

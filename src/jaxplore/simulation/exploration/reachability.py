@@ -93,7 +93,7 @@ def _free_cells(world: OccupancyGrid) -> np.ndarray:
 def with_closed(world: OccupancyGrid, ground: Ground) -> OccupancyGrid:
     """Return the world with untraversable cells as walls."""
     closed = jnp.where(ground.is_traversable, world.probability, 1.0)
-    return OccupancyGrid(closed, world.resolution, world.frame.origin)
+    return world.with_probability(closed)
 
 
 def _face_distance(free: np.ndarray, resolution: float) -> np.ndarray:

@@ -5,19 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore._types import GridMask, Position
-from jaxplore.maps.ground import Ground
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore._types import Position
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.state import ExplorationState
 
 
 def make_recording(
     before: ExplorationState,
     after: ExplorationState,
-    world: OccupancyGrid,
-    ground: Ground | None,
-    reachable: GridMask,
+    arrays: MapArrays,
     goal: Position | None,
     common: Mapping[str, Any],
 ) -> ExplorationRecording:
@@ -26,18 +23,17 @@ def make_recording(
     Args:
         before: state before the first step.
         after: state at the end.
-        world: true map.
-        ground: ground of the map's cells; None if it is level.
-        reachable: (H, W) cells that the robot's centre can reach.
+        arrays: the map, in arrays of its own shape.
         goal: goal position (x, y) [m]; None without one.
         common: all other fields of the recording.
     """
-    belief, moving = after.belief, after.moving_obstacles
+    world, ground = arrays.world, arrays.ground
+    belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.cropped
     return ExplorationRecording(
         **common,
         world=np.asarray(world.probability),
-        belief=np.asarray(belief.grid.probability),
-        reachable=np.asarray(reachable),
+        belief=cropped(belief.grid.probability),
+        reachable=np.asarray(arrays.reachable),
         origin=np.asarray(world.frame.origin),
         resolution=world.resolution,
         field_origin=np.asarray(belief.information.frame.origin),
@@ -48,6 +44,6 @@ def make_recording(
         goal=None if goal is None else np.asarray(goal),
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if ground is None else np.asarray(ground.is_traversable),
-        idleness=None if belief.idleness is None else np.asarray(belief.idleness),
+        idleness=None if belief.idleness is None else cropped(belief.idleness),
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
     )

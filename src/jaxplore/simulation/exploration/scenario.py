@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -37,6 +37,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord, MapProgress
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.recording import Frame
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
@@ -45,6 +46,7 @@ from jaxplore.simulation.exploration.clock import when_due, whole_steps
 from jaxplore.simulation.exploration.collision import clearance_reach
 from jaxplore.simulation.exploration.finish import is_finished
 from jaxplore.simulation.exploration.frames import frame_arrays
+from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.reachability import reachable_cells, with_closed
@@ -115,23 +117,20 @@ class ExplorationScenario(Scenario):
     frame_type = ExplorationFrame
     metrics_type = ExplorationMetrics
 
-    world: OccupancyGrid
+    map_arrays: MapArrays
     robot: Dynamics
     sensors: tuple[Sensor, ...]
     perception: Perception
     start: StateVector
-    reachable: GridMask
     control_period: Scalar
     steps_per_scan: Count
     steps_per_field: Count
     target_coverage: Scalar
-    prior: OccupancyGrid
     goal: Position | None
     goal_radius: Scalar
     max_unknown: Scalar
     hover_steps: Count
     faults: Faults | None
-    ground: Ground | None
     targets: Float[Array, "M 2"]
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
@@ -169,11 +168,11 @@ class ExplorationScenario(Scenario):
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
-        self.ground = None
+        ground = None
         if isinstance(world, TerrainMap):
-            self.ground = world.ground
+            ground = world.ground
             world = world.grid
-        self.world, self.robot, self.sensors = world, robot, all_sensors
+        self.robot, self.sensors = robot, all_sensors
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles
@@ -181,17 +180,17 @@ class ExplorationScenario(Scenario):
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         is_apart = perception is not None and perception.is_goal_apart
         self.goal_radius, self.max_unknown = checks.checked_end(goal_radius, max_unknown, is_apart)
-        self.perception = checks.checked_perception(
-            perception, self.sensors, world, robot, self.ground, self.goal, self.max_unknown
+        perception = checks.checked_perception(
+            perception, self.sensors, world, robot, ground, self.goal, self.max_unknown
         )
-        self.prior = checks.checked_prior(prior, world)
-        self.faults = checks.checked_faults(faults, world)
+        known = checks.checked_prior(prior, world)
+        faults = checks.checked_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
-        passable = world if self.ground is None else with_closed(world, self.ground)
-        self.reachable = on_device(reachable_cells(passable, pose, float(robot.radius)))
+        passable = world if ground is None else with_closed(world, ground)
+        reachable = on_device(reachable_cells(passable, pose, float(robot.radius)))
         if self.goal is not None:
-            checks.check_goal(self.goal, world, robot, self.reachable, float(self.goal_radius))
+            checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius))
         self.targets = checks.checked_targets(targets, world)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
@@ -200,6 +199,35 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
+        self._place(MapArrays(world, known, reachable, ground).padded(), perception, faults)
+
+    def _place(self, arrays: MapArrays, perception: Perception, faults: Faults | None) -> None:
+        """Set the map, and the parts that have its shape."""
+        if faults is not None and faults.walls is not None:
+            faults = eqx.tree_at(lambda each: each.walls, faults, arrays.mask(faults.walls))
+        if arrays.ground is not None:
+            perception = eqx.tree_at(lambda each: each.ground, perception, arrays.ground)
+        self.map_arrays, self.perception, self.faults = arrays, perception, faults
+
+    @property
+    def world(self) -> OccupancyGrid:
+        """True map."""
+        return self.map_arrays.world.unpadded()
+
+    @property
+    def prior(self) -> OccupancyGrid:
+        """Map that the robot knows in advance."""
+        return self.map_arrays.prior.unpadded()
+
+    @property
+    def reachable(self) -> GridMask:
+        """Mask (H, W) of the cells that the robot's centre can reach."""
+        return self.map_arrays.cropped().reachable
+
+    @property
+    def ground(self) -> Ground | None:
+        """Ground of the map's cells; None if it is level."""
+        return self.map_arrays.cropped().ground
 
     def __repr__(self) -> str:
         return describe_fields(self, "world", "robot", "sensors", "start", "goal", "period")
@@ -217,7 +245,7 @@ class ExplorationScenario(Scenario):
     @property
     def cell_size(self) -> float:
         """Side of a cell of the map [m]."""
-        return self.world.resolution
+        return self.map_arrays.world.resolution
 
     @property
     def objective(self) -> str:
@@ -232,11 +260,11 @@ class ExplorationScenario(Scenario):
     @property
     def num_reachable(self) -> Scalar:
         """Number of reachable cells."""
-        return jnp.sum(self.reachable, dtype=jnp.float32)
+        return jnp.sum(self.map_arrays.reachable, dtype=jnp.float32)
 
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
         """Return the initial state, and the belief with the prior map."""
-        belief = self.perception.init(self.prior, self.robot.pose(self.start))
+        belief = self.perception.init(self.map_arrays.prior, self.robot.pose(self.start))
         moving = self.moving_obstacles
         if moving is not None:
             if key is not None:
@@ -245,7 +273,7 @@ class ExplorationScenario(Scenario):
         state = ExplorationState(
             robot=self.start,
             belief=belief,
-            progress=map_progress(belief, self.reachable, jnp.zeros(())),
+            progress=map_progress(belief, self.map_arrays.reachable, jnp.zeros(())),
             finished=jnp.zeros((), jnp.int32),
             is_seen=jnp.zeros(self.num_targets, bool),
             moving_obstacles=moving,
@@ -272,11 +300,18 @@ class ExplorationScenario(Scenario):
             since = period * self.steps_per_scan.astype(jnp.float32)
             belief = perception.observe(belief, scans, pose, since)
             if self.num_targets > 0:
-                is_seen |= self.sensors[0].sees(truth.grid, at, self.targets, self.ground)
+                is_seen |= self.sensors[0].sees(
+                    truth.grid, at, self.targets, self.map_arrays.ground
+                )
             known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
             belief = dataclasses.replace(belief, obstacles=known)
             ranges = jnp.concatenate([scan.ranges for scan in scans])
-            return belief, map_progress(belief, self.reachable, moment.time), is_seen, ranges
+            return (
+                belief,
+                map_progress(belief, self.map_arrays.reachable, moment.time),
+                is_seen,
+                ranges,
+            )
 
         belief = state.belief
         # The tracker predicts the obstacles at every control period, also between scans.
@@ -363,12 +398,24 @@ class ExplorationScenario(Scenario):
         plan = None if inspect is None else inspect(moment.observed, state.belief)
         return frame_arrays(self.robot, self.sensors[0], state, scan, truth.discs, plan)
 
+    def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
+        """Make a frame on the host, with the cells that are on the map."""
+        stride = self.perception.field_sensor.stride
+        rows, columns = self.map_arrays.world.cropped(arrays["probability"]).shape
+        nodes = -(-rows // stride), -(-columns // stride)
+        on_map = {
+            "probability": arrays["probability"][:rows, :columns],
+            "information": arrays["information"][: nodes[0], : nodes[1]],
+        }
+        return super().make_frame(step, {**arrays, **on_map})
+
     def agent_view(self, view_cells: int | None) -> ExplorationView:
         """Return exploration as an agent sees it."""
         return ExplorationView(
             self,
             view_cells,
-            world=self.world,
+            frame=self.map_arrays.world.frame,
+            map_shape=self.world.shape,
             sensors=self.sensors,
             num_reachable=self.num_reachable,
             hover_steps=self.hover_steps,
@@ -393,18 +440,16 @@ class ExplorationScenario(Scenario):
             "targets": np.asarray(self.targets),
             "member_names": () if controller is None else controller.member_names,
         }
-        return make_recording(
-            before, last, self.world, self.ground, self.reachable, self.goal, common
-        )
+        return make_recording(before, last, self.map_arrays.cropped(), self.goal, common)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
         # Walls follow the number of the step, because `advance` asks for a later time: all parts of
         # a step then see the same walls.
-        grid = self.world
+        grid = self.map_arrays.world
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
-        return TrueWorld(grid, self.ground, state.moving_obstacles, moment.time)
+        return TrueWorld(grid, self.map_arrays.ground, state.moving_obstacles, moment.time)
 
     def _is_finished(
         self, robot: StateVector, progress: MapProgress, is_seen: Bool[Array, " M"]

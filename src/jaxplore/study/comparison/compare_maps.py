@@ -7,11 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.padding import common_shapes
 from jaxplore.report.console import progress_bar
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
-from jaxplore.study.comparison.maps import read_grids
+from jaxplore.study.comparison.maps import MapFile, read_grids
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
 from jaxplore.study.comparison.rows import StoredRow
 from jaxplore.study.comparison.store import Plan, Store, open_store
@@ -26,6 +28,8 @@ PROTOCOL: dict[str, Any] = {
     "time_limit": 900.0,
 }
 """Default settings of a comparison on maps."""
+MOST_SHAPES = 4
+"""Greatest number of different shapes of maps, each with a compiled program for each variant."""
 QUADROTOR: dict[str, Any] = {
     "lidar": {"field_of_view_degrees": 90.0, "num_beams": 46, "range_noise": 0.02},
     "sensor_model": {"kind": "log_odds"},
@@ -125,12 +129,11 @@ def compare_maps(
     plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
     episodes = plan.episodes()
     store = open_store(folder, plan, overwrite=overwrite)
+    episodes, grids = _with_shapes(episodes, plan.maps)
     with progress_bar("exploring", enabled=progress) as advance:
         advance(0.0, f"{len(episodes)} runs")
         counts = run_episodes(episodes, store, runner, _show(advance))
-    # The map stands in for any other: only the resolution is read.
-    resolution = make_exploration_settings({**episodes[0].entries, "map": OFFICE}).resolution
-    page = store.write_page(read_grids(plan.maps, resolution))
+    page = store.write_page(grids)
     rows = store.rows(NEEDED)
     return MapComparison(
         tuple(map_tables(rows)),
@@ -140,6 +143,32 @@ def compare_maps(
         store.results,
         page,
     )
+
+
+def _with_shapes(
+    episodes: Sequence[MapEpisode], maps: Sequence[MapFile]
+) -> tuple[tuple[MapEpisode, ...], dict[str, OccupancyGrid]]:
+    """Give the episodes common shapes of maps; return them, and the maps of the first variant.
+
+    Similar maps share a compiled program, so time and memory do not grow with their number.
+    """
+    variants = {each.explorer: each for each in reversed(episodes)}
+    # The office stands in for any map: only the resolution is read.
+    resolutions = {
+        name: make_exploration_settings({**each.entries, "map": OFFICE}).resolution
+        for name, each in variants.items()
+    }
+    grids = {each: read_grids(maps, each) for each in set(resolutions.values())}
+    shapes = {
+        each: common_shapes({name: grid.shape for name, grid in found.items()}, MOST_SHAPES)
+        for each, found in grids.items()
+    }
+    # A map that cannot be read has no shape: its episodes fail with the reason.
+    placed = tuple(
+        dataclasses.replace(each, map_shape=shapes[resolutions[each.explorer]].get(each.map))
+        for each in episodes
+    )
+    return placed, grids[resolutions[episodes[0].explorer]]
 
 
 def run_episodes(

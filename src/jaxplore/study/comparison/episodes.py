@@ -40,6 +40,8 @@ class MapEpisode:
         batch: number of runs of consecutive seeds that are computed together by `jax.vmap`: those
             with the same `seed // batch`. Rounding depends on it.
         copy: path of the YAML file on this machine; `path` when absent.
+        map_shape: rows and columns of the arrays of the map, which maps of similar size share;
+            chosen for the map alone when absent.
     """
 
     map: str
@@ -50,15 +52,16 @@ class MapEpisode:
     settings: Entries
     batch: int = 1
     copy: str | None = None
+    map_shape: tuple[int, int] | None = None
 
     @functools.cached_property
     def id(self) -> str:
-        """Hash of all fields except the location of the map, 20 hexadecimal digits.
+        """Hash of all fields except the location and the shape of the map, 20 hexadecimal digits.
 
-        So results stay valid if the folder of maps is moved.
+        So results stay valid if the folder of maps is moved, or maps are added to it.
         """
         content = {"format": FORMAT, **dataclasses.asdict(self)}
-        del content["path"], content["copy"]
+        del content["path"], content["copy"], content["map_shape"]
         if self.batch == 1:
             # A batch of 1 is left out of the hash: results of versions without batches stay valid.
             del content["batch"]

@@ -5,8 +5,8 @@ from collections.abc import Callable, Sequence
 
 import jax
 
+from jaxplore.build.exploration import build_exploration
 from jaxplore.build.parts import build_robot
-from jaxplore.build.tasks import build
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.exploration.reachability import open_spot
@@ -31,7 +31,7 @@ def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
     settings = make_exploration_settings(first.entries)
     if settings.start is None:
         settings = make_exploration_settings({**first.entries, "start": _open_start(settings)})
-    experiment = build(settings)
+    experiment = build_exploration(settings, first.map_shape)
     if first.batch == 1:
         recordings = {first.seed: record_alone(experiment)}
     else:
