@@ -236,7 +236,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
         same(after.controller.mppi.nominal, memory.nominal)
         same(after.task.robot, move(ROBOT, state, control, period))
         assert not records.is_collision[0]
-        assert float(records.unknown[0]) == pytest.approx(float(unknown_fraction(belief.grid)))
+        assert float(records.unknown_map[0]) == pytest.approx(float(unknown_fraction(belief.grid)))
         robots.append(np.asarray(after.task.robot))
     # It moved and saw something: a loop that stands still compares nothing.
     assert np.linalg.norm(robots[-1][:2] - robots[0][:2]) > 0.5
@@ -246,7 +246,7 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
 @every
 def test_explores_three_zones_without_touching(architecture: str, controllers, scenario) -> None:
     records = run(controllers[architecture], scenario, 0, 3 * CHUNK)
-    assert records.unknown[-1] < 0.7 * float(unknown_fraction(scenario.prior))
+    assert records.unknown_map[-1] < 0.7 * float(unknown_fraction(scenario.prior))
     assert not records.is_collision.any()
     assert records.is_finite.all()
     assert np.isfinite(records.state).all()

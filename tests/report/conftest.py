@@ -77,6 +77,7 @@ def make_recording() -> Callable[..., ExplorationRecording]:
             coverage=np.array(coverage, np.float32),
             entropy=np.linspace(90.0, 10.0, steps).astype(np.float32),
             unknown=np.linspace(0.9, 0.1, steps).astype(np.float32),
+            unknown_map=np.linspace(0.95, 0.3, steps).astype(np.float32),
             clearance=np.full(steps, 0.3, np.float32),
             is_collision=np.zeros(steps, bool),
             is_untraversable=np.zeros(steps, bool),

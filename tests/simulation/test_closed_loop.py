@@ -314,12 +314,14 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
     # Half a metre away is not within half a metre, a quarter is not less than a quarter; the target
     # coverage itself is enough.
     robot = ROBOT.at_pose(2.0 + (0.01 if is_there else 0.0), 1.5, 0.0)
+    nothing = jnp.zeros(())
     progress = MapProgress(
-        jnp.asarray(0.75 if is_covered else 0.74),
-        jnp.zeros(()),
-        jnp.asarray(0.249 if is_known else 0.25),
-        jnp.zeros(()),
-        jnp.zeros(()),
+        coverage=jnp.asarray(0.75 if is_covered else 0.74),
+        entropy=nothing,
+        unknown=nothing,
+        unknown_map=jnp.asarray(0.249 if is_known else 0.25),
+        mean_idleness=nothing,
+        worst_idleness=nothing,
     )
     nothing = jnp.zeros(0, bool)
     found = bool(scenario._is_finished(robot, progress, nothing))
@@ -337,9 +339,10 @@ def test_the_prior_is_what_is_known_at_first() -> None:
     away = np.hypot(columns * 0.1 + 0.05 - 0.6, rows * 0.1 + 0.05 - 1.5)
     np.testing.assert_array_equal(belief[away > 0.45], prior[away > 0.45])
     np.testing.assert_allclose(belief[away < 0.25], 0.01, rtol=1e-5)
-    assert float(state.task.progress.unknown) == pytest.approx(
-        np.mean(4 * belief * (1 - belief) > 0.5)
-    )
+    is_unknown = 4 * belief * (1 - belief) > 0.5
+    progress, reachable = state.task.progress, np.asarray(scenario.reachable)
+    assert float(progress.unknown_map) == pytest.approx(is_unknown.mean())
+    assert float(progress.unknown) == pytest.approx(is_unknown[reachable].mean())
     np.testing.assert_array_equal(scenario.world.probability, HALL)
 
 
@@ -398,7 +401,7 @@ def test_a_known_hall_ends_where_the_goal_begins_and_hovering_is_extra() -> None
 
 def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
     passing = drive(hall_scenario(None, max_unknown=0.0, target_coverage=1.0))
-    unknown = passing.records.unknown
+    unknown = passing.records.unknown_map
     distance = np.hypot(*(passing.positions[1:] - np.float32(GOAL)).T)
     assert (distance < 1.5).any()
     assert (passing.num_steps, passing.finished_step) == (60, None)

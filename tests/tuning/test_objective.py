@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.study.tuning import Objective
-from jaxplore.study.tuning.objective import flat, known_metrics, with_late_times
+from jaxplore.study.tuning.objective import flat, is_late, known_metrics, with_late_times
 
 
 def test_a_sum_is_read_and_written() -> None:
@@ -100,6 +100,9 @@ def test_late_times_are_those_of_the_mission() -> None:
     assert with_late_times(sought, 100.0)["last_target_at"] == pytest.approx(125.0)
     path = {"finished_at": None, "to_go": 30.0, "progress": 10.0}
     assert with_late_times(path, 40.0)["finished_at"] == pytest.approx(70.0)
+    assert with_late_times(path, 40.0)["late.finished_at"] == 1.0
+    assert is_late(["progress", "finished_at"], with_late_times(path, 40.0))
+    assert not is_late(["progress"], with_late_times(path, 40.0))
     reached = {"time_to.90": 12.0, "finished_at": 20.0, "coverage": 0.99}
     assert with_late_times(reached, 100.0) == reached
     near, far = (

@@ -16,7 +16,9 @@ from jaxplore.study.runner import Runner
 from jaxplore.study.tuning import ControllerEpisodes, Episode, SettingsEpisodes, tune
 from jaxplore.study.tuning.before_after import side_by_side
 from jaxplore.study.tuning.objective import Objective
+from jaxplore.study.tuning.result import TuningResult
 from jaxplore.study.tuning.significance import change, changes, table, verdict
+from jaxplore.study.tuning.trials import Trial
 
 QUICK = {
     "path": "track",
@@ -264,6 +266,23 @@ def test_evidence_compares_the_same_episodes() -> None:
     assert rows[1]["finished_at before"] == 20.0
     assert rows[1][f"{objective} after"] == 14.0
     assert math.isnan(rows[2][f"{objective} before"])
+
+
+def test_times_that_were_not_reached_are_no_numbers_in_the_tables() -> None:
+    late = {"finished_at": 55.0, "late.finished_at": 1.0, "collisions": 0.0}
+    before = {("m", 1): {"finished_at": 10.0, "collisions": 0.0}, ("m", 2): late}
+    after = {("m", 1): {"finished_at": 8.0, "collisions": 0.0}, ("m", 2): late}
+    objective = Objective.parse("finished_at + 100*collisions")
+    found = changes([objective], before, after)
+    chosen = Trial(1, {"a": 2.0}, (31.5,), "done", {})
+    result = TuningResult(
+        chosen, {"a": 1.0}, (chosen,), (), True, before, after, tuple(found), "no better"
+    )
+    rows = {name: texts for name, *texts in result.change_rows()}
+    assert rows[str(objective)][:2] == ["32.5 (1 of 2 not reached)", "31.5 (1 of 2 not reached)"]
+    assert rows["finished_at"] == ["reached in 1 of 2", "reached in 1 of 2", ""]
+    assert rows["collisions"][:2] == ["0", "0"]
+    assert [row["finished_at after"] for row in table([objective], before, after)] == [8.0, None]
 
 
 def test_a_scenario_that_cannot_be_read_is_told_at_once(tmp_path) -> None:

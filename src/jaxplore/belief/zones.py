@@ -31,6 +31,17 @@ def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
     return 4.0 * probability * (1.0 - probability)
 
 
+def is_unknown(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> GridMask:
+    """Return the mask (H, W) of the cells with `4 p (1 - p) > threshold`; see `unknown_fraction`.
+
+    Raises:
+        ValueError: a threshold outside [0, 1).
+    """
+    _kinds.instance("grid", grid, OccupancyGrid)
+    bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
+    return entropy_proxy(grid.probability) > bound
+
+
 def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
     """Return the fraction of cells with `4 p (1 - p) > threshold`.
 
@@ -40,12 +51,10 @@ def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
     Raises:
         ValueError: a threshold outside [0, 1).
     """
-    _kinds.instance("grid", grid, OccupancyGrid)
-    bound = _checks.scalar("threshold", threshold, at_least=0.0, below=1.0)
     # Off the map the probability is 1, where nothing is unknown.
-    is_unknown = entropy_proxy(grid.probability) > bound
+    cells = is_unknown(grid, threshold)
     height, width = (jnp.asarray(side, jnp.float32) for side in grid.sides)
-    return jnp.sum(is_unknown, dtype=jnp.float32) / (height * width)
+    return jnp.sum(cells, dtype=jnp.float32) / (height * width)
 
 
 def visible(grid: OccupancyGrid, position: Position, heading: Scalar, lidar: Lidar) -> GridMask:

@@ -16,6 +16,7 @@ class MapProgress(NamedTuple):
     coverage: Scalar
     entropy: Scalar
     unknown: Scalar
+    unknown_map: Scalar
     mean_idleness: Scalar
     worst_idleness: Scalar
 
@@ -28,7 +29,9 @@ class ExplorationRecord(NamedTuple):
         control: (nu,) control that took effect during the step.
         coverage: share of the reachable cells known to be free.
         entropy: entropy of the belief over the reachable cells [nat].
-        unknown: share of the map's cells with `4 p (1 - p) > 1/2`.
+        unknown: share of the reachable cells with `4 p (1 - p) > 1/2`.
+        unknown_map: the same share of all cells of the map, below which a mission with a goal
+            counts the map as explored: the robot does not know which cells it can reach.
         clearance: distance from the robot's edge to the nearest solid cell [m], up to half a metre.
         is_collision: whether the step would have led to a collision; the robot stopped instead.
         is_untraversable: whether part of the robot is on untraversable ground.
@@ -47,6 +50,7 @@ class ExplorationRecord(NamedTuple):
     coverage: Scalar
     entropy: Scalar
     unknown: Scalar
+    unknown_map: Scalar
     clearance: Scalar
     is_collision: Flag
     is_untraversable: Flag
@@ -105,7 +109,7 @@ class ExplorationData(RunData):
         start: (nx,) state at the start.
         initial_coverage: coverage before the first step.
         initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
-        initial_unknown: share of unknown cells before the first step.
+        initial_unknown: share of unknown cells among the reachable ones before the first step.
         goal: (2,) goal position [m]; None if there is no goal.
         finished_step: number of steps until the scenario was finished; None if it was not, or was
             finished before the first step.

@@ -35,7 +35,8 @@ class ExplorationMetrics(Metrics):
         path_length: distance travelled in the whole run [m].
         initial_entropy: entropy of the belief over the reachable cells before the first step [nat].
         final_entropy: entropy at the end [nat].
-        initial_unknown: share of the map's cells with `4 p (1 - p) > 1/2` before the first step.
+        initial_unknown: share of the reachable cells with `4 p (1 - p) > 1/2` before the first
+            step.
         final_unknown: share of unknown cells at the end.
         information_per_metre: entropy lost over the reachable cells for each metre travelled
             [nat/m]; None if the robot did not move.
@@ -107,7 +108,7 @@ class ExplorationMetrics(Metrics):
     levels = LEVELS
     plotted = (
         Curve("coverage", "coverage of reachable cells [%]", 100.0, 104.0),
-        Curve("unknown", "unknown cells of the map [%]", 100.0, 104.0),
+        Curve("unknown", "unknown reachable cells [%]", 100.0, 104.0),
     )
     columns = (
         Column.finished(),
@@ -211,7 +212,7 @@ class ExplorationMetrics(Metrics):
         shares = percent(self.initial_unknown), percent(self.final_unknown)
         return [
             *numbers("entropy", "{:.0f} -> {:.0f} nat", self.initial_entropy, self.final_entropy),
-            ("unknown", f"{shares[0]} -> {shares[1]} of all cells"),
+            ("unknown", f"{shares[0]} -> {shares[1]} of the reachable cells"),
             *numbers("information", "{:.1f} nat/m", self.information_per_metre),
         ]
 

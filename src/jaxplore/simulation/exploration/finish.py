@@ -35,5 +35,5 @@ def is_finished(
     is_there = jnp.sum(offset * offset) < goal_radius**2
     # Targets are an end of their own: seeing all of them counts, not how much of the map is known.
     if not has_targets:
-        is_covered |= progress.unknown < max_unknown
+        is_covered |= progress.unknown_map < max_unknown
     return is_there & is_covered

@@ -4,12 +4,12 @@ import jax.numpy as jnp
 
 from jaxplore._types import GridMask, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.zones import unknown_fraction
+from jaxplore.belief.zones import is_unknown, unknown_fraction
 from jaxplore.report.exploration.data import MapProgress
 
 
 def map_progress(belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:
-    """Compute coverage, entropy, the share of unknown cells and the idleness.
+    """Compute coverage, entropy, the shares of unknown cells and the idleness.
 
     Args:
         belief: the robot's belief.
@@ -29,7 +29,8 @@ def map_progress(belief: Belief, reachable: GridMask, time: Scalar) -> MapProgre
     return MapProgress(
         coverage=share(known),
         entropy=jnp.sum(jnp.where(reachable, belief.grid.entropy, 0.0)),
-        unknown=unknown_fraction(belief.grid),
+        unknown=share(jnp.sum(is_unknown(belief.grid) & reachable, dtype=jnp.float32)),
+        unknown_map=unknown_fraction(belief.grid),
         mean_idleness=mean,
         worst_idleness=worst,
     )

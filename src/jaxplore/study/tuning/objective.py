@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from jaxplore.parameters import nearest
@@ -153,12 +153,22 @@ def flat(metrics: Mapping[str, Any], prefix: str = "") -> dict[str, float | None
     return numbers
 
 
+LATE = "late."
+"""Prefix of the metrics that mark times of events that did not happen."""
+
+
+def is_late(names: Iterable[str], metrics: Numbers) -> bool:
+    """Check whether one of some metrics is the time of an event that did not happen."""
+    return any(f"{LATE}{name}" in metrics for name in names)
+
+
 def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
     """Replace missing times of events that did not happen within the time limit.
 
     Such a time is `limit (1 + missing)`, where `missing` is the share of the task that was left: of
     the coverage, the path, the targets, or the distance to the goal. So the objective still
-    improves gradually in a search that starts with settings that never finish.
+    improves gradually in a search that starts with settings that never finish. Each such time adds
+    the metric `late.NAME`, 1.
 
     Args:
         metrics: metrics of one episode.
@@ -170,11 +180,13 @@ def with_late_times(metrics: Numbers, limit: float) -> dict[str, float | None]:
         if value is None and name.startswith("time_to.") and coverage is not None:
             level = float(name.removeprefix("time_to.")) / 100.0
             filled[name] = limit * (1.0 + max(level - coverage, 0.0))
+            filled[f"{LATE}{name}"] = 1.0
     for name in ("finished_at", "last_target_at"):
         # Without targets there is no last one, so nothing is late.
         is_asked = name != "last_target_at" or bool(metrics.get("num_targets"))
         if name in metrics and metrics[name] is None and is_asked:
             filled[name] = limit * (1.0 + _missing(metrics))
+            filled[f"{LATE}{name}"] = 1.0
     return filled
 
 

@@ -59,19 +59,32 @@ class TuningResult:
         ]
 
     def change_rows(self) -> list[tuple[str, ...]]:
-        """Return a table of the changes on unseen seeds: the header, then a row for each."""
-        return [
-            ("mean", "before", "after", "difference [95 % interval]"),
-            *(
-                (
-                    each.name,
-                    short_text(each.before),
-                    short_text(each.after),
-                    f"{each.difference:+.4g} [{each.low:+.4g}, {each.high:+.4g}]",
-                )
-                for each in self.changes
-            ),
-        ]
+        """Return a table of the changes on unseen seeds: the header, then a row for each.
+
+        A time that was not reached in every episode has no mean, and shows in how many it was
+        reached. An objective has a value in each episode. If some of them contain a time that was
+        not reached, their number stands beside it.
+        """
+        objectives = len(self.chosen.values)
+        rows: list[tuple[str, ...]] = [("mean", "before", "after", "difference [95 % interval]")]
+        for number, each in enumerate(self.changes):
+            means = [short_text(each.before), short_text(each.after)]
+            late = [each.late_before, each.late_after]
+            difference = f"{each.difference:+.4g} [{each.low:+.4g}, {each.high:+.4g}]"
+            # The objectives come first, see `changes`.
+            if number < objectives:
+                means = [
+                    f"{mean} ({count} of {each.episodes} not reached)" if count else mean
+                    for mean, count in zip(means, late, strict=True)
+                ]
+            elif any(late):
+                means = [
+                    f"reached in {each.episodes - count} of {each.episodes}" if count else mean
+                    for mean, count in zip(means, late, strict=True)
+                ]
+                difference = ""
+            rows.append((each.name, *means, difference))
+        return rows
 
 
 def short_text(value: object) -> str:

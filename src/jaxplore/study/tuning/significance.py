@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore.report.statistics import paired_difference
-from jaxplore.study.tuning.objective import Numbers, Objective
+from jaxplore.study.tuning.objective import Numbers, Objective, is_late
 
 SHOWN = (
     "finished_at",
@@ -49,6 +49,10 @@ class Change:
         difference: mean over the episodes of after minus before.
         low: lower end of its 95 % interval.
         high: upper end.
+        episodes: number of episodes.
+        late_before: number of episodes before the search in which the event of a time did not
+            happen within the time limit. Their times are those of `with_late_times`.
+        late_after: the same number after the search.
     """
 
     name: str
@@ -57,6 +61,9 @@ class Change:
     difference: float
     low: float
     high: float
+    episodes: int = 0
+    late_before: int = 0
+    late_after: int = 0
 
     @property
     def is_significant(self) -> bool:
@@ -73,7 +80,9 @@ def change(name: str, before: Sequence[float], after: Sequence[float]) -> Change
         after: the values of the same episodes after the search.
     """
     difference = paired_difference(before, after)
-    return Change(name, float(np.mean(before)), float(np.mean(after)), *difference)
+    return Change(
+        name, float(np.mean(before)), float(np.mean(after)), *difference, episodes=len(before)
+    )
 
 
 def changes(
@@ -94,12 +103,29 @@ def changes(
     found = []
     for objective in objectives:
         pairs = [(objective.value(before[each]), objective.value(after[each])) for each in where]
-        found += _change(str(objective), pairs)
+        names = [metric for _, metric in objective.terms]
+        found += _counted(_change(str(objective), pairs), names, where, before, after)
     for name in SHOWN:
         pairs = [(_number(before[each], name), _number(after[each], name)) for each in where]
         if name not in map(str, objectives):
-            found += _change(name, pairs)
+            found += _counted(_change(name, pairs), [name], where, before, after)
     return found
+
+
+def _counted(
+    found: Sequence[Change],
+    names: Sequence[str],
+    where: Sequence[tuple[str, int]],
+    before: Mapping[tuple[str, int], Numbers],
+    after: Mapping[tuple[str, int], Numbers],
+) -> list[Change]:
+    """Count the episodes in which one of the metrics of a change is late."""
+    late_before, late_after = (
+        sum(is_late(names, some[each]) for each in where) for some in (before, after)
+    )
+    return [
+        dataclasses.replace(each, late_before=late_before, late_after=late_after) for each in found
+    ]
 
 
 def verdict(chosen: int, objectives: Sequence[Objective], found: Sequence[Change]) -> str:
@@ -157,7 +183,8 @@ def table(
                 row[f"{objective} {label}"] = objective.value(some) if some else math.nan
         for name in SHOWN:
             if name in metrics or name in other:
-                row[f"{name} before"] = metrics.get(name)
-                row[f"{name} after"] = other.get(name)
+                # The time of an event that did not happen is left empty.
+                for label, some in (("before", metrics), ("after", other)):
+                    row[f"{name} {label}"] = None if is_late([name], some) else some.get(name)
         rows.append(row)
     return rows
