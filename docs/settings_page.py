@@ -1,10 +1,13 @@
-"""Write the page of settings, `settings.md`: `python docs/settings_page.py`."""
+"""Write the page of settings, `settings.md`, and the names that the help of the command line shows:
+`python docs/settings_page.py`."""
 
 from pathlib import Path
 
+import jaxplore
 from jaxplore.settings.reference import TASKS, Row, plain, rows, sections
 
 PAGE = Path(__file__).parent / "settings.md"
+KNOWN = Path(jaxplore.__file__).parent / "cli" / "known.json"
 TITLES = {"exploration": "Exploration", "path": "Path following"}
 BEGINNING = """\
 <!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
@@ -68,3 +71,8 @@ def _escaped(text: str) -> str:
 
 if __name__ == "__main__":
     PAGE.write_text(page(), encoding="utf-8")
+    # The command line shows what the file says, and an old file may lack names.
+    KNOWN.unlink(missing_ok=True)
+    from jaxplore.cli import _known
+
+    _known.FILE.write_text(_known.as_text(_known.from_settings()), encoding="utf-8")

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+import scipy.spatial
 import yaml
 from PIL import Image
 
@@ -16,7 +17,7 @@ import jaxplore as jx
 from jaxplore.build.exploration import compared_architectures
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
-from jaxplore.cli._options import option_entries
+from jaxplore.cli._entries import option_entries
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
@@ -63,6 +64,39 @@ def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
     assert 0 < metrics["num_steps"] == len(first["coverage"]) <= 100
 
 
+def test_a_map_without_a_start_gets_one_that_is_shown_and_kept(
+    ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ran, kept = [], []
+
+    def save(result: None, folder: Path, settings: Any, **_: Any) -> None:
+        kept.append(settings)
+
+    monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *given, **_: ran.append(given))
+    monkeypatch.setattr("jaxplore.cli._run.save", save)
+    main(["run", str(ros_map)])
+    x, y, yaw = kept[0].start
+    assert capsys.readouterr().err == (
+        f"Start: {x:g} {y:g} 0, the position with the greatest clearance; another one: "
+        "--start X Y YAW\n"
+    )
+    np.testing.assert_array_equal(ran[0][1].start[:3], np.float32([x, y, yaw]))
+    # The larger of the two rooms, from x = 3.1 m to 8.9 m: no place is further from what is solid.
+    solid = np.argwhere(np.asarray(ran[0][1].world.probability) > 0.4) + 0.5
+    centres = 0.1 * (np.argwhere(np.ones((80, 90))) + 0.5)[:, ::-1]
+    clearance = scipy.spatial.KDTree(0.1 * solid[:, ::-1]).query([[x, y], *centres])[0]
+    assert clearance[0] == pytest.approx(clearance.max(), abs=1e-4)
+    # A start that is given is said no more. Neither is that of a map that has one.
+    main(["run", str(ros_map), "--start", "1.5", "2", "0"])
+    main(["run", "office", "--set", "office.width=9", "--set", "office.height=8"])
+    assert capsys.readouterr().err == ""
+    assert [each.start for each in kept[1:]] == [(1.5, 2.0, 0.0), None]
+    # The same start without the command line.
+    assert build(make_settings({"map": str(ros_map)})).scenario.start[:3].tolist() == [
+        *np.float32([x, y, yaw])
+    ]
+
+
 def test_office_needs_no_file_and_names_its_folders(capsys) -> None:
     small = ["--set", "office.width=9", "--set", "office.height=8", *SMALL, "--no-animation"]
     for _ in range(2):
@@ -93,7 +127,7 @@ def test_the_map_that_is_named_counts_not_that_of_the_settings_file() -> None:
     [
         (["run", "gone.yaml", "--start", "1", "1", "0"], "gone.yaml"),
         (["run"], "setting map is missing"),
-        (["run", "MAP"], "start is missing; accepted: a pose in free space, for example"),
+        (["run", "MAP", "--radius", "3.5"], "the map has no place for a robot of radius 3.5 m"),
         (["run", "MAP", "--start", "9", "1", "0"], "off the map"),
         (["run", "MAP", "--start", "0.05", "1", "0"], "in a wall"),
         (["run", "MAP", "--start", "3.05", "1", "0"], "in unknown space"),
@@ -208,6 +242,50 @@ def test_importing_is_light_and_changes_nothing_global_and_the_command_runs() ->
     assert "jaxplore, version" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("arguments", "code", "shown"),
+    [
+        ("--help", 0, "simulates one run"),
+        ("--version", 0, jx.__version__),
+        ("run --help", 0, "[default: 900.0]"),
+        ("compare --help", 0, "--architectures"),
+        ("tune --help", 0, "cma-es"),
+        ("settings --help", 0, "robot.max_speed"),
+        ("run office --sed 3", 2, "No such option '--sed'"),
+        ("compare --seeds many", 2, "'many' is not a valid integer"),
+        ("rnu", 2, "No such command 'rnu'"),
+    ],
+)
+def test_help_and_wrong_options_need_nothing_slow(arguments: str, code: int, shown: str) -> None:
+    program = (
+        "import sys\n"
+        "from jaxplore.__main__ import main\n"
+        "try:\n"
+        "    main()\n"
+        "finally:\n"
+        "    slow = {'jax', 'equinox', 'numpy', 'pydantic', 'matplotlib', 'scipy', 'yaml'}\n"
+        "    print('SLOW', sorted(slow & set(sys.modules)))\n"
+    )
+    command = [sys.executable, "-c", program, *arguments.split()]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == code
+    assert shown in (done.stderr if code else done.stdout)
+    assert done.stdout.splitlines()[-1] == "SLOW []"
+    assert done.stderr.count("\n") == (1 if code else 0)
+
+
+def test_a_shell_completes_settings_without_anything_slow() -> None:
+    program = (
+        "import sys\n"
+        "from click.shell_completion import ShellComplete\n"
+        "from jaxplore.cli import cli\n"
+        "found = ShellComplete(cli, {}, 'jaxplore', 'X').get_completions(['run', '--set'], 'lid')\n"
+        "print(found[0].value, 'jax' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.stdout == "lidar.num_beams= False\n"
+
+
 ALL = ["two-layer", "parallel", "sequential", "random-walk", "goal"]
 ROOM = {"size": [4.0, 3.0], "resolution": 0.2, "start": [1.0, 1.5, 0.0]}
 FEW = ["--samples", "8", "--beams", "8", "--range", "1", "--set", "fields.num_directions=4"]
@@ -253,6 +331,28 @@ def chosen(asked: list[Asked], monkeypatch: pytest.MonkeyPatch) -> list[Asked]:
         "jaxplore.cli._comparison.build", lambda settings: (settings, None, 1, None)
     )
     return asked
+
+
+def test_a_chosen_start_of_a_comparison_and_of_a_search_is_kept(
+    ros_map: Path, chosen: list[Asked], monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    interrupted("compare", str(ros_map), "--architectures", "explorer,wander", "--out", "it")
+    starts = {settings.start for settings, *_ in chosen[0].experiments.values()}
+    assert len(starts) == 1
+    assert None not in starts
+    assert yaml.safe_load(Path("it/settings.yaml").read_text())["start"] == [*starts.pop()]
+    assert capsys.readouterr().err.startswith("Start: ")
+    asked: list[Any] = []
+
+    class Stopped:
+        def __init__(self, scenarios: dict[str, Any], **given: Any) -> None:
+            asked.extend([scenarios, given["common"]])
+            raise ValueError("enough")
+
+    monkeypatch.setattr("jaxplore.cli._tune.SettingsEpisodes", Stopped)
+    with pytest.raises(SystemExit):
+        main(["tune", str(ros_map), "--tune", "controller.temperature"])
+    assert asked[0]["map"]["start"] == asked[1]["start"]
 
 
 @pytest.fixture
@@ -320,7 +420,7 @@ def test_samples_reach_every_controller_of_a_comparison(room: Path, asked: list[
     [
         (["compare"], "setting map is missing"),
         (["compare", "gone.yaml"], "gone.yaml"),
-        (["compare", "MAP"], "start is missing; accepted: a pose in free space"),
+        (["compare", "MAP", "--radius", "3.5"], "the map has no place for a robot of radius 3.5 m"),
         (["compare", "ROOM", "--seeds", "0"], "--seeds is 0; accepted: a whole number >= 1"),
         (["compare", "ROOM", "--seeds", "-2"], "--seeds is -2; accepted: a whole number >= 1"),
         (["compare", "ROOM", "--seeds", "two"], "--seeds"),

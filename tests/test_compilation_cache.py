@@ -202,7 +202,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[object]:
         if path == "refused" or (path is None and os.environ.get("HOME") == "/nowhere"):
             raise ValueError("path is refused; accepted: another one")
 
-    monkeypatch.setattr("jaxplore.cli._cache.enable_compilation_cache", enable)
+    monkeypatch.setattr("jaxplore.compilation_cache.enable_compilation_cache", enable)
     jax.config.update("jax_compilation_cache_dir", None)
     return folders
 

@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 
 import jaxplore
+from jaxplore.cli import _known
 
 PAGE = Path(__file__).parents[1] / "docs" / "api.md"
 DIRECTIVE = re.compile(
@@ -46,3 +47,8 @@ def test_the_page_of_settings_is_up_to_date() -> None:
     written = runpy.run_path(str(script))
     is_current = written["PAGE"].read_text(encoding="utf-8") == written["page"]()
     assert is_current, "docs/settings.md is out of date: python docs/settings_page.py renews it"
+
+
+def test_what_the_help_shows_of_settings_is_up_to_date() -> None:
+    is_current = _known.FILE.read_text(encoding="utf-8") == _known.as_text(_known.from_settings())
+    assert is_current, "cli/known.json is out of date: python docs/settings_page.py renews it"

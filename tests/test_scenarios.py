@@ -184,7 +184,7 @@ def test_options_win_over_a_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
         asked.append(settings)
         raise ValueError("enough")
 
-    monkeypatch.setattr("jaxplore.cli.build", note)
+    monkeypatch.setattr("jaxplore.cli._run.build", note)
     name = write("yard.yaml", map="my yard")
     options = ["--samples", "9", "--max-speed", "0.5", "--set", "portfolio.fusion=average"]
     for place in (name, "warehouse"):

@@ -8,7 +8,7 @@ from click.shell_completion import ShellComplete
 
 from jaxplore.build.tasks import make_settings
 from jaxplore.cli import cli, main
-from jaxplore.cli._options import option_entries
+from jaxplore.cli._entries import option_entries
 from jaxplore.settings.reference import PLACES, find_rows, setting_names
 from jaxplore.study.tuning.optimizers import NAMES
 

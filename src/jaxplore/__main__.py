@@ -7,7 +7,7 @@ from jaxplore._exit import INTERRUPTED
 
 def main() -> None:
     """Run the command line."""
-    # The import takes a second, in which Ctrl-C has nothing to save.
+    # Ctrl-C during this import has nothing to save.
     try:
         from jaxplore import cli
     except KeyboardInterrupt:

@@ -1,11 +1,11 @@
 import dataclasses
 import re
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 
-from jaxplore.settings.exploration import Architecture
+from jaxplore.settings.exploration import ARCHITECTURES
 from jaxplore.study.comparison.episodes import (
     MapEpisode,
     common_settings,
@@ -71,7 +71,7 @@ def test_one_setting_can_be_written_in_several_ways(maps: tuple[MapFile, ...]) -
     assert common_settings(written[0]) == {"time_limit": 9.0, "goal": [1.0, 2.0]}
 
 
-KNOWN = ", ".join(get_args(Architecture))
+KNOWN = ", ".join(ARCHITECTURES)
 
 
 @pytest.mark.parametrize(

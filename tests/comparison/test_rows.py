@@ -122,7 +122,7 @@ def test_without_a_start_it_is_the_most_open_spot(episodes: tuple[MapEpisode, ..
     (row,) = make_rows((west,))
     x, y = open_spot(jx.OccupancyGrid.from_ros(west.path), 0.2)
     assert json.loads(row["settings"])["start"] == [x, y, 0.0]
-    assert (row["positions_x"][0], row["positions_y"][0]) == (x, y)
+    assert (row["positions_x"][0], row["positions_y"][0]) == tuple(np.float32([x, y]))
     assert row["id"] == west.id
 
 

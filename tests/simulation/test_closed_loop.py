@@ -21,6 +21,7 @@ from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 
@@ -323,11 +324,13 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
         mean_idleness=nothing,
         worst_idleness=nothing,
     )
-    nothing = jnp.zeros(0, bool)
-    found = bool(scenario._is_finished(robot, progress, nothing))
+    state = ExplorationState(
+        robot, None, progress, jnp.zeros((), int), jnp.zeros(0, bool), None, jnp.zeros(0)
+    )
+    found = bool(scenario.is_finished(state))
     assert found == (is_there and (is_known or is_covered))
     aimless = hall_scenario(goal=None, target_coverage=0.75)
-    assert bool(aimless._is_finished(robot, progress, nothing)) == is_covered
+    assert bool(aimless.is_finished(state)) == is_covered
 
 
 def test_the_prior_is_what_is_known_at_first() -> None:

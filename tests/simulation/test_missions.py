@@ -401,10 +401,7 @@ def test_without_a_target_coverage_there_is_no_end() -> None:
     covered = state.task._replace(progress=state.task.progress._replace(coverage=jnp.ones(())))
     assert bool(never.is_unfinished(covered))
     assert not bool(once.is_unfinished(covered))
-    ends = [
-        bool(each._is_finished(covered.robot, covered.progress, covered.is_seen))
-        for each in (never, once)
-    ]
+    ends = [bool(each.is_finished(covered)) for each in (never, once)]
     assert ends == [False, True]
 
 

@@ -4,6 +4,7 @@ import math
 
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
+from jaxplore.build.own import own_controller, own_rule
 from jaxplore.build.parts import build_robot
 from jaxplore.build.world import RunWorld
 from jaxplore.control.base import Controller
@@ -28,36 +29,42 @@ from jaxplore.planning.strategy.targets import TargetChoice
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import BASELINES, Settings
+from jaxplore.settings.own import is_own
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 
 def build_controller(
-    settings: Settings, robot: Dynamics, world: RunWorld, perception: Perception
+    settings: Settings, world: RunWorld, scenario: ExplorationScenario
 ) -> Controller:
     """Build the controller of an architecture.
 
     Args:
         settings: settings of the run.
-        robot: model of the robot.
         world: world of the run.
-        perception: perception of the scenario.
+        scenario: scenario of the run.
 
     Raises:
-        ValueError: an architecture that the world does not allow, or settings that a part rejects.
+        ValueError: an architecture that the world does not allow, settings that a part rejects, or
+            an architecture of the user's own that is none.
     """
+    robot, perception = scenario.robot, scenario.perception
     if settings.architecture == "explorer":
         return explorer(robot, **arguments(settings.controller, explorer))
     if settings.architecture == "portfolio":
         return _portfolio(settings, world)
-    if settings.architecture in BASELINES:
+    own = own_rule(settings.architecture) if is_own(settings.architecture) else None
+    if own is not None or settings.architecture in BASELINES:
         return target_explorer(
             robot,
-            settings.architecture,
+            settings.architecture if own is None else own,
             perception,
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
             **arguments(settings.controller, explorer),
         )
+    if is_own(settings.architecture):
+        return own_controller(settings.architecture, scenario)
     return _quadrotor_controller(settings, robot, world, perception)
 
 

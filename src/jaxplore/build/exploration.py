@@ -8,7 +8,7 @@ from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
-from jaxplore.build.world import RunWorld, build_world
+from jaxplore.build.world import RunWorld, build_world, is_ros_map
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
@@ -54,7 +54,7 @@ def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = No
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     )
-    controller = build_controller(settings, robot, world, perception)
+    controller = build_controller(settings, world, scenario)
     return Experiment(
         set_parameters(controller, settings.parameters),
         scenario,
@@ -85,6 +85,25 @@ def _perception(
         **arguments(settings.fields, Perception),
         **unknown,
     )
+
+
+def with_start(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return settings entries with a start, where neither they nor the map have one.
+
+    It is the position with the greatest clearance, heading along x.
+
+    Args:
+        entries: names and values of settings, as in a settings file.
+
+    Raises:
+        ValueError: entries that are not accepted, a map that cannot be read or has no place for
+            the robot.
+    """
+    settings = make_exploration_settings(entries)
+    if settings.start is not None or not is_ros_map(settings):
+        return entries
+    world = build_world(settings, float(build_robot(settings.robot).radius))
+    return {**entries, "start": world.start}
 
 
 def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:

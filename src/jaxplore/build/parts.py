@@ -2,6 +2,7 @@
 
 import math
 
+from jaxplore.build.own import own_robot
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
@@ -15,6 +16,7 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
+from jaxplore.settings.own import is_own
 from jaxplore.settings.robot import RobotSettings, SensorModelSettings
 
 
@@ -24,10 +26,14 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
     Args:
         given: settings of the robot.
         integrator: integrator of a car or a differential drive; the model's default when absent.
+            A model of the user's own has its own.
 
     Raises:
-        ValueError: a car that is shorter than its wheelbase, or a value that the model rejects.
+        ValueError: a car that is shorter than its wheelbase, a value that the model rejects, or a
+            model of the user's own that is none.
     """
+    if is_own(given.model):
+        return own_robot(given.model)
     if given.model == "quadrotor":
         return Quadrotor(given.mass, radius=given.radius)
     if given.model == "unicycle":

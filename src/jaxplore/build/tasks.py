@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxplore.build.exploration import build_exploration, compared_architectures
+from jaxplore.build.exploration import build_exploration, compared_architectures, with_start
 from jaxplore.build.path import build_path_following
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.settings.path import PATH, TRACK, PathSettings, make_path_settings
@@ -21,6 +21,7 @@ class Task(NamedTuple):
         build: function from settings to an experiment.
         architectures: function from entries to the architectures to compare by default; none for
             a task without architectures.
+        with_start: function from entries to entries with a start, where a map has none.
     """
 
     selector: str
@@ -28,13 +29,27 @@ class Task(NamedTuple):
     check: Callable[[dict[str, Any]], RunSettings]
     build: Callable[[Any], Experiment]
     architectures: Callable[[dict[str, Any]], tuple[str, ...]]
+    with_start: Callable[[dict[str, Any]], dict[str, Any]]
 
 
 TASKS = {
     "exploration": Task(
-        "map", Settings, make_exploration_settings, build_exploration, compared_architectures
+        "map",
+        Settings,
+        make_exploration_settings,
+        build_exploration,
+        compared_architectures,
+        with_start,
     ),
-    "path": Task("path", PathSettings, make_path_settings, build_path_following, lambda _: ()),
+    # A path begins where it begins.
+    "path": Task(
+        "path",
+        PathSettings,
+        make_path_settings,
+        build_path_following,
+        lambda _: (),
+        lambda entries: entries,
+    ),
 }
 """Kinds of tasks by name. The first is the default."""
 

@@ -9,7 +9,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
-from jaxplore.simulation.exploration.reachability import open_spot
+from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 
 ENOUGH = 1.0 - 1e-6
 """Maps finer than this share of the wanted resolution are resampled. Equal ones differ by rounding
@@ -45,12 +45,14 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
 
     Args:
         settings: settings of the run.
-        radius: radius of the robot [m]; if the start is missing, the error names a free position
-            for it.
+        radius: radius of the robot [m], which must fit where the start is chosen.
 
     Raises:
-        ValueError: a map, world or height map that cannot be read; a start that is missing.
+        ValueError: a map, world or height map that cannot be read; a start that is not given, on a
+            map without a place for the robot.
     """
+    if is_ros_map(settings):
+        return _on_map(settings, radius)
     # Beside a `world`, the map is only a name.
     if settings.world is not None:
         return _in_world(World.from_dict(settings.world), settings)
@@ -60,9 +62,14 @@ def build_world(settings: Settings, radius: float) -> RunWorld:
         return RunWorld(grid, start, goal=settings.goal)
     if settings.map == ZONES:
         return _in_world(three_zones(), settings)
-    if is_world_file(settings.map):
-        return _in_world(World.from_yaml(settings.map), settings)
-    return _on_map(settings, radius)
+    return _in_world(World.from_yaml(settings.map), settings)
+
+
+def is_ros_map(settings: Settings) -> bool:
+    """Check whether a run is on a ROS map, the only kind of map that has no start of its own."""
+    if settings.world is not None or settings.map in (OFFICE, ZONES):
+        return False
+    return not is_world_file(settings.map)
 
 
 def _in_world(world: World, settings: Settings) -> RunWorld:
@@ -86,7 +93,10 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
 
 
 def _on_map(settings: Settings, radius: float) -> RunWorld:
-    """Build the world of a ROS map, with its height map if there is one."""
+    """Build the world of a ROS map, with its height map if there is one.
+
+    A start that is not given is the position with the greatest clearance, heading along x.
+    """
     given, ground = settings.terrain, None
     if given.height_map is None:
         grid = OccupancyGrid.from_ros(settings.map)
@@ -100,9 +110,8 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
         if terrain.resolution < settings.resolution * ENOUGH:
             terrain = terrain.resample(settings.resolution)
         grid, ground = terrain.grid, terrain.ground
-    if settings.start is None:
-        x, y = open_spot(grid, radius)
-        raise ValueError(
-            f"start is missing; accepted: a pose in free space, for example {x:.2f} {y:.2f} 0"
-        )
-    return RunWorld(grid, settings.start, goal=settings.goal, ground=ground)
+    start = settings.start
+    if start is None:
+        open_ground = grid if ground is None else with_closed(grid, ground)
+        start = (*open_spot(open_ground, radius), 0.0)
+    return RunWorld(grid, start, goal=settings.goal, ground=ground)

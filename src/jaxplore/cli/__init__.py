@@ -1,4 +1,8 @@
-"""The command line."""
+"""The command line.
+
+This module and those of the options import neither JAX nor what needs it, so that the help, the
+completions of shells and errors in options come at once. A command imports what it runs.
+"""
 
 import sys
 from collections.abc import Sequence
@@ -9,18 +13,12 @@ import click
 
 from jaxplore._exit import BAD_INPUT, INTERRUPTED
 from jaxplore._version import __version__
-from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli._cache import cache_option
-from jaxplore.cli._comparison import comparison_options, run_comparison
+from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
-from jaxplore.cli._options import folder_name, option_entries, path_options, with_options
+from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._runner import runner_options
-from jaxplore.cli._settings import show_settings
-from jaxplore.cli._show import free_name, save
-from jaxplore.cli._tune import run_tune
 from jaxplore.cli._tune_options import tune_options
-from jaxplore.report.folder import check_folder
-from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -69,19 +67,9 @@ def run(
 
     Ctrl-C ends the run and saves it up to then.
     """
-    entries = option_entries(options)
-    settings = make_settings(entries)
-    folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
-    # The folder is checked before the run, which may take minutes.
-    check_folder(folder, overwrite=overwrite)
-    experiment = build(settings)
-    result = simulate(
-        *experiment[:3],
-        key=experiment.key,
-        progress=True,
-        num_trajectories=NUM_TRAJECTORIES if animation else 0,
-    )
-    save(result, folder, settings, overwrite=overwrite, animation=animation)
+    from jaxplore.cli._run import run_one
+
+    run_one(options, out, overwrite=overwrite, animation=animation)
 
 
 @cli.command()
@@ -129,6 +117,8 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
     \b
       jaxplore compare --maps maps --architectures explorer,portfolio --workers 4
     """
+    from jaxplore.cli._comparison import run_comparison
+
     run_comparison(options, seeds, out, overwrite=overwrite, animation=animation)
 
 
@@ -162,6 +152,8 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
     Writes settings.yaml for jaxplore run --settings, a report with figures, tables, and study.db
     for optuna-dashboard. Ctrl-C keeps finished episodes; the same command continues.
     """
+    from jaxplore.cli._tune import run_tune
+
     run_tune(options, out, animation=animation)
 
 
@@ -181,6 +173,8 @@ def print_settings(name: str | None) -> None:
 
     The YAML is a settings file, for jaxplore run --settings.
     """
+    from jaxplore.cli._settings import show_settings
+
     show_settings(name)
 
 

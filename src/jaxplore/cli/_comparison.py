@@ -10,14 +10,13 @@ import click
 
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._completion import complete_architectures, complete_assignment
-from jaxplore.cli._options import folder_name, option_entries
+from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import free_name, show_comparison
+from jaxplore.cli._show import free_name, show_comparison, show_starts
 from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
-from jaxplore.settings.exploration import GROUND, merge_entries
+from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
@@ -37,54 +36,6 @@ _OF_ONE_PLACE = {
 """Options for a single scenario only."""
 
 
-def comparison_options(command: Any) -> Any:
-    """Add the options for the variants and the maps of a comparison."""
-    folder = click.Path(path_type=Path)
-    # Click lists options in the reverse order of their addition.
-    for option in (
-        click.option(
-            "--batch",
-            type=int,
-            help="With --maps: runs in one program (vmap), for accelerators.  [default: 1]",
-        ),
-        click.option(
-            "--starts",
-            type=folder,
-            metavar="FILE",
-            help="With --maps: YAML file of start poses, NAME: [x, y, yaw].  [default: starts.yaml "
-            "of the folder, else the position with the greatest clearance]",
-        ),
-        click.option(
-            "--maps",
-            type=folder,
-            metavar="DIR",
-            help="Compare on all ROS maps of a folder; can be interrupted and continued.",
-        ),
-        click.option(
-            "--vary",
-            "varied",
-            multiple=True,
-            metavar="NAME=A,B,C",
-            shell_complete=complete_assignment,
-            help="Compare values of a setting, or of a controller parameter by its path.",
-        ),
-        click.option(
-            "--variants",
-            metavar="FILE,FILE",
-            help="Compare settings files, each merged over the common settings.",
-        ),
-        click.option(
-            "--architectures",
-            metavar="NAME,NAME",
-            shell_complete=complete_architectures,
-            help="Compare architectures.  [default: all that the map allows, unless something else "
-            "varies]",
-        ),
-    ):
-        command = option(command)
-    return command
-
-
 def run_comparison(
     options: dict[str, Any], seeds: int, out: Path | None, *, overwrite: bool, animation: bool
 ) -> None:
@@ -101,6 +52,7 @@ def run_comparison(
         _names(options.pop("architectures")),
         _names(options.pop("variants")),
         options.pop("varied"),
+        is_trusted=options["trust"],
     )
     given = {name: options.pop(name) for name in ("maps", *_OF_MAPS, *RUNNER)}
     runner = make_runner(given)
@@ -136,7 +88,9 @@ def _in_one_place(
         raise ValueError(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
-    settings = {name: make_settings(merge_entries(entries, own)) for name, own in variants.items()}
+    given = {name: merge_entries(entries, own) for name, own in variants.items()}
+    started = {name: find_task(each).with_start(each) for name, each in given.items()}
+    settings = {name: make_settings(each) for name, each in started.items()}
     _check_one_robot(settings)
     common = next(iter(settings.values()))
     folder = free_name(Path("runs") / f"{folder_name(entries)}-comparison") if out is None else out
@@ -144,12 +98,13 @@ def _in_one_place(
     check_folder(folder, overwrite=overwrite)
     # The keys are left out: `compare` makes one for each seed.
     experiments = {name: build(each)[:3] for name, each in settings.items()}
+    show_starts(given, started)
     first = common.seed
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
     # Defaults depend on the architecture; settings.yaml stores those of the first one.
     architecture = getattr(common, "architecture", None)
     kind = {} if architecture is None else {"architecture": architecture}
-    kept = make_settings({**entries, **kind}).model_dump(mode="json", exclude={"architecture"})
+    kept = make_settings(find_task(entries).with_start({**entries, **kind}))
     own = {
         name: settings[name].model_dump(mode="json")
         for name, each in variants.items()
@@ -160,7 +115,7 @@ def _in_one_place(
             folder,
             overwrite=overwrite,
             animation=animation,
-            settings=kept,
+            settings=kept.model_dump(mode="json", exclude={"architecture"}),
             variants=own,
             on_progress=lambda share: advance(share, ""),
         )
@@ -170,7 +125,7 @@ def _in_one_place(
 def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
     """Check that all architectures drive the same robot."""
     names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
-    ground = [name for name, architecture in names.items() if architecture in GROUND]
+    ground = [name for name, architecture in names.items() if architecture not in QUADROTOR]
     if ground and len(ground) < len(names):
         raise ValueError(
             f"--architectures is {','.join(names)!r}, of which {', '.join(ground)} drives another "

@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterable
 import click
 from click.shell_completion import CompletionItem
 
-from jaxplore.cli._settings import known_names
-from jaxplore.settings.reference import PLACES, rows, setting_names
+from jaxplore.cli._known import known
 
 type Complete = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
@@ -19,28 +18,28 @@ def complete_map(
 ) -> list[CompletionItem]:
     """Complete a map: names of scenarios, and files."""
     # The item of type file lets the shell complete files. Bash does so if no name fits.
-    return [CompletionItem(incomplete, type="file"), *_fitting(PLACES, incomplete)]
+    return [CompletionItem(incomplete, type="file"), *_fitting(known().places, incomplete)]
 
 
 def complete_assignment(
     _context: click.Context, _option: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete the name of a setting that gets a value, NAME=VALUE."""
-    return _fitting((f"{name}=" for name in setting_names()), incomplete)
+    return _fitting((f"{name}=" for name in known().settings), incomplete)
 
 
 def complete_setting(
     _context: click.Context, _option: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete the name of a setting."""
-    return _fitting(setting_names(), incomplete)
+    return _fitting(known().settings, incomplete)
 
 
 def complete_name(
     _context: click.Context, _argument: click.Parameter, incomplete: str
 ) -> list[CompletionItem]:
     """Complete a name of `jaxplore settings`."""
-    return _fitting(known_names(), incomplete)
+    return _fitting(known().names, incomplete)
 
 
 def values_of(setting: str) -> Complete:
@@ -49,8 +48,7 @@ def values_of(setting: str) -> Complete:
     def complete(
         _context: click.Context, _option: click.Parameter, incomplete: str
     ) -> list[CompletionItem]:
-        found = (word for row in rows() if row.name == setting for word in row.choices)
-        return _fitting(dict.fromkeys(found), incomplete)
+        return _fitting(known().words[setting], incomplete)
 
     return complete
 

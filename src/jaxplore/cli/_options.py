@@ -1,26 +1,14 @@
-"""Options that the commands share, and their conversion to settings."""
+"""Options that the commands share."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
-import yaml
 
 from jaxplore.cli._completion import complete_assignment, complete_map, values_of
-from jaxplore.maps.files.untrusted import printable_path
-from jaxplore.settings.exploration import (
-    BASELINES,
-    OFFICE,
-    SCENARIOS,
-    ZONES,
-    is_scenario_file,
-    make_exploration_settings,
-    read_settings,
-)
-from jaxplore.settings.path import PATH, TRACK
+from jaxplore.cli._known import known
 
-# Options of single settings: option, dotted setting, type, help.
 _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--seed", "seed", int, "Seed of all random numbers."),
     ("--time-limit", "time_limit", float, "Simulated time [s]."),
@@ -30,14 +18,15 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
         "--robot",
         "robot.model",
         str,
-        "Model of the robot: differential_drive, unicycle, ackermann or quadrotor.",
+        "Model of the robot: differential_drive, unicycle, ackermann, quadrotor, or MODULE:NAME of "
+        "your own.",
     ),
     (
         "--architecture",
         "architecture",
         str,
-        f"explorer, portfolio, or a baseline: {', '.join(BASELINES)}; for quadrotors two-layer, "
-        "parallel, sequential, random-walk, goal.",
+        f"explorer, portfolio, or a baseline: {', '.join(known().baselines)}; for quadrotors "
+        "two-layer, parallel, sequential, random-walk, goal. Or MODULE:NAME of your own.",
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
@@ -45,20 +34,7 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--range", "lidar.max_range", float, "Range of the lidar [m]."),
     ("--samples", "controller.num_samples", int, "Number of MPPI rollouts."),
 )
-
-
-DEFAULTS = tuple(
-    make_exploration_settings({"map": OFFICE, "architecture": name}).model_dump()
-    for name in ("explorer", "two-layer")
-)
-"""Default settings of ground robots and of quadrotors."""
-
-
-def _default(defaults: dict[str, Any], setting: str) -> Any:
-    value: Any = defaults
-    for part in setting.split("."):
-        value = value[part]
-    return value
+"""Options of single settings: option, dotted setting, type, help."""
 
 
 def with_options(*without: str) -> Callable[[Any], Any]:
@@ -72,7 +48,8 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             nargs=3,
             type=float,
             metavar="X Y YAW",
-            help="Start pose [m, m, rad]; office and zones define their own.",
+            help="Start pose [m, m, rad].  [default: that of the map or scenario, else the "
+            "position with the greatest clearance]",
         ),
         click.option(
             "--goal",
@@ -85,7 +62,7 @@ def with_options(*without: str) -> Callable[[Any], Any]:
     for flag, setting, kind, text in _OPTIONS:
         if setting in without:
             continue
-        ground, flying = (_default(each, setting) for each in DEFAULTS)
+        ground, flying = known().settings[setting]
         value = f"{ground}" if ground == flying else f"{ground}; {flying} for quadrotors"
         name, text = setting.replace(".", "__"), f"{text}  [default: {value}]"
         complete = values_of(setting) if kind is str else None
@@ -106,6 +83,11 @@ def with_options(*without: str) -> Callable[[Any], Any]:
             shell_complete=complete_assignment,
             help="Any other setting, for example --set fields.decay_length=3 (see 'jaxplore "
             "settings').",
+        ),
+        click.option(
+            "--trust",
+            is_flag=True,
+            help="Import what settings files name as MODULE:NAME, which runs its code.",
         ),
         click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
     ]
@@ -134,129 +116,3 @@ def path_options(command: Any) -> Any:
     ):
         command = option(command)
     return command
-
-
-_OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
-"""Options of path following only, and their settings."""
-_OF_BOTH = (
-    "seed",
-    "time_limit",
-    "start",
-    "robot__model",
-    "robot__radius",
-    "robot__max_speed",
-    "controller__num_samples",
-)
-"""Options of both exploration and path following."""
-
-
-def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert options to settings entries.
-
-    Args:
-        options: values of the options of `with_options` and `path_options`.
-
-    Raises:
-        ValueError: a path beside a map, an option that does not apply, a file that cannot be read.
-    """
-    given = dict(options)
-    settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
-    entries = {} if settings_file is None else read_settings(settings_file)
-    entries = _with_map(entries, given.pop("map_"), given.pop("path_file"))
-    along_path = PATH in entries
-    for name, value in given.items():
-        if value is None:
-            continue
-        if along_path and name not in (*_OF_PATHS, *_OF_BOTH):
-            raise ValueError(
-                f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
-            )
-        if not along_path and name in _OF_PATHS:
-            raise ValueError(f"--{name} is {value}; accepted: along a path")
-        assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
-    if not along_path and given["controller__num_samples"] is not None:
-        # The option sets the number of rollouts of every architecture.
-        for section in ("informative", "portfolio"):
-            assign(entries, f"{section}.num_samples", given["controller__num_samples"])
-    # `--set` comes last, so that it overrides all other options.
-    assign_all(entries, assignments)
-    return entries
-
-
-def _with_map(entries: dict[str, Any], map_: str | None, file: str | None) -> dict[str, Any]:
-    """Add the map or the path that the options name to settings entries."""
-    if file is not None and map_ not in (None, PATH):
-        raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
-    if file is not None:
-        return {**entries, PATH: str(Path(file).absolute())}
-    if map_ == PATH:
-        # The generated track is only a default: the settings file may name a path.
-        return {PATH: TRACK, **entries}
-    if map_ is None:
-        return entries
-    # The settings file overrides those of a scenario, but not the map that the user names.
-    named = map_entries(map_)
-    return {**named, **entries, "map": named["map"]}
-
-
-def folder_name(entries: Mapping[str, Any]) -> str:
-    """Return a name for folders from the map or path of settings entries."""
-    if entries.get(PATH) == TRACK:
-        return PATH
-    return Path(str(entries.get(PATH, entries.get("map")))).stem
-
-
-def map_entries(name: str) -> dict[str, Any]:
-    """Return settings entries for a map, a world or a scenario, given by its file or name."""
-    if name in (OFFICE, ZONES, *SCENARIOS):
-        return {"map": name}
-    _check_file(Path(name))
-    if is_scenario_file(name):
-        return {"map": str(Path(name).absolute()), **read_settings(name)}
-    return {"map": str(Path(name).absolute())}
-
-
-def _check_file(path: Path) -> None:
-    """Raise a `ValueError` that names what there is, if a map is not a file."""
-    accepted = (
-        "the YAML file of a ROS map, of a world or of a scenario, or "
-        f"{', '.join((OFFICE, ZONES, *SCENARIOS))} or {PATH}"
-    )
-    if path.is_dir():
-        inside = sorted(path.glob("*.yaml"))
-        example = f", such as {printable_path(inside[0])}" if inside else ""
-        raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
-    if not path.exists():
-        raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
-
-
-def assign(entries: dict[str, Any], name: str, value: Any) -> None:
-    """Set one setting by its dotted name.
-
-    Raises:
-        ValueError: a name within a setting that is not a section.
-    """
-    *sections, last = name.split(".")
-    for section in sections:
-        inner = entries.setdefault(section, {})
-        if not isinstance(inner, dict):
-            raise ValueError(f"setting {section} is {inner!r}; accepted: a mapping")
-        entries = inner
-    entries[last] = value
-
-
-def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
-    """Set the settings of the `--set` options, NAME=VALUE each.
-
-    Raises:
-        ValueError: a text without an assignment, a value that is not YAML, a name within a setting
-            that is not a section.
-    """
-    for assignment in assignments:
-        name, separator, text = assignment.partition("=")
-        if not separator:
-            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
-        try:
-            assign(entries, name.strip(), yaml.safe_load(text))
-        except yaml.YAMLError:
-            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None

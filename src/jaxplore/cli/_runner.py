@@ -1,10 +1,11 @@
 """Options of the runner: one process, several processes, or a Ray cluster."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from jaxplore.study.runner import Runner
+if TYPE_CHECKING:
+    from jaxplore.study.runner import Runner
 
 RUNNER = ("workers", "ray", "address")
 """Names of these options."""
@@ -26,7 +27,7 @@ def runner_options(command: Any) -> Any:
     return command
 
 
-def make_runner(given: dict[str, Any]) -> Runner:
+def make_runner(given: dict[str, Any]) -> "Runner":
     """Make the runner that the options describe.
 
     Raises:
@@ -37,4 +38,7 @@ def make_runner(given: dict[str, Any]) -> Runner:
         raise ValueError(f"--workers is {workers}; accepted: a whole number >= 1")
     if workers is None and not on_ray and address is None:
         workers = 1
+    # Imported here, so that the help needs no JAX.
+    from jaxplore.study.runner import Runner
+
     return Runner(workers, address, on_ray=on_ray)

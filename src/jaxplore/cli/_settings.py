@@ -2,6 +2,7 @@
 
 import click
 
+from jaxplore.cli._known import known
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
 from jaxplore.settings.commented import commented_yaml
@@ -13,9 +14,7 @@ from jaxplore.settings.reference import (
     find_rows,
     place_settings,
     plain,
-    section_names,
     sections,
-    setting_names,
 )
 
 _WORDS = {"exploration": "exploration", "path": "along a path"}
@@ -24,11 +23,6 @@ _WIDEST = 80
 """Greatest width of a column, for the meanings of settings."""
 _MOST_SHOWN = 60
 """Length to which an unknown name is cut in a message."""
-
-
-def known_names() -> tuple[str, ...]:
-    """Return all names that `show_settings` accepts, each once."""
-    return tuple(dict.fromkeys((*PLACES, *section_names(), *setting_names())))
 
 
 def show_settings(name: str | None) -> None:
@@ -48,7 +42,7 @@ def show_settings(name: str | None) -> None:
         # A message is short, however long the name is.
         shown = name if len(name) <= _MOST_SHOWN else name[:_MOST_SHOWN] + "..."
         raise ValueError(
-            f"setting {shown!r} is not known; accepted: such as {nearest(shown, known_names())}"
+            f"setting {shown!r} is not known; accepted: such as {nearest(shown, known().names)}"
         )
     for task in TASKS:
         rows = [row for row in found if row.task == task]

@@ -1,7 +1,9 @@
 """Results of the commands: folders, tables and messages."""
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -11,6 +13,9 @@ from jaxplore.settings.sections import Section
 from jaxplore.simulation.run import Run
 from jaxplore.study.comparison.comparison import Comparison
 
+type Entries = Mapping[str, Any]
+"""Settings as in a settings file."""
+
 
 def free_name(path: Path) -> Path:
     """Return an unused path: the path itself, or with a number."""
@@ -18,6 +23,26 @@ def free_name(path: Path) -> Path:
     while candidate.exists():
         candidate, number = path.with_name(f"{path.name}-{number}"), number + 1
     return candidate
+
+
+def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) -> None:
+    """Print each start that was chosen.
+
+    Args:
+        given: settings entries of the user for each scenario or variant, by name.
+        entries: the same with starts, see `jaxplore.build.exploration.with_start`.
+    """
+    chosen: dict[str, list[str]] = {}
+    for name, each in entries.items():
+        if given[name].get("start") is None and each.get("start") is not None:
+            chosen.setdefault(" ".join(f"{part:g}" for part in each["start"]), []).append(name)
+    for start, names in chosen.items():
+        where = f" of {', '.join(names)}" if len(chosen) > 1 else ""
+        click.echo(
+            f"Start{where}: {start}, the position with the greatest clearance; another one: "
+            "--start X Y YAW",
+            err=True,
+        )
 
 
 def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, animation: bool) -> None:

@@ -7,8 +7,11 @@ from typing import Any
 import click
 
 from jaxplore._exit import INTERRUPTED
+from jaxplore.build.tasks import find_task
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._tune_options import OWN, parse_budget, parse_measure, scenario_entries
+from jaxplore.cli._show import show_starts
+from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_entries
+from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
@@ -25,7 +28,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     given = {name: options.pop(name) for name in (*OWN, *RUNNER)}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
-    scenarios, common = scenario_entries(options, given["also"])
+    asked, common = scenario_entries(options, given["also"])
     budget, seconds = parse_budget(given["budget"])
     for name in ("seeds", "unseen", "population"):
         if given[name] < 1:
@@ -38,10 +41,16 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
             "--tune is missing; accepted: a setting or a controller parameter, such as "
             "controller.temperature=0.01:3:log"
         )
+    scenarios = {name: find_task(each).with_start(each) for name, each in asked.items()}
+    # With one place, the settings of the first scenario are those that the search writes.
+    first_name = next(iter(asked))
+    if common is asked[first_name]:
+        common = scenarios[first_name]
     name = "-".join(scenarios)
     folder = Path("runs") / f"{name}-tuned" if out is None else out
     with make_runner(given) as runner:
         episodes = SettingsEpisodes(scenarios, batch=given["batch"], runner=runner, common=common)
+        show_starts(asked, scenarios)
         try:
             found = tune(
                 episodes,

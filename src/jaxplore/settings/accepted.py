@@ -40,7 +40,8 @@ def _words(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
         return " or ".join(dict.fromkeys(map(_words, schema["anyOf"])))
     if "enum" in schema:
-        return "one of " + ", ".join(schema["enum"])
+        own = f", or {schema['code']} of your own" if "code" in schema else ""
+        return "one of " + ", ".join(schema["enum"]) + own
     kind = schema.get("type")
     if kind == "array" and "prefixItems" in schema:
         return f"[{', '.join(map(_words, schema['prefixItems']))}]"

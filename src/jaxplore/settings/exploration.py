@@ -20,6 +20,7 @@ from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.settings.defaults import difference_entries, setting
+from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.robot import (
     CameraSettings,
     LidarSettings,
@@ -41,22 +42,6 @@ from jaxplore.settings.sections import (
 from jaxplore.settings.sections import read_settings as read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
-Architecture = Literal[
-    "explorer",
-    "portfolio",
-    "wander",
-    "random-frontier",
-    "nearest-frontier",
-    "gain-per-cost",
-    "next-best-view",
-    "discounted-information",
-    "distance-advantage",
-    "two-layer",
-    "parallel",
-    "sequential",
-    "random-walk",
-    "goal",
-]
 BASELINES = (
     "wander",
     "random-frontier",
@@ -68,7 +53,11 @@ BASELINES = (
 )
 """Rule-based explorers, which drive from target to target: see `jaxplore.planning.TargetRule`."""
 GROUND = ("explorer", "portfolio", *BASELINES)
-"""Architectures of ground vehicles; the others default to a quadrotor."""
+"""Architectures of ground vehicles."""
+QUADROTOR = ("two-layer", "parallel", "sequential", "random-walk", "goal")
+"""Architectures that default to a quadrotor."""
+ARCHITECTURES = (*GROUND, *QUADROTOR)
+"""All architectures of the library."""
 
 OFFICE = "office"
 """Name of the generated map."""
@@ -237,7 +226,8 @@ class Settings(RunSettings):
             rule-based explorer by the name of its rule, such as `nearest-frontier`. Quadrotors:
             informative MPPI, which is `two-layer`, `parallel` or `sequential` (two-layer from zone
             to zone of a world), or a baseline, `random-walk` or `goal`, which drives straight to
-            the goal.
+            the goal. Or MODULE:NAME of your own, a rule (`jaxplore.planning.TargetRule`) or a
+            function from a scenario to a controller.
         goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.
@@ -256,7 +246,7 @@ class Settings(RunSettings):
 
     map: str
     world: dict[str, Any] | None = None
-    architecture: Architecture = "explorer"
+    architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
     goal: tuple[float, float] | tuple[float, float, float] | None = None
     goal_radius: Positive | None = setting(ExplorationScenario, "goal_radius")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
@@ -287,7 +277,8 @@ def scenario_path(name: str) -> Path:
 def is_scenario_file(path: str | os.PathLike[str]) -> bool:
     """Check whether a YAML file is a scenario: settings that contain a world."""
     try:
-        entries = read_settings(path)
+        # Nothing is made of these entries.
+        entries = read_settings(path, is_trusted=True)
     except ValueError:
         return False
     return "world" in entries
@@ -309,7 +300,7 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
         entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
-    if entries.get("architecture", "explorer") in GROUND:
+    if entries.get("architecture") not in QUADROTOR:
         return entries
     return merge_entries(difference_entries("quadrotor"), entries)
 

@@ -9,6 +9,7 @@ from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.robot import RobotSettings
 from jaxplore.settings.sections import (
     Count,
@@ -29,7 +30,7 @@ TRACK = "track"
 """Name of the generated path."""
 
 Point = tuple[float, float]
-PathRobot = Literal["ackermann", "bicycle", "differential_drive", "unicycle"]
+PathRobot = Annotated[str, WordsOrOwn(("ackermann", "bicycle", "differential_drive", "unicycle"))]
 
 
 class TrackSettings(Section):
@@ -46,12 +47,13 @@ class PathRobotSettings(RobotSettings):
     """The robot, by default a race car of F1TENTH's size.
 
     Args:
-        model: name of the robot's model; a `bicycle` has a radius and no steering dynamics.
+        model: name of the robot's model; a `bicycle` has a radius and no steering dynamics. Or
+            MODULE:NAME, a `jaxplore.Dynamics` of your own, which has its own numbers.
         length: length of a car [m].
         width: width of a car [m].
     """
 
-    model: PathRobot = "ackermann"  # type: ignore[assignment]
+    model: PathRobot = "ackermann"
     max_speed: Positive = setting(Ackermann, "max_speed")
     max_acceleration: Positive = setting(
         Ackermann, "max_acceleration", differs="path.robot.max_acceleration"

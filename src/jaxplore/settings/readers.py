@@ -5,7 +5,7 @@ The functions of `jaxplore.build` read settings. This module says on what condit
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
@@ -22,15 +22,16 @@ from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import avoidance_cost
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.settings.accepted import choices
 from jaxplore.settings.defaults import Owner
 from jaxplore.settings.exploration import (
     BASELINES,
-    GROUND,
     OFFICE,
+    QUADROTOR,
     ZONES,
-    Architecture,
     Settings,
 )
+from jaxplore.settings.own import is_own
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
 from jaxplore.settings.robot import RobotSettings
 from jaxplore.simulation.following.traffic import Traffic
@@ -51,8 +52,6 @@ class Reader(NamedTuple):
 EVERY = Reader("every run", lambda _: True)
 NONE = Reader("no run", lambda _: False)
 
-QUADROTOR = tuple(name for name in get_args(Architecture) if name not in GROUND)
-"""Architectures of quadrotors."""
 INFORMATIVE = ("two-layer", "parallel", "sequential")
 """Architectures of informative MPPI."""
 
@@ -87,7 +86,7 @@ def _also(first: Reader, text: str, reads: Callable[[Any], bool]) -> Reader:
 
 
 def _models(section: type[RobotSettings], *names: str) -> Reader:
-    known = get_args(section.model_fields["model"].annotation)
+    known = choices(section, "model")
     kept = [name for name in names if name in known]
     if not kept:
         return NONE
@@ -191,7 +190,13 @@ _BY_OWNER: dict[str, dict[Owner, Reader]] = {
         ),
         InverseSensorModel: _LOG_ODDS,
         # A rule-based explorer drives to its target as `explorer` does.
-        explorer: _architectures("explorer", *BASELINES, text="explorer, rule-based explorers"),
+        # So does one by a rule of the user's.
+        explorer: Reader(
+            "explorer, rule-based explorers",
+            lambda settings: (
+                settings.architecture in ("explorer", *BASELINES) or is_own(settings.architecture)
+            ),
+        ),
         ground_portfolio: _PORTFOLIO,
         SafeFusion: _also(
             _PORTFOLIO, "portfolio.is_safe", lambda settings: settings.portfolio.is_safe

@@ -18,8 +18,8 @@ from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.settings.accepted import accepted_values, choices
 from jaxplore.settings.defaults import DIFFERENCES, descriptions, unit
 from jaxplore.settings.exploration import (
-    GROUND,
     OFFICE,
+    QUADROTOR,
     SCENARIOS,
     ZONES,
     Settings,
@@ -204,7 +204,7 @@ def _other_defaults(task: str, name: str, default: Any, given: dict[str, Any]) -
     own = []
     for place in () if name in _UNNAMED else _places(task):
         settings = place_settings(place)
-        is_flying = getattr(settings, "architecture", GROUND[0]) not in GROUND
+        is_flying = getattr(settings, "architecture", None) in QUADROTOR
         expected = flying.value if flying is not None and is_flying else default
         value = _value(settings, name, expected)
         if value != expected:

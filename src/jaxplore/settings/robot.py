@@ -11,6 +11,7 @@ from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import in_degrees, setting
+from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.sections import (
     Count,
     Negative,
@@ -30,14 +31,15 @@ class RobotSettings(Section):
     default is that of `DifferentialDrive`. A quadrotor's speed is limited by a cost.
 
     Args:
-        model: name of the robot's model.
+        model: name of the robot's model, or MODULE:NAME, a `jaxplore.Dynamics` of your own, which
+            has its own numbers.
         length: length of a car, which has no radius [m].
         width: width of a car [m].
     """
 
-    model: Literal["differential_drive", "unicycle", "ackermann", "quadrotor"] = (
-        "differential_drive"
-    )
+    model: Annotated[
+        str, WordsOrOwn(("differential_drive", "unicycle", "ackermann", "quadrotor"))
+    ] = "differential_drive"
     max_speed: Positive = setting(
         DifferentialDrive, "max_speed", differs="exploration.robot.max_speed"
     )

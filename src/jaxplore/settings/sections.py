@@ -7,6 +7,8 @@ from typing import Annotated, Any, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from jaxplore.settings.own import check_trusted
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Negative = Annotated[float, Field(lt=0)]
@@ -44,11 +46,16 @@ class RunSettings(Section):
     parameters: Parameters = Field(default_factory=dict)
 
 
-def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
+def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> dict[str, Any]:
     """Read settings from a YAML file.
 
+    Args:
+        path: path of the file.
+        is_trusted: whether the file may name code, MODULE:NAME, see `jaxplore.settings.own`.
+
     Raises:
-        ValueError: a file that is missing, unreadable, not YAML or not a mapping.
+        ValueError: a file that is missing, unreadable, not YAML or not a mapping, or that names
+            code and is not trusted.
     """
     try:
         entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -61,6 +68,8 @@ def read_settings(path: str | os.PathLike[str]) -> dict[str, Any]:
         raise ValueError(
             f"settings file {path} holds {type(entries).__name__}; accepted: a mapping of settings"
         )
+    if not is_trusted:
+        check_trusted(entries, path)
     return entries
 
 

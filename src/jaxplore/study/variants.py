@@ -17,7 +17,11 @@ Entries = Mapping[str, Any]
 
 
 def make_variants(
-    architectures: Sequence[str] = (), files: Sequence[str] = (), varied: Sequence[str] = ()
+    architectures: Sequence[str] = (),
+    files: Sequence[str] = (),
+    varied: Sequence[str] = (),
+    *,
+    is_trusted: bool = False,
 ) -> dict[str, dict[str, Any]]:
     """Make the settings entries of variants from command-line options.
 
@@ -28,6 +32,7 @@ def make_variants(
         files: YAML files of settings. A variant is named by its file without the ending.
         varied: texts `NAME=A,B,C`: a setting, or a controller parameter by its path, with its
             values. A variant is named by the last part of the name and the value.
+        is_trusted: whether the files may name code, MODULE:NAME.
 
     Returns:
         Settings entries by variant; empty if nothing varies.
@@ -36,8 +41,9 @@ def make_variants(
         ValueError: a file that cannot be read, a text that is not accepted, a repeated name.
     """
     dimensions = [
-        [(name, {"architecture": name}) for name in architectures],
-        [(Path(file).stem, read_settings(file)) for file in files],
+        # Of MODULE:NAME the name: files are named by variants.
+        [(name.rpartition(":")[2], {"architecture": name}) for name in architectures],
+        [(Path(file).stem, read_settings(file, is_trusted=is_trusted)) for file in files],
         *map(_values, varied),
     ]
     used = [each for each in dimensions if each]

@@ -119,7 +119,8 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
             "connected free space"
         )
     x, y = np.asarray(world.frame.cell_centre(jnp.asarray([row, column])))
-    return float(x), float(y)
+    # The shortest number that is the same in float32: it is shown, and stored in settings.
+    return float(str(x)), float(str(y))
 
 
 def _nearest(world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray) -> str:

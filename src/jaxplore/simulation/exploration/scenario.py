@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
@@ -350,7 +350,7 @@ class ExplorationScenario(Scenario):
         truth = self.true_world(state, moment._replace(time=moment.time + period))
         reach = self.clearance_reach
         robot, is_collision = truth.stopped(model, state.robot, moved, reach)
-        is_over = self._is_finished(robot, progress, state.is_seen) | (state.finished > 0)
+        is_over = self.is_finished(state._replace(robot=robot)) | (state.finished > 0)
         record = ExplorationRecord(
             state=robot,
             control=control,
@@ -370,13 +370,28 @@ class ExplorationScenario(Scenario):
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is finished, plus the hover time.
 
-        A scenario without a goal whose coverage is reached at the start takes no step.
+        A scenario without a goal that is finished at the start takes no step.
         """
         is_over = state.finished > self.hover_steps
         if self.goal is None and self.num_targets == 0:
-            is_done = state.progress.coverage >= self.target_coverage
-            is_over = is_over | (is_done & (self.hover_steps == 0))
+            is_over = is_over | (self.is_finished(state) & (self.hover_steps == 0))
         return ~is_over
+
+    def is_finished(self, state: ExplorationState) -> Flag:
+        """Check whether the task is finished, as the class says; another task overrides it.
+
+        Args:
+            state: the task's state, with the map that the robot knows in `belief.grid`.
+        """
+        return is_finished(
+            self.robot.position(state.robot),
+            state.progress,
+            state.is_seen,
+            self.target_coverage,
+            self.goal,
+            self.goal_radius,
+            self.max_unknown,
+        )
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage as text."""
@@ -450,9 +465,3 @@ class ExplorationScenario(Scenario):
         if self.faults is not None:
             grid = self.faults.world(grid, self.control_period * moment.step.astype(jnp.float32))
         return TrueWorld(grid, self.map_arrays.ground, state.moving_obstacles, moment.time)
-
-    def _is_finished(
-        self, robot: StateVector, progress: MapProgress, is_seen: Bool[Array, " M"]
-    ) -> Flag:
-        end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
-        return is_finished(self.robot.position(robot), progress, is_seen, *end)

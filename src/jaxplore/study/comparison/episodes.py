@@ -6,15 +6,17 @@ import hashlib
 import itertools
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any
 
+from jaxplore.build.own import own_code, own_robot, own_rule
 from jaxplore.settings.exploration import (
+    ARCHITECTURES,
     OFFICE,
-    Architecture,
     Settings,
     make_exploration_settings,
     merge_entries,
 )
+from jaxplore.settings.own import is_own
 from jaxplore.study.comparison.maps import MapFile
 
 FORMAT = 3
@@ -39,6 +41,7 @@ class MapEpisode:
             begins at the position with the greatest clearance, heading along x.
         batch: number of runs of consecutive seeds that are computed together by `jax.vmap`: those
             with the same `seed // batch`. Rounding depends on it.
+        code: hash of the user's modules that the settings name; empty if they name none.
         copy: path of the YAML file on this machine; `path` when absent.
         map_shape: rows and columns of the arrays of the map, which maps of similar size share;
             chosen for the map alone when absent.
@@ -51,6 +54,7 @@ class MapEpisode:
     seed: int
     settings: Entries
     batch: int = 1
+    code: str = ""
     copy: str | None = None
     map_shape: tuple[int, int] | None = None
 
@@ -65,6 +69,8 @@ class MapEpisode:
         if self.batch == 1:
             # A batch of 1 is left out of the hash: results of versions without batches stay valid.
             del content["batch"]
+        if not self.code:
+            del content["code"]
         return hashlib.sha256(canonical(content).encode()).hexdigest()[:20]
 
     @property
@@ -135,12 +141,12 @@ def make_episodes(
     for seed in (min(seeds), max(seeds)):
         make_exploration_settings({"map": OFFICE, "seed": seed})
     # The office stands in for the maps, which have no part in this check.
-    _check_same_robot(
-        {
-            name: make_exploration_settings({"architecture": name, **entries, "map": OFFICE})
-            for name, entries in own.items()
-        }
-    )
+    settings_of = {
+        name: make_exploration_settings({"architecture": name, **entries, "map": OFFICE})
+        for name, entries in own.items()
+    }
+    _check_same_robot(settings_of)
+    codes = {name: _code(each) for name, each in settings_of.items()}
     return tuple(
         MapEpisode(
             each.name,
@@ -150,6 +156,7 @@ def make_episodes(
             seed,
             {**own[name], **({} if each.start is None else {"start": list(each.start)})},
             batch,
+            codes[name],
         )
         for each in maps
         for name in own
@@ -165,19 +172,32 @@ def variant_entries(
     Raises:
         ValueError: an unknown architecture, entries that are not accepted.
     """
-    known = get_args(Architecture)
+    known = ARCHITECTURES
     found: dict[str, dict[str, Any]] = {}
     for name in variants:
         entries = {} if not isinstance(variants, Mapping) else dict(variants[name])
         # An architecture that repeats the name of its variant would change the id of its runs.
         if entries.get("architecture") == name:
             del entries["architecture"]
-        if name not in known and "architecture" not in entries:
+        if name not in known and not is_own(name) and "architecture" not in entries:
             if not entries:
                 raise ValueError(f"architecture is {name!r}; accepted: {', '.join(known)}")
             entries["architecture"] = Settings.model_fields["architecture"].default
         found[name] = entries
     return found
+
+
+def _code(settings: Settings) -> str:
+    """Check what of the user's own settings name, and return the hash of its code.
+
+    Raises:
+        ValueError: a module that cannot be imported, or a name of something else.
+    """
+    if is_own(settings.architecture):
+        own_rule(settings.architecture)
+    if is_own(settings.robot.model):
+        own_robot(settings.robot.model)
+    return own_code(settings)
 
 
 def _architecture(entries: Entries) -> dict[str, Any]:

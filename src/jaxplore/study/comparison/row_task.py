@@ -5,13 +5,10 @@ from collections.abc import Callable, Sequence
 
 import jax
 
-from jaxplore.build.exploration import build_exploration
-from jaxplore.build.parts import build_robot
+from jaxplore.build.exploration import build_exploration, with_start
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.settings.exploration import Settings, make_exploration_settings
-from jaxplore.simulation.exploration.reachability import open_spot
+from jaxplore.settings.exploration import make_exploration_settings
 from jaxplore.study.comparison.episodes import EpisodeBatch
-from jaxplore.study.comparison.maps import read_grid
 from jaxplore.study.comparison.rows import Row, StoredRow, failed_row, make_row, store_row
 from jaxplore.study.episode import EpisodeTask, InputFile
 from jaxplore.study.experiments import SideBySide, record_alone
@@ -28,9 +25,7 @@ def make_rows(batch: EpisodeBatch) -> tuple[Row, ...]:
         KeyboardInterrupt: the user stopped the runs.
     """
     first = batch[0]
-    settings = make_exploration_settings(first.entries)
-    if settings.start is None:
-        settings = make_exploration_settings({**first.entries, "start": _open_start(settings)})
+    settings = make_exploration_settings(with_start(first.entries))
     experiment = build_exploration(settings, first.map_shape)
     if first.batch == 1:
         recordings = {first.seed: record_alone(experiment)}
@@ -92,10 +87,3 @@ class RowTask(EpisodeTask):
     def failed(self, reason: str) -> tuple[StoredRow, ...]:
         """Return rows with an error."""
         return tuple(store_row(failed_row(each, reason)) for each in self.episodes)
-
-
-def _open_start(settings: Settings) -> tuple[float, float, float]:
-    """Return the position with the greatest clearance at the run's resolution, heading along x."""
-    grid = read_grid(settings.map, settings.resolution)
-    x, y = open_spot(grid, float(build_robot(settings.robot).radius))
-    return x, y, 0.0

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxplore.build.own import own_code, own_rule
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller
 from jaxplore.maps.files.packing import find_image
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.exploration import BASELINES
+from jaxplore.settings.own import is_own
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.study.episode import InputFile
@@ -249,13 +251,17 @@ class SettingsEpisodes(Episodes):
         return make_settings(self.entries(scenario, candidate))
 
     def describe(self) -> dict[str, Any]:
-        """Return all settings, and hashes of the files that they name."""
+        """Return all settings, and hashes of the files and modules that they name."""
+        settings = {name: make_settings(entries) for name, entries in self._scenarios.items()}
+        codes = {name: own_code(each) for name, each in settings.items()}
         return {
             "scenarios": {
-                name: make_settings(entries).model_dump(mode="json", exclude={"seed"})
-                for name, entries in self._scenarios.items()
+                name: each.model_dump(mode="json", exclude={"seed"})
+                for name, each in settings.items()
             },
             "files": {name: file.content for name, file in self._files.items() if file},
+            # Left out without any, so that former searches continue.
+            **({"codes": codes} if any(codes.values()) else {}),
         }
 
 
@@ -304,6 +310,9 @@ def _searchable_settings(settings: RunSettings) -> dict[str, Value]:
     architecture = getattr(settings, "architecture", None)
     if architecture is not None:
         read = _SECTION.get(architecture, "informative")
+        if is_own(architecture):
+            # A function makes its controller without them.
+            read = "" if own_rule(architecture) is None else "controller"
         # A setting of a controller that the architecture does not use would have no effect.
         for section in _OF_CONTROLLERS:
             if section != read:

@@ -1,0 +1,149 @@
+"""Conversion of options to settings entries."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from jaxplore.maps.files.untrusted import printable_path
+from jaxplore.settings.exploration import (
+    OFFICE,
+    SCENARIOS,
+    ZONES,
+    is_scenario_file,
+    read_settings,
+)
+from jaxplore.settings.path import PATH, TRACK
+
+_OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
+"""Options of path following only, and their settings."""
+_OF_BOTH = (
+    "seed",
+    "time_limit",
+    "start",
+    "robot__model",
+    "robot__radius",
+    "robot__max_speed",
+    "controller__num_samples",
+)
+"""Options of both exploration and path following."""
+
+
+def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Convert options to settings entries.
+
+    Args:
+        options: values of the options of `with_options` and `path_options`.
+
+    Raises:
+        ValueError: a path beside a map, an option that does not apply, a file that cannot be read.
+    """
+    given = dict(options)
+    settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
+    trust = given.pop("trust", False)
+    entries = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
+    entries = _with_map(entries, given.pop("map_"), given.pop("path_file"), trust)
+    along_path = PATH in entries
+    for name, value in given.items():
+        if value is None:
+            continue
+        if along_path and name not in (*_OF_PATHS, *_OF_BOTH):
+            raise ValueError(
+                f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
+            )
+        if not along_path and name in _OF_PATHS:
+            raise ValueError(f"--{name} is {value}; accepted: along a path")
+        assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
+    if not along_path and given["controller__num_samples"] is not None:
+        # The option sets the number of rollouts of every architecture.
+        for section in ("informative", "portfolio"):
+            assign(entries, f"{section}.num_samples", given["controller__num_samples"])
+    # `--set` comes last, so that it overrides all other options.
+    assign_all(entries, assignments)
+    return entries
+
+
+def _with_map(
+    entries: dict[str, Any], map_: str | None, file: str | None, trust: bool
+) -> dict[str, Any]:
+    """Add the map or the path that the options name to settings entries."""
+    if file is not None and map_ not in (None, PATH):
+        raise ValueError(f"--path is {file!r} beside the map {map_!r}; accepted: one of them")
+    if file is not None:
+        return {**entries, PATH: str(Path(file).absolute())}
+    if map_ == PATH:
+        # The generated track is only a default: the settings file may name a path.
+        return {PATH: TRACK, **entries}
+    if map_ is None:
+        return entries
+    # The settings file overrides those of a scenario, but not the map that the user names.
+    named = map_entries(map_, is_trusted=trust)
+    return {**named, **entries, "map": named["map"]}
+
+
+def folder_name(entries: Mapping[str, Any]) -> str:
+    """Return a name for folders from the map or path of settings entries."""
+    if entries.get(PATH) == TRACK:
+        return PATH
+    return Path(str(entries.get(PATH, entries.get("map")))).stem
+
+
+def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
+    """Return settings entries for a map, a world or a scenario, given by its file or name.
+
+    Raises:
+        ValueError: a file that is missing, or that names code and is not trusted.
+    """
+    if name in (OFFICE, ZONES, *SCENARIOS):
+        return {"map": name}
+    _check_file(Path(name))
+    if is_scenario_file(name):
+        return {"map": str(Path(name).absolute()), **read_settings(name, is_trusted=is_trusted)}
+    return {"map": str(Path(name).absolute())}
+
+
+def _check_file(path: Path) -> None:
+    """Raise a `ValueError` that names what there is, if a map is not a file."""
+    accepted = (
+        "the YAML file of a ROS map, of a world or of a scenario, or "
+        f"{', '.join((OFFICE, ZONES, *SCENARIOS))} or {PATH}"
+    )
+    if path.is_dir():
+        inside = sorted(path.glob("*.yaml"))
+        example = f", such as {printable_path(inside[0])}" if inside else ""
+        raise ValueError(f"{printable_path(path)} is a folder; accepted: a file{example}")
+    if not path.exists():
+        raise ValueError(f"{printable_path(path)} is not there; accepted: {accepted}")
+
+
+def assign(entries: dict[str, Any], name: str, value: Any) -> None:
+    """Set one setting by its dotted name.
+
+    Raises:
+        ValueError: a name within a setting that is not a section.
+    """
+    *sections, last = name.split(".")
+    for section in sections:
+        inner = entries.setdefault(section, {})
+        if not isinstance(inner, dict):
+            raise ValueError(f"setting {section} is {inner!r}; accepted: a mapping")
+        entries = inner
+    entries[last] = value
+
+
+def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
+    """Set the settings of the `--set` options, NAME=VALUE each.
+
+    Raises:
+        ValueError: a text without an assignment, a value that is not YAML, a name within a setting
+            that is not a section.
+    """
+    for assignment in assignments:
+        name, separator, text = assignment.partition("=")
+        if not separator:
+            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
+        try:
+            assign(entries, name.strip(), yaml.safe_load(text))
+        except yaml.YAMLError:
+            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None
