@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 import jaxplore as jx
 from jaxplore.build.tasks import build
@@ -49,8 +50,18 @@ def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, caps
     assert used["path"] == str(file)
     assert used["obstacles"]["number"] == 2
     assert used["controller"]["num_samples"] == 32
-    main(["run", "--settings", str(folder / "settings.yaml"), "--out", "again"])
-    assert Path("again/following.gif").exists()
+    film = ["--fps", "20", "--film-scale", "0.5", "--video", "again.mp4", "--figures", "pdf,svg"]
+    main(["run", "--settings", str(folder / "settings.yaml"), "--out", "again", *film])
+    assert {"again/path.pdf", "again/errors.svg", "again.mp4"} <= set(
+        capsys.readouterr().out.splitlines()
+    )
+    assert not list(Path("again").glob("*.png"))
+    with Image.open("again/following.gif") as image:
+        assert image.info["duration"] == 50
+    assert Path("again.mp4").read_bytes()[4:8] == b"ftyp"
+    with pytest.raises(SystemExit, match="2"):
+        main(["run", "path", "--video", "again.mp4"])
+    assert "'again.mp4', which exists; accepted" in capsys.readouterr().err
     first, again = (np.load(f"{name}/arrays.npz") for name in (folder, "again"))
     for name in first.files:
         np.testing.assert_array_equal(first[name], again[name])
@@ -119,6 +130,15 @@ def test_settings_become_what_they_say(file: Path) -> None:
         (["run", "office", "--path", "half.csv"], "--path is 'half.csv' beside the map 'office'"),
         (["run", "office", "--laps", "2"], "--laps is 2; accepted: along a path"),
         (["run", "path", "--laps", "0"], "setting laps is 0"),
+        (["run", "path", "--fps", "0"], "fps is 0.0; accepted"),
+        (["run", "path", "--fps", "60"], "fps of a GIF is 60.0; accepted"),
+        (["run", "path", "--film-scale", "9"], "scale is 9.0; accepted"),
+        (["run", "path", "--no-animation", "--fps", "5"], "--fps is 5 beside --no-animation"),
+        (["run", "path", "--video", "run.avi"], "film is 'run.avi'; accepted: a file that ends"),
+        (["run", "path", "--video", "no/run.mp4"], "film is 'no/run.mp4'; accepted: a file in"),
+        (["run", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
+        (["compare", "path", "--film-scale", "0"], "scale is 0.0; accepted"),
+        (["tune", "path", "--figures", "jpg"], "figures is 'jpg'; accepted"),
         (["run", "path", "--beams", "20"], "lidar.num_beams is 20 beside a path"),
         (["run", "path", "--goal", "1", "2"], "goal is (1.0, 2.0) beside a path"),
         (["run", "path", "--robot", "quadrotor"], "setting robot.model is 'quadrotor'"),

@@ -181,6 +181,8 @@ def test_a_comparison_on_maps_has_settings_of_its_own(
         (["--set", "rates=2"], "setting rates is 2"),
         (["--start", "1", "1", "0"], "--start is (1.0, 1.0, 0.0) beside --maps; accepted"),
         (["--goal", "1", "1"], "--goal is (1.0, 1.0) beside --maps"),
+        (["--fps", "20"], "--fps or --film-scale is given beside --maps"),
+        (["--figures", "jpg"], "figures is 'jpg'; accepted"),
         (["maps/east.yaml"], "the map is maps/east.yaml beside --maps"),
         (["--out", "empty/../taken"], "exists and holds no comparison.json"),
     ],

@@ -16,6 +16,7 @@ from PIL import Image
 from jaxplore import OccupancyGrid
 from jaxplore.study.comparison.page import RIM, curves_figure, known_part, page, path_figure
 from jaxplore.study.comparison.replay import NEVER
+from jaxplore.study.comparison.store import Store
 from jaxplore.study.comparison.table import map_tables
 
 SEEN = np.repeat(np.arange(2, dtype=np.uint8), 15) * np.ones((16, 1), np.uint8)
@@ -233,3 +234,16 @@ def test_a_click_replays_a_run_in_a_browser(tmp_path: Path) -> None:
     assert looks["at 2"] == f"{opened}|2.0 s, 20.0 %|{size}|{free}|{unknown}|{unknown}|{wall}"
     assert looks["at 7"] == f"{opened}|7.0 s, 70.0 %|{size}|{free}|{free}|{unknown}|{wall}"
     assert looks["end"] == f"{opened}|10.0 s, 100.0 %|{size}|{free}|{free}|{unknown}|{wall}"
+
+
+def test_figures_of_the_page_are_written_as_vectors(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    rows = [{**row, "map": row["map"].replace("room", "house/room")} for row in ROWS]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Store, "rows", lambda *_: rows)
+        store.write_figures({"house/room": GRID}, ["svg", "pdf"])
+    runs = [row for row in rows if row["error"] is None and row["map"] == "house/room"]
+    names = {f"house_room-{row['explorer']}-path" for row in runs} | {"house_room-curves"}
+    found = {path.name for path in (tmp_path / "figures").iterdir()}
+    expected = {f"{name}.{kind}" for name in names for kind in ("svg", "pdf")}
+    assert {name for name in found if name.startswith("house_room")} == expected

@@ -3,6 +3,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
+from PIL import ImageDraw
 
 from jaxplore.control.base import Members
 from jaxplore.report.compute import Timing
@@ -68,6 +69,7 @@ def make_recording() -> Callable[..., ExplorationRecording]:
                     heading=float(pose[2]),
                     reference=np.zeros((0, 2), np.float32),
                     movers=np.zeros((0, 2), np.float32),
+                    is_found=np.zeros(0, bool),
                     terms={"ControlCost": 1.0},
                 )
             )
@@ -155,7 +157,9 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
     for frame in recording.frames:
         share = frame.step / max(steps, 1)
         movers = turned(np.array([[0.3 + 0.3 * share, 0.75], [0.7, 0.25]]) * (width, height), pose)
-        frames.append(dataclasses.replace(frame, movers=movers))
+        # In the order of the targets: one more after every third step.
+        is_found = np.arange(3) < max(frame.step - 1, 0) // 3
+        frames.append(dataclasses.replace(frame, movers=movers, is_found=is_found))
     k = np.arange(steps, dtype=np.float32)
     never = np.full(steps, np.inf, np.float32)
 
@@ -359,3 +363,17 @@ def ring() -> PathRecording:
 def path_start() -> PathRecording:
     """A run along a path that ended before its first step."""
     return path_run([(0.0, 0.0, 0.0)], [0.0])
+
+
+@pytest.fixture
+def written(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[float, float]]]:
+    """All that is written into pictures, with its place."""
+    texts = []
+    text = ImageDraw.ImageDraw.text
+
+    def note(self, position, words, *others, **more):
+        texts.append((words, position))
+        return text(self, position, words, *others, **more)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "text", note)
+    return texts

@@ -2,18 +2,30 @@ import dataclasses
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFont
 
-from jaxplore.report.drawing.colours import CLOSED, CLOSED_SHARE, FREE, MOVER_EDGE, TARGET, blend
-from jaxplore.report.drawing.palette import PLAN, ROBOT
-from jaxplore.report.exploration.animation import frame_image, write_animation
+from jaxplore.report.drawing.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    FREE,
+    MOVER_EDGE,
+    OCCUPIED,
+    TARGET,
+    UNKNOWN,
+    blend,
+)
+from jaxplore.report.drawing.film import CAPTION, FilmOptions
+from jaxplore.report.drawing.footer import BAR_TOP, STRIP, footer_height
+from jaxplore.report.drawing.palette import HIDDEN_WALL, INK, PLAN, ROBOT
+from jaxplore.report.exploration.animation import frame_image
+from jaxplore.report.exploration.canvas import make_canvas
 
 POSE = (3.0, -2.0, 0.7)
 
 
 def test_file_plays_every_frame_and_rests_on_the_last(recording, tmp_path):
     shares = []
-    write_animation(recording, tmp_path / "run.gif", width=400, on_progress=shares.append)
+    recording.write_animation(tmp_path / "run.gif", on_progress=shares.append)
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
         assert image.info["loop"] == 0
@@ -21,29 +33,29 @@ def test_file_plays_every_frame_and_rests_on_the_last(recording, tmp_path):
         for index in range(image.n_frames):
             image.seek(index)
             durations.append(image.info["duration"])
-        assert durations == [90, 90, 90, 3000]
-        shown = np.asarray(image.convert("RGB")).astype(int)
+        assert durations == [100, 100, 100, 3000]
+        shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
     assert shares == [0.25, 0.5, 0.75, 1.0]
-    drawn = np.asarray(frame_image(recording, recording.frames[-1], width=400)).astype(int)
+    drawn = np.asarray(frame_image(recording, recording.frames[-1])).astype(int)
     assert np.abs(shown - drawn).mean() < 4.0
 
 
 def test_frames_are_chosen_evenly_with_both_ends(make_recording, tmp_path):
     route = [(0.5 + 0.1 * k, 1.0) for k in range(21)]
     recording = make_recording(route, [0.04 * k for k in range(20)], num_frames=21)
-    write_animation(recording, tmp_path / "run.gif", max_frames=5, width=320)
+    recording.write_animation(tmp_path / "run.gif", FilmOptions(max_frames=5))
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 5
-    write_animation(recording, tmp_path / "one.gif", max_frames=1, width=320)
+    recording.write_animation(tmp_path / "one.gif", FilmOptions(max_frames=1))
     with Image.open(tmp_path / "one.gif") as image:
         assert getattr(image, "n_frames", 1) == 1
-        shown = np.asarray(image.convert("RGB")).astype(int)
-    last = np.asarray(frame_image(recording, recording.frames[-1], width=320)).astype(int)
+        shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
+    last = np.asarray(frame_image(recording, recording.frames[-1])).astype(int)
     assert np.abs(shown - last).mean() < 4.0
 
 
 def test_a_run_without_a_step(no_step, tmp_path):
-    write_animation(no_step, tmp_path / "run.gif")
+    no_step.write_animation(tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 1
 
@@ -54,7 +66,7 @@ def test_any_shape_fits(make_recording, shape):
     recording = make_recording([middle] * 2, [0.5], shape=shape)
     image = frame_image(recording, recording.frames[-1])
     assert 320 <= image.width <= 720
-    assert 100 < image.height < 900
+    assert 100 < image.height < 720 * 1.1 + footer_height(320.0, 9) + 1
 
 
 def test_the_robot_is_drawn_where_it_stands(make_recording):
@@ -85,11 +97,9 @@ def test_values_that_are_not_finite_are_left_out(recording):
     frame_image(recording, broken)
 
 
-@pytest.mark.parametrize(("name", "value"), [("max_frames", 0), ("width", 319)])
-def test_arguments_that_make_no_sense(recording, tmp_path, name, value):
-    with pytest.raises(ValueError, match=f"{name} is {value}; accepted"):
-        write_animation(recording, tmp_path / "run.gif", **{name: value})
-    assert not list(tmp_path.iterdir())
+def test_a_picture_that_is_too_small_for_its_footer_is_refused(recording):
+    with pytest.raises(ValueError, match="width is 319; accepted"):
+        frame_image(recording, recording.frames[-1], width=319)
 
 
 def bare(recording, **changes):
@@ -167,11 +177,11 @@ def test_movers_that_are_nowhere_are_left_out(vehicle):
 
 
 def test_colours_of_what_a_vehicle_has_survive_in_the_file(vehicle, tmp_path):
-    write_animation(vehicle, tmp_path / "run.gif", width=640)
+    vehicle.write_animation(tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as image:
         image.seek(image.n_frames - 1)
-        shown = np.asarray(image.convert("RGB")).astype(int)
-    drawn = np.asarray(frame_image(vehicle, vehicle.frames[-1], width=640)).astype(int)
+        shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
+    drawn = np.asarray(frame_image(vehicle, vehicle.frames[-1])).astype(int)
     assert np.abs(shown - drawn).mean() < 4.0
     for colour in (TARGET, MOVER_EDGE, blend(CLOSED, FREE, CLOSED_SHARE)):
         here, there = (np.abs(each - colour).max(axis=-1) < 5 for each in (drawn, shown))
@@ -179,13 +189,119 @@ def test_colours_of_what_a_vehicle_has_survive_in_the_file(vehicle, tmp_path):
         assert there[here].mean() > 0.9
 
 
-def test_the_strip_names_what_there_is(recording, vehicle):
-    plain, full = (
-        np.asarray(frame_image(each, each.frames[-1], width=720)).astype(int)
-        for each in (recording, vehicle)
+def names(recording) -> list[str]:
+    return [entry.name for entry in make_canvas(recording, 720, 1.0).legend]
+
+
+def test_the_legend_names_what_is_drawn_and_nothing_else(recording, vehicle):
+    plain = ["robot", "trail", "plan", "rollouts", "lidar", "information", "unknown", "wall"]
+    plain.append("unseen wall")
+    assert names(recording) == plain
+    assert names(vehicle) == [*plain, "target", "target found", "mover", "untraversable"]
+    reference = np.array([[0.5, 1.0], [1.5, 1.0]], np.float32)
+    frames = [dataclasses.replace(each, reference=reference) for each in recording.frames]
+    guided = dataclasses.replace(recording, frames=tuple(frames), goal=np.array([2.0, 1.0]))
+    assert set(names(guided)) - set(plain) == {"reference", "goal"}
+    bare = [
+        dataclasses.replace(each, plan=each.plan[:0], samples=each.samples[:0])
+        for each in recording.frames
+    ]
+    alone = dataclasses.replace(recording, frames=tuple(bare))
+    assert set(plain) - set(names(alone)) == {"plan", "rollouts"}
+
+
+@pytest.mark.parametrize("width", [320, 480, 720])
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_the_legend_lies_below_the_curve_and_inside_the_picture(vehicle, written, width, scale):
+    image = frame_image(vehicle, vehicle.frames[-1], width=width, scale=scale)
+    entries = names(vehicle)
+    top = image.height / scale - footer_height(image.width / scale, len(entries))
+    places = dict(written)
+    for name in entries:
+        x, y = places[name]
+        assert y / scale >= top + STRIP
+        assert y / scale + 16 <= image.height / scale
+        assert (x + ImageFont.load_default(13 * scale).getlength(name)) <= image.width
+
+
+def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(vehicle, written):
+    def headline(run):
+        written.clear()
+        frame_image(run, run.frames[-1])
+        return [words for words, _ in written[:2]]
+
+    assert headline(vehicle) == ["99.0 %", "covered"]
+    covered = np.ones_like(vehicle.records.coverage)
+    known = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    assert headline(known) == ["3", "targets found"]
+    nothing = np.zeros((0, 2), np.float32)
+    frames = tuple(dataclasses.replace(each, is_found=np.zeros(0, bool)) for each in known.frames)
+    patrol = dataclasses.replace(known, targets=nothing, frames=frames)
+    assert headline(patrol) == ["9.0 s", "mean idleness"]
+    assert headline(dataclasses.replace(patrol, idleness=None)) == ["2.0 m", "driven"]
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 2.0])
+def test_the_scale_bar_has_the_length_that_it_names(recording, written, scale):
+    image = frame_image(recording, recording.frames[-1], scale=scale)
+    # After the number and its name, the time and the distance.
+    told = written[4][0]
+    # The window is 4.8 m wide.
+    expected = float(told[:-2]) * image.width / 4.8
+    top = image.height - footer_height(image.width / scale, len(names(recording))) * scale
+    row = np.asarray(image).astype(int)[round(top + BAR_TOP * scale)]
+    dark = np.flatnonzero(np.abs(row - INK).max(axis=-1) < 40)
+    pieces = np.split(dark, np.flatnonzero(np.diff(dark) > 1) + 1)
+    assert max(map(len, pieces)) == pytest.approx(expected, abs=3 * scale)
+
+
+def test_a_larger_scale_is_drawn_and_not_enlarged(recording):
+    frame = recording.frames[-1]
+    small, large = (frame_image(recording, frame, scale=scale) for scale in (1.0, 2.0))
+    assert large.size == (2 * small.width, 2 * small.height)
+    # An enlarged picture has only the colours between those of neighbouring pixels; halved again,
+    # a drawn one agrees with the small one but for the smoothing of edges.
+    halved = np.asarray(large.reduce(2)).astype(int)
+    assert np.abs(halved - np.asarray(small).astype(int)).mean() < 4.0
+    enlarged = np.asarray(small.resize(large.size, Image.Resampling.BICUBIC)).astype(float)
+    steps = [
+        np.abs(np.diff(each.mean(axis=-1), axis=1)).max(axis=0)[30:700].mean()
+        for each in (np.asarray(large).astype(float)[-250:], enlarged[-250:])
+    ]
+    assert steps[0] > 1.15 * steps[1]
+
+
+def test_found_targets_have_another_shape(make_recording, make_vehicle):
+    vehicle = make_vehicle(make_recording([(0.6, 0.5), (0.8, 0.5)], [0.5], num_frames=2))
+    missing, found = (
+        spots(bare(vehicle, is_found=np.full(3, value)), TARGET) for value in (False, True)
     )
-    strips = [each[-84:] for each in (plain, full)]
-    for colour in (TARGET, blend(CLOSED, FREE, CLOSED_SHARE)):
-        found = [(np.abs(strip - colour).max(axis=-1) < 2).sum() for strip in strips]
-        assert found[0] == 0
-        assert found[1] > 60
+    # A ring is closed where a star has its gaps, which the halves of its tips do not fill.
+    for target in vehicle.targets:
+        around = []
+        for each in (missing, found):
+            offset = each - target
+            rim = offset[np.abs(np.hypot(*offset.T) - 0.055) < 0.012]
+            angles = np.arctan2(rim[:, 1], rim[:, 0])
+            around.append(len(set(np.round(angles / (np.pi / 12)).astype(int).tolist())))
+        assert around[0] <= 14
+        assert around[1] >= 22
+
+
+def test_walls_of_one_cell_are_visible_where_cells_share_a_pixel(make_recording):
+    # 3000 cells on 720 pixels.
+    recording = make_recording([(5.0, 5.0)] * 2, [0.5], shape=(100, 3000), num_frames=2)
+    world = np.zeros_like(recording.world)
+    world[20, 200:1200], world[80, 200:1200] = 1.0, 1.0
+    frame = recording.frames[-1]
+    level = np.full(world.shape, 128, np.uint8)
+    level[:50] = np.round(255 * world[:50])
+    frame = dataclasses.replace(frame, probability=level, information=0.0 * frame.information)
+    known = dataclasses.replace(recording, world=world, frames=(recording.frames[0], frame))
+    image = np.asarray(frame_image(known, frame)).astype(int)
+    for colour in (HIDDEN_WALL, OCCUPIED):
+        ground = UNKNOWN if colour == HIDDEN_WALL else FREE
+        # In each column the most similar pixel is much nearer to the wall than to its ground.
+        rows = image[:24, 80:260]
+        share = (np.abs(rows - ground).sum(-1) / np.abs(np.subtract(colour, ground)).sum()).max(0)
+        assert np.median(share) > 0.45

@@ -14,6 +14,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.report.compute import Compute
+from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.study.comparison import comparison as module
@@ -444,3 +445,34 @@ def test_an_animation_stays_in_the_folder_whatever_its_name(
     except ValueError:
         assert tree(tmp_path) == []
     assert not (tmp_path / "goal.gif").exists()
+
+
+def test_curves_and_films_of_a_known_map_show_no_coverage(make: Make) -> None:
+    times: dict[str, list[float | None]] = {
+        "time": [0.0, 1.0, 2.0],
+        "coverage": [1.0, 1.0, 1.0],
+        "unknown": [0.0, 0.0, 0.0],
+        "idleness": [0.0, 1.0, 2.0],
+        "targets": [0.0, 0.0, 1.0],
+    }
+    known = {str(level): 0.0 for level in (50, 90, 95, 99)}
+
+    def labels(**changes: object) -> list[str]:
+        runs = make(duration=[2.0], coverage_curve=[times], **changes)
+        return [axes.get_ylabel() for axes in curves_figure({"it": runs}).axes]
+
+    assert labels(time_to=[known], mean_idleness=[1.5]) == ["mean idleness [s]"]
+    assert labels(time_to=[known], mean_idleness=[1.5], num_targets=[2]) == ["targets found"]
+    unknown: dict[str, float | None] = {**known, "99": None}
+    both = ["coverage of reachable cells [%]", "unknown cells of the map [%]"]
+    assert labels(time_to=[unknown]) == both
+    assert labels(time_to=[unknown], num_targets=[2]) == [*both, "targets found"]
+
+
+def test_films_have_the_name_of_their_variant(
+    comparison: Comparison, tmp_path: Path, written: list[tuple[str, object]]
+) -> None:
+    comparison.save(tmp_path / "it", film=FilmOptions(scale=0.5), figures=["svg"])
+    assert set(comparison.recordings) <= {words for words, _ in written}
+    assert "it/curves.svg" in tree(tmp_path)
+    assert "it/curves.png" not in tree(tmp_path)

@@ -21,14 +21,15 @@ def test_the_map_shows_reachable_cells_and_nothing_longer_than_the_run(vehicle):
 
 
 def test_curves_are_those_of_the_records_kept_to_the_end(vehicle):
-    (curve,) = [axes for axes in idleness_figure(vehicle).axes if axes.get_legend()]
+    figure = idleness_figure(vehicle)
+    (curve,) = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
     worst, mean = curve.lines
     time, k = 0.5 * np.arange(11), np.minimum(np.arange(11), 9)
     np.testing.assert_allclose(mean.get_xdata(), time)
     np.testing.assert_allclose(mean.get_ydata(), k)
     np.testing.assert_allclose(worst.get_ydata(), np.where(k < 5, 20.0, 10.0 - np.abs(k - 6.0)))
-    names = [text.get_text() for text in curve.get_legend().get_texts()]
-    assert names == ["worst", "mean", "not counted"]
+    names = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert names == ["robot", "worst", "mean", "not counted"]
     (shaded,) = curve.patches
     box = shaded.get_extents().transformed(curve.transData.inverted())
     assert (box.x0, box.x1) == pytest.approx((0.0, 2.5))

@@ -10,7 +10,7 @@ from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.exploration.window import Window
 
 POSE = (3.0, -2.0, 0.7)
-ADDED = {"height [m]", "not traversable", "target", "moving obstacle"}
+ADDED = {"height [m]", "not traversable", "target", "target found", "moving obstacle", "robot"}
 
 
 def labels(figure) -> list[str]:
@@ -36,9 +36,9 @@ def patches(axes, kind) -> list:
 
 def test_a_run_without_any_of_it_has_the_picture_that_it_had(recording):
     figure = map_figure(recording)
-    assert labels(figure) == ["start", "end", "true outline", "wall not seen"]
+    assert labels(figure) == ["start", "end", "true outline"]
     assert not figure.axes[0].patches
-    assert len(figure.axes[0].collections) == 2
+    assert len(figure.axes[0].collections) == 3
     assert "targets" not in figure.get_suptitle()
 
 
@@ -59,7 +59,8 @@ def test_what_there_is_has_a_name_and_the_title_counts_targets(recording, vehicl
 )
 def test_what_there_is_not_has_no_name(vehicle, field, value, label):
     named = labels(map_figure(dataclasses.replace(vehicle, **{field: value})))
-    assert ADDED - set(named) == {label}
+    both = {label, "target found"} if label == "target" else {label}
+    assert ADDED - set(named) == both
 
 
 def test_open_ground_that_may_not_be_entered_is_tinted_and_hatched(vehicle, recording):
@@ -105,6 +106,7 @@ def test_movers_targets_and_the_robot_are_where_they_belong(make_recording, make
     # The map is 3 m by 2 m.
     stars = line(axes, "target").get_xydata()
     np.testing.assert_allclose(stars, [[0.6, 1.6], [1.5, 0.6], [2.7, 1.2]], atol=1e-5)
+    assert not len(line(axes, "target found").get_xydata())
     discs = patches(axes, Circle)
     places = [each.center for each in discs]
     np.testing.assert_allclose(places, [[1.8, 1.5], [2.1, 0.5]], atol=1e-5)

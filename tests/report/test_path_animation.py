@@ -2,13 +2,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from PIL import Image, ImageDraw
+from PIL import Image
 
 from jaxplore.report.drawing.colours import FREE, MISSED, MOVER_EDGE, blend
+from jaxplore.report.drawing.film import CAPTION, FilmOptions
+from jaxplore.report.drawing.footer import footer_height
 from jaxplore.report.drawing.palette import PLAN, ROBOT, STRONG, TRAIL
-from jaxplore.report.exploration.canvas import FOOTER
-from jaxplore.report.following.animation import BEYOND, path_frame_image, write_path_animation
+from jaxplore.report.following.animation import BEYOND, path_frame_image
 from jaxplore.report.following.plots import course_box
+
+FOOTER = footer_height(600.0, 8)
+"""Height of a footer with two lines of entries [pixels]."""
 
 
 def near(image, colour) -> np.ndarray:
@@ -38,7 +42,7 @@ def bare(frame, **changes):
 
 def test_file_plays_every_frame_and_rests_on_the_last(ring, tmp_path):
     shares = []
-    write_path_animation(ring, tmp_path / "run.gif", side=400, on_progress=shares.append)
+    ring.write_animation(tmp_path / "run.gif", on_progress=shares.append)
     with Image.open(tmp_path / "run.gif") as image:
         assert image.n_frames == 4
         assert image.info["loop"] == 0
@@ -46,36 +50,36 @@ def test_file_plays_every_frame_and_rests_on_the_last(ring, tmp_path):
         for index in range(image.n_frames):
             image.seek(index)
             durations.append(image.info["duration"])
-        assert durations == [90, 90, 90, 3000]
-        shown = np.asarray(image.convert("RGB")).astype(int)
+        assert durations == [100, 100, 100, 3000]
+        shown = np.asarray(image.convert("RGB")).astype(int)[CAPTION:]
     assert shares == [0.25, 0.5, 0.75, 1.0]
-    drawn = np.asarray(path_frame_image(ring, ring.frames[-1], side=400)).astype(int)
+    drawn = np.asarray(path_frame_image(ring, ring.frames[-1])).astype(int)
     assert np.abs(shown - drawn).mean() < 4.0
 
 
 def test_many_frames_are_as_many_pictures(make_ring, tmp_path):
     run = make_ring(steps=20, num_frames=41)
     for most, count in ((240, 41), (10, 10), (1, 1)):
-        write_path_animation(run, tmp_path / "run.gif", side=320, max_frames=most)
+        run.write_animation(tmp_path / "run.gif", FilmOptions(max_frames=most, scale=0.5))
         with Image.open(tmp_path / "run.gif") as image:
             assert getattr(image, "n_frames", 1) == count
 
 
 def test_the_same_run_gives_the_same_file(make_ring, tmp_path):
     for name in ("one.gif", "other.gif"):
-        write_path_animation(make_ring(), tmp_path / name, side=320)
+        make_ring().write_animation(tmp_path / name)
     assert (tmp_path / "one.gif").read_bytes() == (tmp_path / "other.gif").read_bytes()
 
 
 def test_a_run_without_a_step(path_start, tmp_path):
-    write_path_animation(path_start, tmp_path / "run.gif")
+    path_start.write_animation(tmp_path / "run.gif")
     with Image.open(tmp_path / "run.gif") as image:
         assert getattr(image, "n_frames", 1) == 1
 
 
 def test_looks_without_rollouts(ring, tmp_path):
     frames = tuple(bare(frame) for frame in ring.frames)
-    write_path_animation(dataclasses.replace(ring, frames=frames), tmp_path / "run.gif", side=320)
+    dataclasses.replace(ring, frames=frames).write_animation(tmp_path / "run.gif")
 
 
 @pytest.mark.parametrize("size", [(10.0, 0.0), (0.0, 10.0), (3000.0, 20.0), (0.01, 0.02), (1, 1)])
@@ -94,7 +98,7 @@ def test_any_course_fits(make_straight, size):
         )
         image = path_frame_image(each, each.frames[-1])
         assert 320 <= image.width <= 720
-        assert 100 < image.height <= 720 + FOOTER
+        assert 100 < image.height <= 720 + footer_height(320.0, 5)
 
 
 def test_the_ground_is_bright_in_the_corridor(ring):
@@ -189,25 +193,9 @@ def test_values_that_are_not_finite_are_left_out(ring):
     path_frame_image(ring, broken)
 
 
-@pytest.mark.parametrize(("name", "value"), [("max_frames", 0), ("side", 319)])
-def test_arguments_that_make_no_sense(ring, tmp_path, name, value):
-    with pytest.raises(ValueError, match=f"{name} is {value}; accepted"):
-        write_path_animation(ring, tmp_path / "run.gif", **{name: value})
-    assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture
-def written(monkeypatch):
-    """All that is written into pictures."""
-    texts = []
-    text = ImageDraw.ImageDraw.text
-
-    def note(self, position, words, *others, **more):
-        texts.append(words)
-        return text(self, position, words, *others, **more)
-
-    monkeypatch.setattr(ImageDraw.ImageDraw, "text", note)
-    return texts
+def test_a_picture_that_is_too_small_for_its_footer_is_refused(ring):
+    with pytest.raises(ValueError, match="side is 319; accepted"):
+        path_frame_image(ring, ring.frames[-1], side=319)
 
 
 def test_the_strip_says_how_far_it_is(ring, straight, written):
@@ -215,24 +203,27 @@ def test_the_strip_says_how_far_it_is(ring, straight, written):
         written.clear()
         (frame,) = [frame for frame in run.frames if frame.step == step]
         path_frame_image(run, frame, side=720)
-        return list(written)
+        return [words for words, _ in written]
 
     assert strip(straight, 0)[:4] == ["0.0 m/s", "speed", "0.0 m", "0.0 s"]
     assert strip(straight, 7)[:4] == ["2.0 m/s", "speed", "7.0 m", "3.5 s"]
-    assert strip(straight, 7)[4:] == ["plan", "rollouts", "trail", "path"]
+    assert strip(straight, 7)[4:] == ["1 m", "robot", "trail", "plan", "rollouts", "path"]
     assert strip(ring, 13)[:4] == ["3.1 m/s", "speed", "lap 1 of 2", "6.5 s"]
     assert strip(ring, 27)[2] == "lap 2 of 2"
     # In the end too: there is no third lap.
     assert strip(ring, 40)[2] == "lap 2 of 2"
-    assert strip(ring, 40)[-2:] == ["obstacle", "violation"]
+    assert strip(ring, 40)[-4:] == [
+        *("corridor", "obstacle"),
+        *("out of corridor", "contact"),
+    ]
 
 
 def test_colours_survive_in_the_file(ring, tmp_path):
-    write_path_animation(ring, tmp_path / "run.gif", side=600)
-    drawn = path_frame_image(ring, ring.frames[-1], side=600)
+    ring.write_animation(tmp_path / "run.gif")
+    drawn = path_frame_image(ring, ring.frames[-1])
     with Image.open(tmp_path / "run.gif") as image:
         image.seek(image.n_frames - 1)
-        shown = image.convert("RGB")
+        shown = image.convert("RGB").crop((0, CAPTION, *image.size))
     for colour in (MOVER_EDGE, MISSED, PLAN, TRAIL, BEYOND):
         here, there = near(drawn, colour), near(shown, colour)
         assert here.sum() > 10

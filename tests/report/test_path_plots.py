@@ -145,7 +145,7 @@ def test_what_went_wrong_is_marked(ring, straight):
     np.testing.assert_allclose(marked(axes, "out of the corridor"), after[[4, 5, 7]], atol=1e-6)
     # One cross for the contact of two steps, where it was deepest.
     np.testing.assert_allclose(marked(axes, "contact"), after[[12]], atol=1e-6)
-    assert labels(path_figure(straight)) == ["path", "start", "end"]
+    assert labels(path_figure(straight)) == ["path", "start", "end", "robot"]
 
 
 def test_the_worst_of_each_row_of_steps():

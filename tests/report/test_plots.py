@@ -7,6 +7,7 @@ import pytest
 from PIL import Image
 
 from jaxplore.report.drawing.colours import MISSED, UNKNOWN, belief_colours
+from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.plots import coverage_figure, map_figure, true_outline
 from jaxplore.report.exploration.window import Window
 
@@ -94,11 +95,55 @@ def test_everything_is_inside_the_picture(draw, name, request, tmp_path):
 
 
 def test_the_curve_names_the_levels(recording, make_recording):
-    texts = [text.get_text() for text in coverage_figure(recording).axes[0].get_legend().texts]
-    assert texts[0] == "50 %: 1.5 s, 0.6 m"
+    def names(run):
+        (legend,) = coverage_figure(run).legends
+        return [text.get_text() for text in legend.get_texts()]
+
+    assert names(recording)[:4] == ["coverage", "entropy", "target: 99 %", "50 %: 1.5 s, 0.6 m"]
     never = make_recording([(1.0, 1.0)] * 3, [0.1, 0.2])
-    texts = [text.get_text() for text in coverage_figure(never).axes[0].get_legend().texts]
-    assert texts == [f"{level} %: not reached" for level in (50, 90, 95, 99)]
+    assert names(never)[3:] == [f"{level} %: not reached" for level in (50, 90, 95, 99)]
+
+
+@pytest.mark.parametrize("name", ["recording", "vehicle", "narrow"])
+def test_no_legend_covers_a_curve(name, request):
+    run = request.getfixturevalue(name)
+    watched = dataclasses.replace(run, idleness=np.zeros_like(run.world))
+    for figure in (map_figure(run), coverage_figure(run), idleness_figure(watched)):
+        figure.canvas.draw()
+        (legend,) = figure.legends
+        assert not any(axes.get_legend() for axes in figure.axes)
+        for axes in figure.axes:
+            assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+
+
+def test_walls_that_were_not_seen_have_a_line_of_the_same_width_on_any_map(recording):
+    belief = recording.belief.copy()
+    belief[0, 5:9] = 0.5
+    missed = map_figure(dataclasses.replace(recording, belief=belief)).axes[0].collections[2]
+    # The lower wall is 0.1 m thick; its upper face is what could be seen.
+    expected = {((0.1 * k, 0.1), (0.1 * (k + 1), 0.1)) for k in range(5, 9)}
+
+    def rounded(edges):
+        return {tuple(map(tuple, np.round(each, 3).tolist())) for each in edges}
+
+    assert rounded(missed.get_segments()) == rounded(expected)
+    assert missed.get_linewidths()[0] > 2.0
+
+
+@pytest.mark.parametrize(("width", "length"), [(30, 1.0), (300, 5.0), (60, 1.0)])
+def test_the_scale_bar_is_as_long_as_it_says(make_recording, width, length):
+    run = make_recording([(0.5, 1.0)] * 3, [0.1, 0.2], shape=(20, width))
+    axes = map_figure(run).axes[0]
+    bar = next(line for line in axes.lines if line.get_marker() == "|")
+    assert np.ptp(bar.get_xdata()) == pytest.approx(length)
+    assert f"{length:g} m\n" in [text.get_text() for text in axes.texts]
+
+
+def test_a_known_map_has_no_coverage_in_its_title(vehicle):
+    covered = np.ones_like(vehicle.records.coverage)
+    known = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    assert "covered" in map_figure(vehicle).get_suptitle()
+    assert map_figure(known).get_suptitle() == "5.0 s, 2.0 m, targets 3 of 3"
 
 
 def test_importing_is_light():

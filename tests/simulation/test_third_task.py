@@ -54,9 +54,10 @@ class BeaconRecording(Recording):
         curve = sampled_series({"time": self.time, "visited": visited}, self.control_period)
         return BeaconMetrics(**common, visited=int(visited[-1]), curve=curve)
 
-    def frame_image(self, frame):
-        image = Image.new("RGB", (200, 200), "white")
-        trail = 100 + 20 * self.records.state[: frame.step + 1, :2].astype(float)
+    def frame_image(self, frame, *, scale=1.0):
+        side = round(200 * scale)
+        image = Image.new("RGB", (side, side), "white")
+        trail = 0.5 * side + 20 * scale * self.records.state[: frame.step + 1, :2].astype(float)
         if len(trail) > 1:
             ImageDraw.Draw(image).line([tuple(each) for each in trail.tolist()], "black")
         return image

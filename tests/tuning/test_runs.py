@@ -11,6 +11,7 @@ from PIL import Image, ImageChops
 
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.report.drawing.film import CAPTION, FilmOptions
 from jaxplore.report.following.animation import path_frame_image
 from jaxplore.study.runner import Runner
 from jaxplore.study.tuning import ControllerEpisodes, Episode, SettingsEpisodes, tune
@@ -297,13 +298,14 @@ def test_runs_are_beside_each_other_at_the_same_time(path_episodes) -> None:
         built = build(make_settings({**QUICK, "time_limit": end}))
         run = jx.simulate(built.controller, built.scenario, built.num_steps, key=built.key)
         pictures.append(run.recording)
-    with Image.open(io.BytesIO(side_by_side(pictures))) as clip:
+    named = dict(zip(("before", "after"), pictures, strict=True))
+    with Image.open(io.BytesIO(side_by_side(named, FilmOptions()))) as clip:
         sizes = [path_frame_image(each, each.frames[0]).size for each in pictures]
-        assert clip.size == (sizes[0][0] + sizes[1][0] + 12, sizes[0][1])
+        assert clip.size == (sizes[0][0] + sizes[1][0] + 12, sizes[0][1] + CAPTION)
         # A look of each at the beginning; the shorter one's last; both at their ends.
         times = sorted({frame.time for each in pictures for frame in each.frames})
         assert clip.n_frames == len(times)
-        left, right = (0, 0, *sizes[0]), (sizes[0][0] + 12, 0, clip.width, clip.height)
+        left, right = (0, 0, sizes[0][0], clip.height), (sizes[0][0] + 12, 0, *clip.size)
         clip.seek(times.index(pictures[0].frames[-1].time))
         middle = clip.convert("RGB")
         clip.seek(clip.n_frames - 1)

@@ -17,6 +17,7 @@ from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
 from jaxplore.cli._options import path_options, with_options
+from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
 from jaxplore.cli._tune_options import tune_options
 
@@ -42,13 +43,8 @@ def cli() -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
 )
-@click.option("--animation/--no-animation", default=True, help="Draw an animation.")
-def run(
-    out: Path | None,
-    overwrite: bool,
-    animation: bool,
-    **options: Any,
-) -> None:
+@picture_options("Draw an animation.", video=True)
+def run(out: Path | None, overwrite: bool, **options: Any) -> None:
     """Simulate a robot that explores a map or follows a path.
 
     The argument is a ROS map, a world or scenario file, or a name: office (a generated map), zones
@@ -64,12 +60,13 @@ def run(
       jaxplore run --settings runs/depot/settings.yaml --out runs/again
       jaxplore run path --laps 3 --obstacles 5
       jaxplore run path --path centerline.csv --max-speed 8
+      jaxplore run office --fps 30 --film-scale 2 --video office.mp4 --figures pdf,svg
 
     Ctrl-C ends the run and saves it up to then.
     """
     from jaxplore.cli._run import run_one
 
-    run_one(options, out, overwrite=overwrite, animation=animation)
+    run_one(options, out, overwrite=overwrite)
 
 
 @cli.command()
@@ -91,10 +88,8 @@ def run(
     metavar="DIR",
     help="Folder.  [default: runs/MAP-comparison, or runs/DIR-comparison]",
 )
-@click.option(
-    "--animation/--no-animation", default=True, help="Draw the first run of each variant."
-)
-def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **options: Any) -> None:
+@picture_options("Draw the first run of each variant.")
+def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> None:
     """Compare controllers or other settings in one scenario or on many maps.
 
     All variants run with the same seeds. Writes a folder with a table, curves, all metrics, and an
@@ -119,7 +114,7 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
     """
     from jaxplore.cli._comparison import run_comparison
 
-    run_comparison(options, seeds, out, overwrite=overwrite, animation=animation)
+    run_comparison(options, seeds, out, overwrite=overwrite)
 
 
 @cli.command()
@@ -134,10 +129,8 @@ def compare(seeds: int, out: Path | None, overwrite: bool, animation: bool, **op
     metavar="DIR",
     help="Folder of the study.  [default: runs/MAP-tuned]",
 )
-@click.option(
-    "--animation/--no-animation", default=True, help="Draw runs before and after the search."
-)
-def tune(out: Path | None, animation: bool, **options: Any) -> None:
+@picture_options("Draw runs before and after the search.")
+def tune(out: Path | None, **options: Any) -> None:
     """Search for better settings of a scenario, and compare them with the current ones.
 
     Every candidate is evaluated on the same seeds, and the best ones on further seeds. The chosen
@@ -154,7 +147,7 @@ def tune(out: Path | None, animation: bool, **options: Any) -> None:
     """
     from jaxplore.cli._tune import run_tune
 
-    run_tune(options, out, animation=animation)
+    run_tune(options, out)
 
 
 @cli.command("settings")

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +11,11 @@ import click
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, show_comparison, show_starts
 from jaxplore.report.console import progress_bar
+from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
 from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
@@ -37,7 +39,7 @@ _OF_ONE_PLACE = {
 
 
 def run_comparison(
-    options: dict[str, Any], seeds: int, out: Path | None, *, overwrite: bool, animation: bool
+    options: dict[str, Any], seeds: int, out: Path | None, *, overwrite: bool
 ) -> None:
     """Compare variants, write the folder of the comparison and print its tables.
 
@@ -46,6 +48,7 @@ def run_comparison(
     Raises:
         ValueError: options that are not accepted.
     """
+    pictures = take_pictures(options)
     if seeds < 1:
         raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
     variants = make_variants(
@@ -57,12 +60,16 @@ def run_comparison(
     given = {name: options.pop(name) for name in ("maps", *_OF_MAPS, *RUNNER)}
     runner = make_runner(given)
     if given["maps"] is not None:
-        _on_maps(options, given, variants, seeds, out, runner, overwrite=overwrite)
+        if pictures.film != FilmOptions():
+            raise ValueError("--fps or --film-scale is given beside --maps, which draws no film; "
+                             "accepted: without --maps")  # fmt: skip
+        kinds = pictures.figures
+        _on_maps(options, given, variants, seeds, out, runner, kinds, overwrite=overwrite)
         return
     for name in _OF_MAPS:
         if given[name] is not None:
             raise ValueError(f"--{name} is {given[name]}; accepted: with --maps")
-    _in_one_place(options, variants, seeds, out, runner, overwrite=overwrite, animation=animation)
+    _in_one_place(options, pictures, variants, seeds, out, runner, overwrite=overwrite)
 
 
 def _names(text: str | None) -> list[str]:
@@ -71,13 +78,13 @@ def _names(text: str | None) -> list[str]:
 
 def _in_one_place(
     options: dict[str, Any],
+    pictures: Pictures,
     variants: Mapping[str, dict[str, Any]],
     seeds: int,
     out: Path | None,
     runner: Runner,
     *,
     overwrite: bool,
-    animation: bool,
 ) -> None:
     entries = option_entries(options)
     if not variants:
@@ -110,11 +117,13 @@ def _in_one_place(
         for name, each in variants.items()
         if set(each) != {"architecture"}
     }
-    with progress_bar("drawing", enabled=animation) as advance:
+    with progress_bar("drawing", enabled=pictures.animation) as advance:
         result.save(
             folder,
             overwrite=overwrite,
-            animation=animation,
+            animation=pictures.animation,
+            film=pictures.film,
+            figures=pictures.figures,
             settings=kept.model_dump(mode="json", exclude={"architecture"}),
             variants=own,
             on_progress=lambda share: advance(share, ""),
@@ -140,6 +149,7 @@ def _on_maps(
     seeds: int,
     out: Path | None,
     runner: Runner,
+    kinds: Sequence[str],
     *,
     overwrite: bool,
 ) -> None:
@@ -163,7 +173,10 @@ def _on_maps(
         1 if given["batch"] is None else given["batch"],
     )
     folder = _default_folder(given["maps"]) if out is None else out
-    _show(compare_maps(plan, folder, runner=runner, overwrite=overwrite, progress=True))
+    found = compare_maps(
+        plan, folder, runner=runner, overwrite=overwrite, figures=kinds, progress=True
+    )
+    _show(found)
 
 
 def _default_folder(maps: Path) -> Path:

@@ -16,7 +16,7 @@ FILE = Path(__file__).with_name("known.json")
 
 
 class Known(NamedTuple):
-    """What the help and the completions show of settings.
+    """What the help and the completions show of settings and pictures.
 
     Args:
         settings: dotted names of all settings; with the default of ground robots and that of
@@ -27,6 +27,9 @@ class Known(NamedTuple):
         baselines: names of the rule-based explorers.
         optimizers: names of the optimizers of a search.
         population: default number of candidates in a generation of a search.
+        fps: default number of frames per second of a film.
+        film_scale: default factor on the size of a film.
+        figures: formats of figures, the default first.
     """
 
     settings: dict[str, list[Any]]
@@ -36,6 +39,9 @@ class Known(NamedTuple):
     baselines: list[str]
     optimizers: list[str]
     population: int
+    fps: float
+    film_scale: float
+    figures: list[str]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -53,6 +59,8 @@ def known() -> Known:
 
 def from_settings() -> Known:
     """Return what the file must say, from the settings themselves."""
+    from jaxplore.report.drawing.figure import FORMATS
+    from jaxplore.report.drawing.film import FPS, SCALE
     from jaxplore.settings.exploration import BASELINES, OFFICE, make_exploration_settings
     from jaxplore.settings.reference import PLACES, rows, section_names, setting_names
     from jaxplore.study.tuning.optimizers import NAMES
@@ -75,6 +83,9 @@ def from_settings() -> Known:
         list(BASELINES),
         list(NAMES),
         POPULATION,
+        FPS,
+        SCALE,
+        list(FORMATS),
     )
 
 

@@ -5,12 +5,13 @@ from typing import Any
 
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._show import free_name, save, show_starts
 from jaxplore.report.folder import check_folder
 from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
 
 
-def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool, animation: bool) -> None:
+def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> None:
     """Simulate one run, write its folder and print its metrics.
 
     The exit code is 130 if the user stopped it.
@@ -18,6 +19,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool, anima
     Raises:
         ValueError: options that are not accepted.
     """
+    pictures = take_pictures(options, overwrite=overwrite)
     given = option_entries(options)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
@@ -30,6 +32,6 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool, anima
         *experiment[:3],
         key=experiment.key,
         progress=True,
-        num_trajectories=NUM_TRAJECTORIES if animation else 0,
+        num_trajectories=NUM_TRAJECTORIES if pictures.animation or pictures.video else 0,
     )
-    save(result, folder, settings, overwrite=overwrite, animation=animation)
+    save(result, folder, settings, pictures, overwrite=overwrite)

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from jaxplore._exit import INTERRUPTED
+from jaxplore.cli._pictures import Pictures
 from jaxplore.report.table import print_table, transposed
 from jaxplore.settings.sections import Section
 from jaxplore.simulation.run import Run
@@ -45,19 +46,29 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
         )
 
 
-def save(result: Run, folder: Path, settings: Section, *, overwrite: bool, animation: bool) -> None:
-    """Write a run folder, and print its metrics and files; exit if the run was interrupted."""
+def save(
+    result: Run, folder: Path, settings: Section, pictures: Pictures, *, overwrite: bool
+) -> None:
+    """Write a run folder and a video, and print metrics and files; exit if the run was
+    interrupted."""
     result.save(
         folder,
         overwrite=overwrite,
-        animation=animation,
+        animation=pictures.animation,
+        film=pictures.film,
+        figures=pictures.figures,
         settings=settings.model_dump(mode="json"),
         progress=True,
     )
     print_table(result.metrics.rows(), title=str(folder), has_header=False)
-    for pattern in ("*.png", "*.gif", "metrics.json"):
+    if pictures.video is not None:
+        film = pictures.film
+        result.animate(pictures.video, fps=film.fps, scale=film.scale, progress=True)
+    for pattern in (*(f"*.{kind}" for kind in pictures.figures), "*.gif", "metrics.json"):
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
+    if pictures.video is not None:
+        click.echo(str(pictures.video))
     if result.metrics.is_interrupted:
         click.echo(f"Interrupted: {folder} holds the run up to then.", err=True)
         sys.exit(INTERRUPTED)

@@ -8,6 +8,7 @@ import click
 
 from jaxplore._exit import INTERRUPTED
 from jaxplore.build.tasks import find_task
+from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import show_starts
 from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_entries
@@ -17,7 +18,7 @@ from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.tune import tune
 
 
-def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> None:
+def run_tune(options: dict[str, Any], out: Path | None) -> None:
     """Search for better settings, write the folder of the search and print the result.
 
     The exit code is 130 if the user stopped it.
@@ -25,6 +26,7 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
     Raises:
         ValueError: options that are not accepted.
     """
+    pictures = take_pictures(options)
     given = {name: options.pop(name) for name in (*OWN, *RUNNER)}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
@@ -62,7 +64,9 @@ def run_tune(options: dict[str, Any], out: Path | None, *, animation: bool) -> N
                 measures=tuple(map(parse_measure, given["measures"])),
                 folder=folder,
                 title=f"Tuned: {name}",
-                animation=animation,
+                animation=pictures.animation,
+                film=pictures.film,
+                figures=pictures.figures,
                 progress=True,
                 **{name: given[name] for name in _PASSED},
             )

@@ -1,5 +1,7 @@
 """Metrics, figures and animation of a run, and the run folder that holds them."""
 
+from jaxplore.report.drawing.film import Film as Film
+from jaxplore.report.drawing.film import FilmOptions as FilmOptions
 from jaxplore.report.exploration.metrics import ExplorationMetrics as ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording
 from jaxplore.report.following.metrics import PathMetrics as PathMetrics

@@ -152,6 +152,32 @@ def _put(folder: Path, target: Path) -> None:
     shutil.rmtree(former, ignore_errors=True)
 
 
+@contextmanager
+def whole_file(target: Path, what: str) -> Iterator[Path]:
+    """Yield a hidden path whose file is moved to `target` at the end, also safe in a power cut.
+
+    After an exception, Ctrl-C included, `target` is unchanged.
+
+    Args:
+        target: path of the file, in an existing folder.
+        what: name of the object that the file belongs to, for the message.
+
+    Raises:
+        ValueError: it cannot be written.
+    """
+    # The file is made in the folder of its target, because only there the rename is one operation.
+    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
+    with in_one_line(what, target):
+        try:
+            yield temporary
+            with temporary.open("r+b") as file:
+                # Without it a power cut after the rename could leave an empty file.
+                os.fsync(file.fileno())
+            os.replace(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+
 def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) -> None:
     """Write a file completely or not at all, also after a power cut.
 
@@ -163,18 +189,8 @@ def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) ->
     Raises:
         ValueError: it cannot be written.
     """
-    # The file is made in the folder of its target, because only there the rename is one operation.
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    with in_one_line(what, target):
-        try:
-            with temporary.open("xb") as file:
-                write(file)
-                file.flush()
-                # Without it a power cut after the rename could leave an empty file.
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with whole_file(target, what) as temporary, temporary.open("xb") as file:
+        write(file)
 
 
 @contextmanager

@@ -126,12 +126,15 @@ class Curve(NamedTuple):
         label: label of the axis, with the unit.
         scale: factor of the displayed values.
         limit: upper end of the axis; by the data when absent.
+        applies: function that says whether the curve is meaningful for the metrics of a run; a
+            curve that is not for any run is left out.
     """
 
     name: str
     label: str
     scale: float = 1.0
     limit: float | None = None
+    applies: Callable[[Any], bool] = lambda _: True
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -6,16 +6,25 @@ this protocol only and do not depend on the kind of task.
 
 import abc
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from os import PathLike
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from PIL import Image
 
+from jaxplore import _kinds
 from jaxplore.report.compute import Timing as Timing
 from jaxplore.report.compute import compute_cost, software
-from jaxplore.report.drawing.gif import write_gif
+from jaxplore.report.drawing.film import (
+    FilmOptions,
+    captioned,
+    check_film,
+    evenly_chosen,
+    told_speed,
+    write_film,
+)
 from jaxplore.report.drawing.palette import fitted_palette
 from jaxplore.report.metrics import Metrics
 
@@ -108,8 +117,25 @@ class Recording(RunData, abc.ABC):
         """
 
     @abc.abstractmethod
-    def frame_image(self, frame: Any) -> Image.Image:
-        """Draw one of the frames."""
+    def frame_image(self, frame: Any, *, scale: float = 1.0) -> Image.Image:
+        """Draw one of the frames.
+
+        Args:
+            frame: the frame.
+            scale: factor on the size of the picture.
+        """
+
+    def painter(self, scale: float = 1.0) -> Callable[[Any], Image.Image]:
+        """Return a function that draws frames: `frame_image`, unless frames share computations.
+
+        Args:
+            scale: factor on the size of the pictures.
+        """
+        return partial(self.frame_image, scale=scale)
+
+    def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
+        """Compute the palette of a GIF from some of its pictures."""
+        return fitted_palette((), pictures)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.
@@ -127,26 +153,36 @@ class Recording(RunData, abc.ABC):
     def write_animation(
         self,
         path: str | PathLike[str],
+        options: FilmOptions | None = None,
         *,
-        max_frames: int = 120,
+        title: str = "",
         on_progress: Callable[[float], None] = lambda _: None,
     ) -> None:
-        """Write the run as an animated GIF that plays in browsers and in a README.
+        """Write the run as a film: a GIF that plays in browsers and in a README, or an MP4 video.
+
+        Its caption says how many times as fast as the run it plays.
 
         Args:
-            path: file to write.
-            max_frames: greatest number of frames, evenly chosen, the first and the last one among
-                them.
+            path: file to write, which ends in .gif or .mp4; one that exists is replaced.
+            options: frames per second, size and number of frames; the defaults when absent.
+            title: text in the caption, such as the name of a variant.
             on_progress: called with the share that is done, from 0 to 1.
 
         Raises:
-            ValueError: fewer than one frame.
+            ValueError: another kind of file, one that cannot be written, or a missing
+                `imageio-ffmpeg` for an MP4.
         """
-        write_gif(
+        options = FilmOptions() if options is None else options
+        _kinds.instance("film", options, FilmOptions)
+        suffix = check_film(path, options).suffix.lower()
+        frames = evenly_chosen(self.frames, options.max_frames)
+        speed = told_speed(options.speed([frame.time for frame in frames], suffix))
+        draw, scale = self.painter(options.scale), options.scale
+        write_film(
             path,
-            self.frames,
-            self.frame_image,
-            lambda images: fitted_palette((), images),
-            max_frames,
+            frames,
+            lambda frame: captioned(draw(frame), scale, title, speed),
+            self.palette,
+            options,
             on_progress,
         )

@@ -2,17 +2,18 @@
 
 import contextlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 
 import numpy as np
 import yaml
 
+from jaxplore.report.drawing.figure import PNG, figure_formats, write_figure
+from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
 
-DOTS_PER_INCH = 150
 BEFORE_ANIMATION = 0.2
 """Share of the progress bar for everything but the animation, which takes longest."""
 
@@ -24,6 +25,8 @@ def save_run(
     *,
     settings: Mapping[str, object] | None = None,
     animation: bool = True,
+    film: FilmOptions | None = None,
+    figures: str | Sequence[str] = PNG,
     overwrite: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> None:
@@ -38,12 +41,16 @@ def save_run(
         path: the folder.
         settings: settings that led to the run, plain values only.
         animation: draw the animation; it takes most of the time, and Ctrl-C leaves it out.
+        film: frames per second and size of the animation; the defaults when absent.
+        figures: formats of the figures, of png, pdf and svg.
         overwrite: replace a former run.
         on_progress: called with the share that is done, from 0 to 1.
 
     Raises:
-        ValueError: settings that YAML cannot hold; a folder that exists or cannot be written.
+        ValueError: settings that YAML cannot hold; another format of figures; a folder that exists
+            or cannot be written.
     """
+    kinds = figure_formats(figures)
     # Both documents are made first, so that a value they cannot hold stops before any file exists.
     document = None if settings is None else settings_document(settings)
     report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
@@ -55,7 +62,7 @@ def save_run(
         with (folder / "arrays.npz").open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **recording.arrays())
         for name, draw in recording.figures().items():
-            draw().savefig(folder / f"{name}.png", dpi=DOTS_PER_INCH)
+            write_figure(draw(), folder, name, kinds)
         if animation:
             on_progress(BEFORE_ANIMATION)
             rest = 1.0 - BEFORE_ANIMATION
@@ -64,6 +71,7 @@ def save_run(
             with contextlib.suppress(KeyboardInterrupt):
                 recording.write_animation(
                     folder / recording.animation,
+                    film,
                     on_progress=lambda share: on_progress(BEFORE_ANIMATION + rest * share),
                 )
     on_progress(1.0)

@@ -5,8 +5,10 @@ import dataclasses
 import html
 import io
 import os
+import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -16,6 +18,8 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.console import progress_bar
+from jaxplore.report.drawing.figure import PNG
+from jaxplore.report.drawing.film import FPS, SCALE, Film, FilmOptions
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.save import save_run
@@ -92,12 +96,49 @@ class Run:
             picture = f'<img src="data:image/png;base64,{code}">'
         return f"{picture}<table>{rows}</table>"
 
+    def animate(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        *,
+        fps: int | float = FPS,
+        scale: int | float = SCALE,
+        progress: bool = False,
+    ) -> Film:
+        """Draw the run as a film, which a notebook shows.
+
+        The film plays `T * fps` times as fast as the run, where T is the simulated time between two
+        frames [s]; its caption says so.
+
+        Args:
+            path: file to write, which ends in .gif or .mp4; one that exists is replaced. When
+                absent the film is a GIF and no file is written.
+            fps: frames per second of playback, up to 120, in a GIF up to 50.
+            scale: factor on the size of the picture, from 0.5 to 4; lines and texts stay sharp.
+            progress: whether to show a progress bar.
+
+        Raises:
+            ValueError: another kind of file, one that cannot be written, numbers that are not
+                accepted, or a missing `imageio-ffmpeg` for an MP4.
+        """
+        options = FilmOptions(fps=fps, scale=scale)
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            progress_bar("drawing", enabled=_kinds.flag("progress", progress)) as advance,
+        ):
+            file = Path(folder) / "film.gif" if path is None else Path(path)
+            self.recording.write_animation(
+                file, options, on_progress=lambda share: advance(share, "")
+            )
+            return Film(file.read_bytes(), file.suffix.lower())
+
     def save(
         self,
         path: str | os.PathLike[str],
         *,
         overwrite: bool = False,
         animation: bool = True,
+        film: FilmOptions | None = None,
+        figures: str | Sequence[str] = PNG,
         settings: Mapping[str, object] | None = None,
         progress: bool = False,
     ) -> None:
@@ -109,12 +150,14 @@ class Run:
             path: the folder.
             overwrite: whether to replace a former run folder.
             animation: whether to draw the animation.
+            film: frames per second and size of the animation; the defaults when absent.
+            figures: formats of the figures: png, pdf or svg, or several, "pdf,svg".
             settings: settings of the run, written to settings.yaml; the command line repeats the
                 run from them.
             progress: whether to show a progress bar of the drawing.
 
         Raises:
-            ValueError: the folder exists, or cannot be written.
+            ValueError: the folder exists, or cannot be written; another format of figures.
         """
         with progress_bar("drawing", enabled=progress and animation) as advance:
             save_run(
@@ -123,6 +166,8 @@ class Run:
                 path,
                 settings=settings,
                 animation=animation,
+                film=film,
+                figures=figures,
                 overwrite=overwrite,
                 on_progress=lambda share: advance(share, ""),
             )

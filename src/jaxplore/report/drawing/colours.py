@@ -8,13 +8,13 @@ MISSED = (209, 73, 91)
 """Colour of a true wall that is missing in the belief."""
 OUTLINE = "#4f8fc0"
 """Colour of the outline of the true free space."""
-CLOSED, CLOSED_SHARE = (140, 98, 60), 0.5
+CLOSED, CLOSED_SHARE = (112, 68, 30), 0.5
 """Colour of untraversable ground, and its opacity over the belief."""
 TARGET = (91, 42, 134)
 """Colour of targets."""
 MOVER, MOVER_EDGE = (43, 48, 58), (250, 204, 21)
 """Colours of a moving obstacle and of its edge."""
-SERIES = ("#1f6fb2", "#d1495b", "#2a7f5f", "#b5651d", "#7a5195", "#4a4e57")
+SERIES = ("#1c64be", "#d1495b", "#2b5625", "#b5651d", "#7d5690", "#3f334e")
 """Colours of several curves in a figure, in turn."""
 
 

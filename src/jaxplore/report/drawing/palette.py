@@ -11,13 +11,16 @@ HEAT_LEVELS, MAX_HEAT = 6, 0.75
 """Number of levels of the information's colour, few for a small file, and its opacity."""
 
 PAPER, INK, PALE = (255, 255, 255), (43, 48, 58), (125, 132, 143)
-HIDDEN_WALL = (172, 178, 188)
+HIDDEN_WALL = (112, 119, 131)
+"""Colour of a true wall that the robot has not seen."""
+LEVEL = (172, 178, 188)
+"""Colour of a level that a curve shall reach."""
 HEAT = (255, 166, 33)
-LIDAR_AREA, LIDAR_RAY = (42, 170, 150, 26), (42, 170, 150, 64)
-TRAIL = (31, 111, 178)
-FAINT, STRONG = (132, 94, 194, 70), (118, 56, 190, 235)
-PLAN, ROBOT = (214, 40, 85), (214, 40, 85)
-REFERENCE = (64, 145, 62)
+LIDAR_AREA, LIDAR_RAY = (40, 185, 132, 26), (40, 185, 132, 64)
+TRAIL = (33, 123, 182)
+FAINT, STRONG = (132, 94, 194, 70), (117, 56, 194, 235)
+PLAN, ROBOT = (218, 39, 78), (218, 39, 78)
+REFERENCE = (25, 91, 38)
 
 
 def fitted_palette(given: Sequence[Colour], pictures: Sequence[Image.Image]) -> Image.Image:

@@ -1,9 +1,11 @@
 """Curves over time that several figures share."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jax.typing import ArrayLike
+
+from jaxplore.report.drawing.colours import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,6 +34,17 @@ def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
     # Values that are not finite count neither in the sum nor in the number.
     total, number = sums(np.where(is_finite, values, 0.0)), sums(is_finite.astype(np.float64))
     return np.where(number > 0.0, total / np.maximum(number, 1.0), np.nan)
+
+
+def line_style(number: int) -> dict[str, Any]:
+    """Return the colour and the line style of a curve, so that many curves stay distinct.
+
+    Args:
+        number: number of the curve in its figure, from 0.
+    """
+    # After the last colour the line style changes.
+    turn, place = divmod(number, len(SERIES))
+    return {"color": SERIES[place], "linestyle": ("-", "--", ":", "-.")[turn % 4]}
 
 
 def style_time(axes: "Axes", duration: float) -> None:

@@ -6,12 +6,19 @@ import numpy as np
 from PIL import ImageDraw
 
 from jaxplore.report.drawing.palette import FAINT, PAPER, ROBOT, STRONG, Colour
-from jaxplore.report.drawing.picture import SUPERSAMPLING, outline_at, pairs
+from jaxplore.report.drawing.picture import outline_at, pairs
 
 STRONG_SHARE = 0.02
 """Rollouts with at least this share of the greatest weight are drawn bold."""
 LEAST_RADIUS = 6.5
-"""Size to which a smaller robot is enlarged [pixels]."""
+"""Size to which a smaller robot is enlarged [pixels of scale 1]."""
+
+STAR = 7.0
+"""Radius of the sign of a target [pixels of scale 1]."""
+_ANGLES = np.pi * (np.arange(10) / 5.0 - 0.5)
+_SPIKES = np.where(np.arange(10) % 2, 0.42, 1.0)[:, None] * np.stack(
+    [np.cos(_ANGLES), np.sin(_ANGLES)], axis=-1
+)
 
 
 @runtime_checkable
@@ -20,7 +27,12 @@ class Surface(Protocol):
 
     @property
     def scale(self) -> float:
-        """Pixels of the final picture per metre."""
+        """Pixels of the supersampled picture per metre."""
+
+    @property
+    def unit(self) -> float:
+        """Pixels of the supersampled picture per pixel of a final picture of scale 1, in which
+        widths of lines are given."""
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
@@ -40,11 +52,11 @@ def draw_line(
         draw: Pillow's drawing interface of the picture.
         points: (N, 2) world points [m].
         colour: colour of the line.
-        thickness: width of the line [pixels of the final picture].
+        thickness: width of the line [pixels of scale 1].
     """
     whole = points[np.isfinite(points).all(axis=-1)]
     if len(whole) > 1:
-        draw.line(pairs(surface.pixels(whole)), colour, round(thickness * SUPERSAMPLING), "curve")
+        draw.line(pairs(surface.pixels(whole)), colour, round(thickness * surface.unit), "curve")
 
 
 def draw_rollouts(
@@ -86,15 +98,15 @@ def draw_body(
         position: (2,) position of the robot [m].
         heading: heading of the robot [rad]; if it is not finite, a disc without an arrow is drawn.
     """
-    middle, edge = surface.pixels(position), round(1.2 * SUPERSAMPLING)
-    reach = max(radius * surface.scale, LEAST_RADIUS) * SUPERSAMPLING
+    middle, edge = surface.pixels(position), round(1.2 * surface.unit)
+    reach = max(radius * surface.scale, LEAST_RADIUS * surface.unit)
     is_turned = bool(np.isfinite(heading))
     if len(footprint) and is_turned:
         width = float(np.ptp(footprint[:, 1]))
-        larger = max(1.0, LEAST_RADIUS / (0.5 * width * surface.scale))
+        larger = max(1.0, LEAST_RADIUS * surface.unit / (0.5 * width * surface.scale))
         corners = surface.pixels(outline_at(larger * footprint, position, heading))
         draw.polygon(pairs(corners), ROBOT, PAPER, edge)
-        middle, reach = corners.mean(axis=0), 0.5 * larger * width * surface.scale * SUPERSAMPLING
+        middle, reach = corners.mean(axis=0), 0.5 * larger * width * surface.scale
     else:
         x, y = middle.tolist()
         draw.ellipse((x - reach, y - reach, x + reach, y + reach), ROBOT, PAPER, edge)
@@ -107,3 +119,30 @@ def draw_body(
         tips = [middle + 0.72 * reach * ahead]
         tips += [middle + reach * (-0.35 * ahead + side * 0.5 * aside) for side in (-1.0, 1.0)]
         draw.polygon(pairs(np.stack(tips)), PAPER)
+
+
+def draw_star(
+    surface: Surface, draw: ImageDraw.ImageDraw, middle: np.ndarray, colour: Colour
+) -> None:
+    """Draw a target that is still to be found: a star with a white rim.
+
+    Args:
+        surface: transformation from world points to pixels; its unit is the size.
+        draw: Pillow's drawing interface of the picture.
+        middle: (2,) its middle in the picture [pixels].
+        colour: colour of the star.
+    """
+    star = STAR * surface.unit * _SPIKES
+    draw.polygon(pairs(middle + 1.35 * star), PAPER)
+    draw.polygon(pairs(middle + star), colour)
+
+
+def draw_found(
+    surface: Surface, draw: ImageDraw.ImageDraw, middle: np.ndarray, colour: Colour
+) -> None:
+    """Draw a target that was found: a ring with a check mark, as `draw_star`."""
+    reach, unit = 0.95 * STAR * surface.unit, surface.unit
+    x, y = middle.tolist()
+    draw.ellipse((x - reach, y - reach, x + reach, y + reach), PAPER, colour, round(1.8 * unit))
+    tick = np.array([[-0.42, 0.0], [-0.12, 0.34], [0.46, -0.36]])
+    draw.line(pairs(middle + reach * tick), colour, round(1.8 * unit), "curve")

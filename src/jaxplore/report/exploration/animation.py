@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from os import PathLike
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -18,13 +17,13 @@ from jaxplore.report.drawing.colours import (
     belief_colours,
     blend,
 )
-from jaxplore.report.drawing.gif import write_gif
 from jaxplore.report.drawing.palette import (
     FAINT,
     HEAT,
     HEAT_LEVELS,
     HIDDEN_WALL,
     INK,
+    LEVEL,
     LIDAR_AREA,
     LIDAR_RAY,
     MAX_HEAT,
@@ -37,62 +36,54 @@ from jaxplore.report.drawing.palette import (
     Colour,
     fitted_palette,
 )
-from jaxplore.report.drawing.picture import SUPERSAMPLING, pairs
-from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
+from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
+from jaxplore.report.drawing.shapes import (
+    draw_body,
+    draw_found,
+    draw_line,
+    draw_rollouts,
+    draw_star,
+)
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
 
 NUM_RAYS = 45
-STAR = 7.0
-"""Radius of a target [pixels]."""
-
-
-def write_animation(
-    recording: ExplorationData,
-    path: str | PathLike[str],
-    *,
-    max_frames: int = 120,
-    width: int = 720,
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> None:
-    """Write a run as an animated GIF that plays in browsers and in a README.
-
-    Args:
-        recording: recording of the run.
-        path: path of the file.
-        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
-        width: width of the picture [pixels]; less for tall or small maps.
-        on_progress: called with the share that is done, 0 to 1.
-
-    Raises:
-        ValueError: less than one frame, or a width below 320 pixels.
-    """
-    canvas = make_canvas(recording, width)
-    write_gif(
-        path,
-        recording.frames,
-        partial(_draw, canvas),
-        partial(_shared_palette, recording),
-        max_frames,
-        on_progress,
-    )
+DASH = 7.0
+"""Length of a dash of the reference, and of a gap [pixels of scale 1]."""
+WALL_LEVEL = 240
+"""Level of a probability, of 255, from which a cell is drawn as a wall."""
 
 
 def frame_image(
-    recording: ExplorationData, frame: ExplorationFrame, *, width: int = 720
+    recording: ExplorationData,
+    frame: ExplorationFrame,
+    *,
+    width: int = WIDTH,
+    scale: float = 1.0,
 ) -> Image.Image:
     """Draw one frame of a run, as in the animation.
 
     Args:
         recording: recording of the run.
         frame: one of its frames.
-        width: width of the picture [pixels]; less for tall or small maps.
+        width: width of the picture at scale 1 [pixels]; less for tall or small maps.
+        scale: factor on the size of the picture.
 
     Raises:
         ValueError: a width below 320 pixels.
     """
-    return _draw(make_canvas(recording, width), frame)
+    return _draw(make_canvas(recording, width, scale), frame)
+
+
+def painter(recording: ExplorationData, scale: float) -> Callable[[ExplorationFrame], Image.Image]:
+    """Return a function that draws the frames of a run; what they share is computed once.
+
+    Args:
+        recording: recording of the run.
+        scale: factor on the size of the pictures.
+    """
+    return partial(_draw, make_canvas(recording, WIDTH, scale))
 
 
 def _draw(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
@@ -114,12 +105,13 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     One pixel per cell.
     """
     drawn = np.ix_(*canvas.sample)
-    level = canvas.window.crop(frame.probability, 128.0)[drawn]
+    level = canvas.window.crop(frame.probability, 128.0)
+    is_hidden = canvas.any_in_blocks(canvas.walls & _is_unknown(level))
+    is_wall = canvas.any_in_blocks(level >= WALL_LEVEL)
+    level = level[drawn]
     # Sixteen levels instead of 256 make a small file; the last one is drawn as fully occupied.
-    colours = belief_colours()[level // 16 * 16 + (level >= 240) * 15].astype(np.float32)
-    unknown = np.abs(level.astype(int) - 128) < 8
-    colours[unknown] = belief_colours()[128]
-    colours[unknown & canvas.hidden_walls] = HIDDEN_WALL
+    colours = belief_colours()[level // 16 * 16 + (level >= WALL_LEVEL) * 15].astype(np.float32)
+    colours[_is_unknown(level)] = belief_colours()[128]
     information = _smooth(np.nan_to_num(frame.information)).ravel()[canvas.corners]
     heat = np.clip((information * canvas.shares).sum(0) / canvas.brightest, 0.0, 1.0)
     alpha = np.round(heat * HEAT_LEVELS) / HEAT_LEVELS * MAX_HEAT
@@ -128,8 +120,16 @@ def _ground(canvas: Canvas, frame: ExplorationFrame) -> Image.Image:
     colours += alpha * (np.asarray(HEAT, np.float32) - colours)
     closed = canvas.closed & (level < 192)
     colours[closed] += CLOSED_SHARE * (np.asarray(CLOSED, np.float32) - colours[closed])
+    # Walls come last: where several cells share a pixel, a wall of one cell must not be lost.
+    colours[is_hidden] = HIDDEN_WALL
+    colours[is_wall] = belief_colours()[255]
     # Row 0 of a grid is at the bottom, row 0 of a picture at the top.
     return Image.fromarray(np.round(colours[::-1]).astype(np.uint8))
+
+
+def _is_unknown(level: np.ndarray) -> np.ndarray:
+    """Return which cells have a probability of about 1/2, given in 256 levels."""
+    return np.asarray(np.abs(level.astype(int) - 128) < 8)
 
 
 def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
@@ -145,29 +145,25 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
     for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
-    _draw_targets(canvas, draw)
+    _draw_targets(canvas, frame, draw)
     _draw_moving_obstacles(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
-        line(frame.reference, REFERENCE, 3.0)
+        _draw_dashes(canvas, draw, frame.reference)
     line(frame.plan, PLAN, 2.0)
     if recording.goal is not None:
         x, y = canvas.pixels(recording.goal)
         for size, colour in ((7.0, REFERENCE), (4.0, PAPER), (2.0, REFERENCE)):
-            reach = size * SUPERSAMPLING
+            reach = size * canvas.unit
             draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
     footprint, radius = recording.footprint, recording.robot_radius
     draw_body(canvas, draw, footprint, radius, here, frame.heading)
 
 
-def _draw_targets(canvas: Canvas, draw: ImageDraw.ImageDraw) -> None:
-    spikes = np.arange(10)
-    angles = np.pi * (spikes / 5.0 - 0.5)
-    reach = STAR * SUPERSAMPLING * np.where(spikes % 2, 0.42, 1.0)
-    star = reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    for middle in canvas.pixels(canvas.recording.targets):
-        draw.polygon(pairs(middle + 1.35 * star), PAPER)
-        draw.polygon(pairs(middle + star), TARGET)
+def _draw_targets(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
+    places = canvas.pixels(canvas.recording.targets)
+    for middle, is_found in zip(places, frame.is_found, strict=True):
+        (draw_found if is_found else draw_star)(canvas, draw, middle, TARGET)
 
 
 def _draw_moving_obstacles(
@@ -177,9 +173,22 @@ def _draw_moving_obstacles(
     for middle, radius in zip(frame.movers, radii, strict=True):
         if np.isfinite(middle).all():
             x, y = canvas.pixels(middle).tolist()
-            reach = max(radius * canvas.scale, 3.0) * SUPERSAMPLING
+            reach = max(radius * canvas.scale, 3.0 * canvas.unit)
             box = (x - reach, y - reach, x + reach, y + reach)
-            draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * SUPERSAMPLING))
+            draw.ellipse(box, MOVER, MOVER_EDGE, round(1.5 * canvas.unit))
+
+
+def _draw_dashes(canvas: Canvas, draw: ImageDraw.ImageDraw, points: np.ndarray) -> None:
+    """Draw the reference (R, 2) [m] dashed, so that it differs from the plan by more than its
+    colour."""
+    places = points[np.isfinite(points).all(axis=-1)].astype(np.float64)
+    lengths = np.hypot(*np.diff(places, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    dash = DASH * canvas.unit / canvas.scale
+    for begin in np.arange(0.0, along[-1], 2.0 * dash):
+        some = begin + dash * np.array([0.0, 0.5, 1.0])
+        piece = np.stack([np.interp(some, along, axis) for axis in places.T], axis=-1)
+        draw_line(canvas, draw, piece, REFERENCE, 3.0)
 
 
 def _smooth(values: np.ndarray) -> np.ndarray:
@@ -189,7 +198,7 @@ def _smooth(values: np.ndarray) -> np.ndarray:
     return np.asarray((rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:]) / 9.0)
 
 
-def _shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
+def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) -> Image.Image:
     """Compute the palette that all frames share.
 
     Thin lines have few pixels, and a palette by frequency would lose their colours. These are
@@ -200,7 +209,7 @@ def _shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image])
         pictures: some of the frames, all of one size.
     """
     lines = (PLAN, REFERENCE, STRONG[:3], FAINT[:3], TRAIL, LIDAR_RAY[:3])
-    given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, INK, PALE, *lines]
+    given: list[Colour] = [PAPER, FREE, UNKNOWN, HIDDEN_WALL, LEVEL, INK, PALE, *lines]
     given += [blend(line, FREE, share) for line in lines for share in (0.35, 0.7)]
     given += [blend(HEAT, FREE, k / HEAT_LEVELS * MAX_HEAT) for k in range(1, HEAT_LEVELS + 1)]
     if recording.traversable is not None:

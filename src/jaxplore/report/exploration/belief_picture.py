@@ -1,6 +1,7 @@
 """A picture of the belief with the robot in it."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 from PIL import Image, ImageDraw
@@ -20,8 +21,10 @@ class Sheet:
     Args:
         origin: pose of the grid [m, m, rad].
         height: height of the grid [m].
-        scale: pixels that are shown per metre.
+        scale: pixels of the supersampled picture per metre.
     """
+
+    unit: ClassVar[float] = float(SUPERSAMPLING)
 
     origin: np.ndarray
     height: float
@@ -31,7 +34,7 @@ class Sheet:
         """Turn world points (..., 2) [m] into columns and rows of the supersampled picture."""
         placed = to_frame(points, self.origin)
         placed[..., 1] = self.height - placed[..., 1]
-        return np.asarray(placed * self.scale * SUPERSAMPLING)
+        return np.asarray(placed * self.scale)
 
 
 def belief_picture(
@@ -67,7 +70,9 @@ def belief_picture(
     size = (columns * side * SUPERSAMPLING, rows * side * SUPERSAMPLING)
     image = image.resize(size, Image.Resampling.NEAREST)
     draw = ImageDraw.Draw(image, "RGBA")
-    sheet = Sheet(np.asarray(origin, np.float64), rows * resolution, side / resolution)
+    sheet = Sheet(
+        np.asarray(origin, np.float64), rows * resolution, SUPERSAMPLING * side / resolution
+    )
     for end in scan[:: max(1, len(scan) // MOST_RAYS)]:
         draw_line(sheet, draw, np.stack([path[-1], end]), LIDAR_RAY, 0.5)
     draw_line(sheet, draw, path, TRAIL, 1.5)

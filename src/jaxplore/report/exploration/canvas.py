@@ -5,8 +5,10 @@ import dataclasses
 import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
-from jaxplore.report.drawing.picture import FOOTER, MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, to_frame
+from jaxplore.report.drawing.footer import Entry, footer_height
+from jaxplore.report.drawing.picture import MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, to_frame
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.legend import legend_entries
 from jaxplore.report.exploration.overlays import closed_cells
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.window import Window
@@ -19,20 +21,25 @@ MAX_RATIO = 1.1
 class Canvas:
     """The parts of an animation that are the same in every frame.
 
-    `scale` is in pixels per metre, `left` is the map's first column; `corners` (4, R, C) are the
-    indices of the nodes of the information field around each drawn cell and `shares` their bilinear
-    weights; `closed` are the drawn cells of untraversable open ground; `brightest` [nat] is the
-    information at which the colour saturates.
+    `zoom` is the scale of the picture, `scale` the supersampled pixels per metre, `left` the map's
+    first column; `sample` are the drawn rows and columns, and `blocks` the first row and column of
+    the cells that each of them stands for; `corners` (4, R, C) are the indices of the nodes of the
+    information field around each drawn cell and `shares` their bilinear weights; `walls` are the
+    window's true walls and `closed` the drawn cells of untraversable open ground; `brightest` [nat]
+    is the information at which the colour saturates.
     """
 
     recording: ExplorationData
     window: Window
     width: int
+    zoom: float
     map_size: tuple[int, int]
     left: int
     scale: float
     sample: tuple[np.ndarray, np.ndarray]
-    hidden_walls: np.ndarray
+    blocks: tuple[np.ndarray, np.ndarray]
+    walls: np.ndarray
+    legend: tuple[Entry, ...]
     corners: np.ndarray
     shares: np.ndarray
     closed: np.ndarray
@@ -42,21 +49,36 @@ class Canvas:
     @property
     def height(self) -> int:
         """Height of the picture, map and footer [pixels]."""
-        return self.map_size[1] + FOOTER
+        height = footer_height(self.width / self.zoom, len(self.legend))
+        return self.map_size[1] + round(height * self.zoom)
+
+    @property
+    def unit(self) -> float:
+        """Pixels of the supersampled map per pixel of scale 1."""
+        return SUPERSAMPLING * self.zoom
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Turn world points (..., 2) [m] into columns and rows of the supersampled map."""
-        placed = self.window.place(points) * self.scale * SUPERSAMPLING
+        placed = self.window.place(points) * self.scale
         placed[..., 1] = self.map_size[1] * SUPERSAMPLING - placed[..., 1]
-        return np.asarray(np.clip(placed, -1e4, 1e4))
+        return np.asarray(np.clip(placed, -1e5, 1e5))
+
+    def any_in_blocks(self, cells: np.ndarray) -> np.ndarray:
+        """Return for each drawn cell whether any cell that it stands for is set.
+
+        So a wall of one cell stays visible where several cells share a pixel.
+        """
+        rows = np.logical_or.reduceat(cells, self.blocks[0], axis=0)
+        return np.asarray(np.logical_or.reduceat(rows, self.blocks[1], axis=1))
 
 
-def make_canvas(recording: ExplorationData, width: int) -> Canvas:
+def make_canvas(recording: ExplorationData, width: int, zoom: float) -> Canvas:
     """Make the canvas of a recording.
 
     Args:
         recording: recording of the run.
-        width: width of the picture [pixels]; less for tall or small maps.
+        width: width of the picture [pixels of scale 1]; less for tall or small maps.
+        zoom: scale of the picture.
 
     Raises:
         ValueError: a width below 320 pixels.
@@ -66,29 +88,35 @@ def make_canvas(recording: ExplorationData, width: int) -> Canvas:
     window = Window.around_reachable(recording)
     size = np.asarray(window.size)
     scale = min(width / size[0], MAX_RATIO * width / size[1])
-    columns, rows = (max(MIN_MAP_SIDE, round(float(side) * scale)) for side in size)
-    total = max(MIN_WIDTH, columns)
+    columns, rows = (round(max(MIN_MAP_SIDE, round(float(side) * scale)) * zoom) for side in size)
+    total = max(round(MIN_WIDTH * zoom), columns)
     # Where cells are smaller than pixels, a subset is enough.
     cells = [
-        (np.arange(count) + 0.5) * window.shape[axis] / count
+        (np.arange(count), window.shape[axis] / count)
         for axis, count in (
             (axis, min(window.shape[axis], SUPERSAMPLING * (rows, columns)[axis]))
             for axis in (0, 1)
         )
     ]
-    sample = (cells[0].astype(int), cells[1].astype(int))
+    down, across = (((index + 0.5) * size).astype(int) for index, size in cells)
+    sample = (down, across)
+    down, across = ((index * size).astype(int) for index, size in cells)
+    blocks = (down, across)
     corners, shares = _field_stencil(recording, window, sample)
-    drawn = np.ix_(*sample)
+    closed = closed_cells(recording, window)[np.ix_(*sample)]
     return Canvas(
         recording=recording,
         window=window,
         width=total,
+        zoom=zoom,
         map_size=(columns, rows),
         left=(total - columns) // 2,
-        scale=scale,
+        scale=scale * zoom * SUPERSAMPLING,
         sample=sample,
-        hidden_walls=(window.crop(recording.world, 0.5) > OCCUPIED_THRESHOLD)[drawn],
-        closed=closed_cells(recording, window)[drawn],
+        blocks=blocks,
+        walls=window.crop(recording.world, 0.5) > OCCUPIED_THRESHOLD,
+        legend=legend_entries(recording, has_closed=bool(closed.any())),
+        closed=closed,
         corners=corners,
         shares=shares,
         brightest=_brightest(recording.frames),

@@ -78,6 +78,7 @@ class ExplorationFrame(Frame):
         heading: heading of the robot [rad].
         reference: (R, 2) reference positions of the plan [m]; empty without a reference.
         movers: (M, 2) positions of the moving obstacles [m].
+        is_found: (K,) whether each target was seen so far.
         terms: value of each cost term for the nominal trajectory.
     """
 
@@ -91,6 +92,7 @@ class ExplorationFrame(Frame):
     heading: float
     reference: np.ndarray
     movers: np.ndarray
+    is_found: np.ndarray
     terms: dict[str, float]
 
 

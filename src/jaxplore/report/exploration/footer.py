@@ -1,74 +1,59 @@
-"""The footer of an exploration animation: numbers, the legend and the coverage curve."""
+"""The footer of an exploration animation: numbers, a curve and the legend."""
 
-from PIL import Image, ImageDraw
+import numpy as np
+from PIL import Image
 
-from jaxplore.report.drawing.colours import CLOSED, CLOSED_SHARE, FREE, MOVER, TARGET, blend
-from jaxplore.report.drawing.footer import draw_curve, draw_legend, fonts
-from jaxplore.report.drawing.palette import (
-    HEAT,
-    HIDDEN_WALL,
-    INK,
-    LIDAR_RAY,
-    MAX_HEAT,
-    PALE,
-    PAPER,
-    PLAN,
-    REFERENCE,
-    STRONG,
-    TRAIL,
-    Colour,
-)
+from jaxplore.report.drawing.footer import EDGE, Footer
+from jaxplore.report.drawing.picture import SUPERSAMPLING
 from jaxplore.report.exploration.canvas import Canvas
 from jaxplore.report.exploration.data import ExplorationFrame
+from jaxplore.report.exploration.progress import at_instants, is_known_map
 
 
 def draw_footer(canvas: Canvas, frame: ExplorationFrame, image: Image.Image) -> None:
-    """Draw time, coverage, distance, targets, the legend and the coverage curve.
+    """Draw the main number and its curve, time, distance, targets, scale bar and legend.
 
     Args:
         canvas: canvas of the animation.
         frame: frame to draw.
         image: picture of the whole frame, whose lowest rows are drawn into.
     """
-    time, coverage, _, path = canvas.progress
-    top, step = canvas.map_size[1], min(frame.step, len(time) - 1)
-    draw, large, small = ImageDraw.Draw(image), *fonts()
-    # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
-    percent = (
-        100.0 * float(coverage[step]) if frame.step else 100.0 * canvas.recording.initial_coverage
-    )
-    targets = canvas.recording.targets
-    # The third line needs room above it.
-    first, second = (8, 38) if len(targets) else (14, 50)
-    draw.text((16, top + first), f"{percent:.1f} %", INK, large)
-    draw.text((100, top + first + 6), "covered", PALE, small)
-    draw.text((16, top + second), f"{frame.time:.1f} s", INK, small)
-    draw.text((100, top + second), f"{path[step]:.1f} m", INK, small)
-    if len(targets):
-        seen = canvas.recording.records.targets_seen
-        # A frame is drawn before the step of its number: its last record is one step earlier.
-        count = int(seen[min(frame.step, len(seen)) - 1]) if frame.step else 0
-        draw.text((16, top + 59), f"targets {count} of {len(targets)}", INK, small)
-    end = draw_legend(image, _legend(canvas))
-    draw_curve(image, time, coverage, step, left=end, level=canvas.recording.target_coverage)
+    time, _, _, path = canvas.progress
+    step = min(frame.step, len(time) - 1)
+    footer = Footer(image, canvas.zoom, canvas.legend)
+    _draw_judged(canvas, frame, footer, step)
+    footer.text(EDGE, 38, f"{frame.time:.1f} s")
+    footer.text(84, 38, f"{path[step]:.1f} m")
+    targets = len(canvas.recording.targets)
+    if targets:
+        footer.text(EDGE, 56, f"targets {int(np.sum(frame.is_found))} of {targets}")
+    footer.scale_bar(canvas.scale / SUPERSAMPLING)
+    footer.legend()
 
 
-def _legend(canvas: Canvas) -> list[tuple[str, Colour]]:
+def _draw_judged(canvas: Canvas, frame: ExplorationFrame, footer: Footer, step: int) -> None:
+    """Draw the quantity by which the task is judged: its value now and its curve.
+
+    It is the coverage, but if the map was known in advance, the idleness of a patrol, the targets
+    of a search, or the distance.
+    """
     recording = canvas.recording
-    entries: list[tuple[str, Colour]] = [
-        ("plan", PLAN),
-        ("rollouts", STRONG),
-        ("trail", TRAIL),
-        ("information", blend(HEAT, PAPER, MAX_HEAT)),
-        ("lidar", LIDAR_RAY[:3]),
-        ("unseen wall", HIDDEN_WALL),
-    ]
-    if recording.goal is not None:
-        entries[4] = ("reference, goal", REFERENCE)
+    time, coverage, _, path = canvas.progress
+    if not is_known_map(recording):
+        # Instant 0 has the coverage after the first scan, but the first frame is drawn before it.
+        share = float(coverage[step]) if frame.step else recording.initial_coverage
+        footer.headline(f"{100.0 * share:.1f} %", "covered")
+        footer.curve(time, coverage, step, level=recording.target_coverage)
+        return
     if len(recording.targets):
-        entries.append(("target", TARGET))
-    if len(recording.mover_radii):
-        entries.append(("mover", MOVER))
-    if canvas.closed.any():
-        entries.append(("untraversable", blend(CLOSED, FREE, CLOSED_SHARE)))
-    return entries
+        values = at_instants(recording.records.targets_seen, 0.0)
+        footer.headline(f"{int(np.sum(frame.is_found))}", "targets found")
+        most = float(len(recording.targets))
+    elif recording.idleness is not None:
+        values = at_instants(recording.records.mean_idleness, 0.0)
+        footer.headline(f"{values[step]:.1f} s", "mean idleness")
+        most = float(np.max(values))
+    else:
+        values, most = path, float(path[-1])
+        footer.headline(f"{values[step]:.1f} m", "driven")
+    footer.curve(time, values / max(most, 1e-6), step)

@@ -6,6 +6,7 @@ import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
+from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import style_time
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.missions import judged_from
@@ -73,7 +74,15 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     if not counts.any():
         shown.set_clim(0.0, duration)
     track = window.place(recording.positions) + window.corner
-    place.plot(*track[-1], marker="s", color=SERIES[0], markersize=8.0, markeredgecolor="white")
+    place.plot(
+        *track[-1],
+        marker="s",
+        color=SERIES[0],
+        markersize=8.0,
+        markeredgecolor="white",
+        linestyle="none",
+        label="robot",
+    )
     prefix = "grid " if window.is_turned else ""
     place.set(
         xlim=(left, right),
@@ -82,6 +91,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
         ylabel=f"{prefix}y [m]",
         title="at the end",
     )
+    add_scale_bar(place)
     figure.colorbar(shown, ax=place, label="not seen for [s]", shrink=0.9, pad=0.02)
 
     records = recording.records
@@ -95,5 +105,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     style_time(curve, duration)
     curve.set(ylabel="not seen for [s]", title="of the reachable cells")
     curve.set_ylim(bottom=0.0)
-    curve.legend(fontsize=9, framealpha=0.95)
+    # Outside, where it covers no curve.
+    handles = [*place.get_legend_handles_labels()[0], *curve.get_legend_handles_labels()[0]]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure

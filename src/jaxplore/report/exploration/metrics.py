@@ -13,12 +13,9 @@ from jaxplore.report.exploration.missions import (
     last_target_at,
     member_means,
 )
-from jaxplore.report.exploration.progress import at_instants, longest_stall, progress
+from jaxplore.report.exploration.progress import LEVELS, at_instants, longest_stall, progress
 from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
 from jaxplore.report.motion import command_jerk, episodes
-
-LEVELS = (50, 90, 95, 99)
-"""Coverages [%] at which time and path are compared."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,7 +67,8 @@ class ExplorationMetrics(Metrics):
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
         coverage_curve: "time" [s], "coverage", "entropy" [nat], "path" [m] and "unknown" every
-            half second, the end included.
+            half second, the end included; where they exist also "targets", found until then, and
+            "idleness", its mean over the reachable cells [s].
     """
 
     coverage: float
@@ -107,8 +105,27 @@ class ExplorationMetrics(Metrics):
 
     levels = LEVELS
     plotted = (
-        Curve("coverage", "coverage of reachable cells [%]", 100.0, 104.0),
-        Curve("unknown", "unknown reachable cells [%]", 100.0, 104.0),
+        Curve(
+            "coverage",
+            "coverage of reachable cells [%]",
+            100.0,
+            104.0,
+            applies=lambda each: not each.is_map_known,
+        ),
+        Curve(
+            "unknown",
+            "unknown reachable cells [%]",
+            100.0,
+            104.0,
+            applies=lambda each: not each.is_map_known,
+        ),
+        Curve("targets", "targets found", applies=lambda each: each.num_targets > 0),
+        # A search is judged by its targets; the idleness only leads it to places not seen lately.
+        Curve(
+            "idleness",
+            "mean idleness [s]",
+            applies=lambda each: each.mean_idleness is not None and not each.num_targets,
+        ),
     )
     columns = (
         Column.finished(),
@@ -262,6 +279,10 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         "path": path,
         "unknown": unknown,
     }
+    if len(recording.targets):
+        curve["targets"] = at_instants(records.targets_seen, 0.0)
+    if recording.idleness is not None:
+        curve["idleness"] = at_instants(records.mean_idleness, 0.0)
     finished_at = _finished_at(recording, float(coverage[-1]))
     mean_idleness, worst_idleness = idleness(recording)
     diversity, replaced = fusion_means(recording)

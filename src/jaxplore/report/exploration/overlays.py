@@ -110,18 +110,24 @@ def _middles(window: Window, around: int = 0) -> tuple[np.ndarray, np.ndarray]:
 
 
 def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> None:
-    """Draw the targets."""
-    if len(recording.targets):
-        x, y = (window.place(recording.targets) + window.corner).T
+    """Draw the targets: found ones as rings, those that are still to be found as stars."""
+    if not len(recording.targets):
+        return
+    places = window.place(recording.targets) + window.corner
+    colour, is_found = shade(TARGET), np.asarray(recording.frames[-1].is_found, bool)
+    for some, marker, size, fill, edge, label in (
+        (~is_found, "*", 12.0, colour, "white", "target"),
+        (is_found, "o", 8.0, "white", colour, "target found"),
+    ):
         axes.plot(
-            x,
-            y,
-            marker="*",
-            color=shade(TARGET),
-            markersize=12.0,
-            markeredgecolor="white",
+            *places[some].T,
+            marker=marker,
+            color=fill,
+            markersize=size,
+            markeredgecolor=edge,
+            markeredgewidth=1.0 if marker == "*" else 2.4,
             linestyle="none",
-            label="target",
+            label=label,
             zorder=4.0,
         )
 
@@ -178,3 +184,12 @@ def add_footprint(axes: "Axes", recording: ExplorationData, window: Window) -> N
             zorder=4.5,
         )
         axes.add_patch(outline)
+    axes.plot(
+        [],
+        [],
+        marker="s",
+        markerfacecolor="none",
+        markeredgecolor=shade(MOVER),
+        linestyle="none",
+        label="robot",
+    )

@@ -10,12 +10,14 @@ from jaxplore.report.drawing.colours import (
     CLOSED_SHARE,
     MISSED,
     OUTLINE,
+    SERIES,
     TARGET,
     belief_colours,
     shade,
 )
+from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.exploration.data import ExplorationData
-from jaxplore.report.exploration.metrics import LEVELS, compute_metrics
+from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
@@ -23,7 +25,7 @@ from jaxplore.report.exploration.overlays import (
     add_targets,
     closed_cells,
 )
-from jaxplore.report.exploration.progress import at_instants, progress
+from jaxplore.report.exploration.progress import LEVELS, at_instants, is_known_map, progress
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
@@ -34,10 +36,17 @@ MAX_SEGMENTS = 2000
 """Number of segments of the path that are coloured by time."""
 
 
-def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
+def true_outline(
+    recording: ExplorationData, window: Window, beside: np.ndarray | None = None
+) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
 
     They are in metres from the window's corner, along the grid's axes.
+
+    Args:
+        recording: recording of the run.
+        window: the part of the map that is drawn.
+        beside: (H, W) cells of the map, of which one must be at an edge; any edge when absent.
     """
     import scipy.ndimage  # slow to import, and few need it
 
@@ -45,9 +54,14 @@ def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
     seen = np.unique(labels[np.asarray(recording.reachable, bool)])
     # A rim of cells outside closes the outline at the border of the map.
     inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)
-    row, column = np.nonzero(inside[1:-1, 1:] != inside[1:-1, :-1])
+    near = np.ones_like(inside)
+    if beside is not None:
+        near = np.pad(window.crop(beside, False), 1)
+    differs = (inside[1:-1, 1:] != inside[1:-1, :-1]) & (near[1:-1, 1:] | near[1:-1, :-1])
+    row, column = np.nonzero(differs)
     upright = np.stack([column, row, column, row + 1], axis=-1)
-    row, column = np.nonzero(inside[1:, 1:-1] != inside[:-1, 1:-1])
+    differs = (inside[1:, 1:-1] != inside[:-1, 1:-1]) & (near[1:, 1:-1] | near[:-1, 1:-1])
+    row, column = np.nonzero(differs)
     level = np.stack([column, row, column + 1, row], axis=-1)
     edges = np.concatenate([upright, level]).reshape(-1, 2, 2)
     return np.asarray(edges * recording.resolution)
@@ -56,7 +70,8 @@ def true_outline(recording: ExplorationData, window: Window) -> np.ndarray:
 def map_figure(recording: ExplorationData) -> "Figure":
     """Draw the final belief with the robot's path and the outline of the true free space.
 
-    Walls that were not seen are red. If present, it also shows the height of the ground as contour
+    Walls that were not seen are red, with a line that is as wide in the picture of a large map. If
+    present, it also shows the height of the ground as contour
     lines, untraversable ground hatched, the targets, the last positions of the moving obstacles
     with their positions in the frames, and a rectangular robot's outline at the start and at the
     end.
@@ -82,7 +97,8 @@ def map_figure(recording: ExplorationData) -> "Figure":
     closed = closed_cells(recording, window)
     tint = CLOSED_SHARE * (np.asarray(CLOSED) - colours[closed].astype(np.float64))
     colours[closed] = np.round(colours[closed] + tint).astype(np.uint8)
-    colours[window.crop(_unseen_walls(recording), False)] = MISSED
+    unseen = _unseen_walls(recording)
+    colours[window.crop(unseen, False)] = MISSED
     axes.imshow(
         colours,
         extent=(left, right, bottom, top),
@@ -117,7 +133,13 @@ def map_figure(recording: ExplorationData) -> "Figure":
         LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7, zorder=1.5), autolim=False
     )
     axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
-    axes.plot([], [], "s", color=shade(MISSED), markersize=5.0, label="wall not seen")
+    missed = true_outline(recording, window, unseen) + window.corner
+    axes.add_collection(
+        LineCollection(missed.tolist(), colors=[shade(MISSED)], linewidths=2.2, zorder=1.6),
+        autolim=False,
+    )
+    if len(missed):
+        axes.plot([], [], color=shade(MISSED), linewidth=3.0, label="wall not seen")
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
     add_moving_obstacles(axes, recording, window)
@@ -126,6 +148,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     prefix = "grid " if window.is_turned else ""
     axes.set_xlabel(f"{prefix}x [m]")
     axes.set_ylabel(f"{prefix}y [m]")
+    add_scale_bar(axes)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,
@@ -136,7 +159,9 @@ def map_figure(recording: ExplorationData) -> "Figure":
         fontsize=9,
     )
     figure.colorbar(lines, ax=axes, label="time [s]", shrink=0.9, pad=0.02, aspect=30)
-    title = f"{100.0 * coverage[-1]:.1f} % covered, {time[-1]:.1f} s, {path[-1]:.1f} m"
+    title = f"{time[-1]:.1f} s, {path[-1]:.1f} m"
+    if not is_known_map(recording):
+        title = f"{100.0 * coverage[-1]:.1f} % covered, {title}"
     if len(recording.targets):
         title += f", targets {_targets_seen(recording)[-1]:.0f} of {len(recording.targets)}"
     figure.suptitle(title, fontsize=11)
@@ -168,7 +193,7 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    blue, brown = "#1f6fb2", "#b5651d"
+    blue, brown = SERIES[0], SERIES[3]
     time, coverage, entropy, path = progress(recording)
     metrics = compute_metrics(recording)
     has_targets = len(recording.targets) > 0
@@ -178,7 +203,7 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     axes = figure.add_subplot() if grid is None else figure.add_subplot(grid[0])
     duration = max(float(time[-1]), recording.control_period)
     right = axes.twinx()
-    right.plot(time, entropy, color=brown, linewidth=1.4)
+    (loss,) = right.plot(time, entropy, color=brown, linewidth=1.4, label="entropy")
     right.set_ylabel("entropy [nat]", color=brown)
     right.tick_params(axis="y", colors=brown)
     highest = max(recording.initial_entropy, float(np.nanmax(entropy)), 1e-6)
@@ -186,10 +211,12 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
     # The coverage is drawn last, over the entropy.
     axes.set_zorder(right.get_zorder() + 1)
     axes.patch.set_visible(False)
-    axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0)
+    (gain,) = axes.plot(time, 100.0 * coverage, color=blue, linewidth=2.0, label="coverage")
     if recording.target_coverage is not None:
         level = 100.0 * recording.target_coverage
-        axes.axhline(level, color="0.6", linewidth=0.8, linestyle="--")
+        axes.axhline(
+            level, color="0.6", linewidth=0.8, linestyle="--", label=f"target: {level:.3g} %"
+        )
     for level, colour in zip(LEVELS, ("#7fb7be", "#3d9a8b", "#2a7f5f", "#14532d"), strict=True):
         seconds, metres = metrics.time_to[str(level)], metrics.path_to[str(level)]
         if seconds is None or metres is None:
@@ -208,7 +235,9 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
             zorder=5,
             clip_on=False,
         )
-    axes.legend(loc="center right", fontsize=9, framealpha=0.95)
+    # Outside, where it covers no curve.
+    handles = [gain, loss, *(each for each in axes.get_legend_handles_labels()[0] if each != gain)]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     axes.set(xlim=(0.0, duration), ylim=(0.0, 104.0), xlabel="time [s]")
     axes.set_ylabel("coverage [%]", color=blue)
     axes.tick_params(axis="y", colors=blue)

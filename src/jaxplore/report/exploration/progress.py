@@ -9,6 +9,9 @@ from jaxplore.report.exploration.data import ExplorationData
 
 STALL_RADIUS = 0.25
 """Half the side of the square within which a robot counts as stalled [m]."""
+LEVELS = (50, 90, 95, 99)
+"""Coverages [%] at which time and path are compared. A run that begins at the last one has a map
+that was known in advance."""
 
 
 def progress(recording: ExplorationData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -73,3 +76,9 @@ def longest_stall(positions: np.ndarray, coverage: np.ndarray) -> int:
                     queue.popleft()
         longest = max(longest, last - first)
     return longest
+
+
+def is_known_map(recording: ExplorationData) -> bool:
+    """Return whether the map was known in advance, so that its coverage says nothing."""
+    _, coverage, *_ = progress(recording)
+    return bool(coverage[0] >= np.float32(LEVELS[-1] / 100))

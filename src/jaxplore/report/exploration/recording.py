@@ -1,21 +1,20 @@
 """The recording of an exploration run."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
-from jaxplore.report.exploration.animation import frame_image, write_animation
+from jaxplore.report.exploration.animation import frame_image, painter, shared_palette
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.members import members_figure
-from jaxplore.report.exploration.metrics import LEVELS, ExplorationMetrics, compute_metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
-from jaxplore.report.exploration.progress import progress
+from jaxplore.report.exploration.progress import is_known_map, progress
 from jaxplore.report.recording import Recording
 
 if TYPE_CHECKING:
@@ -37,33 +36,30 @@ class ExplorationRecording(ExplorationData, Recording):
         """Compute the metrics of the run."""
         return compute_metrics(self, seed=seed)
 
-    def frame_image(self, frame: ExplorationFrame) -> Image.Image:
+    def frame_image(self, frame: ExplorationFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""
-        return frame_image(self, frame)
+        return frame_image(self, frame, scale=scale)
+
+    def painter(self, scale: float = 1.0) -> Callable[[ExplorationFrame], Image.Image]:
+        """Return a function that draws frames."""
+        return painter(self, scale)
+
+    def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
+        """Compute the palette that all frames share."""
+        return shared_palette(self, pictures)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""
         draw = {"map": map_figure}
         # Each figure shows what the task is judged by: the coverage of a map that is known in
         # advance says nothing, and a search for targets is not judged by idleness.
-        _, coverage, *_ = progress(self)
-        if coverage[0] < LEVELS[-1] / 100:
+        if not is_known_map(self):
             draw["coverage"] = coverage_figure
         if self.records.members is not None:
             draw["members"] = members_figure
         if self.idleness is not None and not len(self.targets):
             draw["idleness"] = idleness_figure
         return {name: partial(each, self) for name, each in draw.items()}
-
-    def write_animation(
-        self,
-        path: str | PathLike[str],
-        *,
-        max_frames: int = 120,
-        on_progress: Callable[[float], None] = lambda _: None,
-    ) -> None:
-        """Write the run as an animated GIF."""
-        write_animation(self, path, max_frames=max_frames, on_progress=on_progress)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.

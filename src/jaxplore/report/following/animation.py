@@ -3,26 +3,31 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
-from os import PathLike
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import FREE, MISSED, MOVER, MOVER_EDGE, UNKNOWN, blend
-from jaxplore.report.drawing.footer import draw_curve, draw_legend, fonts
-from jaxplore.report.drawing.gif import write_gif
+from jaxplore.report.drawing.footer import EDGE, Entry, Footer, footer_height
 from jaxplore.report.drawing.palette import (
     FAINT,
     INK,
     PALE,
     PAPER,
     PLAN,
+    ROBOT,
     STRONG,
     TRAIL,
     Colour,
     fitted_palette,
 )
-from jaxplore.report.drawing.picture import FOOTER, MIN_MAP_SIDE, MIN_WIDTH, SUPERSAMPLING, pairs
+from jaxplore.report.drawing.picture import (
+    MIN_MAP_SIDE,
+    MIN_WIDTH,
+    SUPERSAMPLING,
+    WIDTH,
+    pairs,
+)
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts
 from jaxplore.report.following.data import PathData, PathFrame
 from jaxplore.report.following.laps import lap_starts, num_laps, speeds
@@ -45,18 +50,20 @@ class View:
 
     Args:
         corner: (2,) lower left corner [m].
-        scale: pixels of the final picture per metre.
-        size: number of columns and rows.
+        scale: supersampled pixels per metre.
+        unit: supersampled pixels per pixel of scale 1.
+        size: number of columns and rows of the supersampled map.
     """
 
     corner: np.ndarray
     scale: float
+    unit: float
     size: tuple[int, int]
 
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Transform world points (..., 2) [m] to columns and rows of the supersampled map."""
-        placed = (np.asarray(points, np.float64) - self.corner) * self.scale * SUPERSAMPLING
-        placed[..., 1] = self.size[1] * SUPERSAMPLING - placed[..., 1]
+        placed = (np.asarray(points, np.float64) - self.corner) * self.scale
+        placed[..., 1] = self.size[1] - placed[..., 1]
         return np.asarray(np.clip(placed, -1e5, 1e5))
 
     def holds(self, points: np.ndarray) -> np.ndarray:
@@ -70,12 +77,15 @@ class View:
 class PathCanvas:
     """The parts of an animation that are the same in every frame.
 
+    `zoom` is the scale of the picture, `scale` the supersampled pixels per metre, `size` the number
+    of columns and rows of the supersampled map;
     `low` and `high` (2,) are the corners of the whole course [m], `dashes` (D, 3, 2) points of the
     path's [m], `contacts` the steps that were deepest in an obstacle; `course` is the ground, where
     the view stays the same.
     """
 
     recording: PathData
+    zoom: float
     scale: float
     size: tuple[int, int]
     low: np.ndarray
@@ -90,7 +100,18 @@ class PathCanvas:
     @property
     def width(self) -> int:
         """Width of the picture [pixels]."""
-        return max(MIN_WIDTH, self.size[0])
+        return max(round(MIN_WIDTH * self.zoom), self.size[0] // SUPERSAMPLING)
+
+    @property
+    def height(self) -> int:
+        """Height of the picture, map and footer [pixels]."""
+        height = footer_height(self.width / self.zoom, len(self.legend))
+        return self.size[1] // SUPERSAMPLING + round(height * self.zoom)
+
+    @property
+    def legend(self) -> tuple[Entry, ...]:
+        """Entries of the legend."""
+        return _legend(self)
 
     def view(self, position: np.ndarray) -> View:
         """Return the view around a robot's position, clipped to the course."""
@@ -98,57 +119,39 @@ class PathCanvas:
         corner = np.clip(
             position - 0.5 * extent, self.low, np.maximum(self.high - extent, self.low)
         )
-        return View(corner, self.scale, self.size)
+        return View(corner, self.scale, SUPERSAMPLING * self.zoom, self.size)
 
 
-def write_path_animation(
-    recording: PathData,
-    path: str | PathLike[str],
-    *,
-    max_frames: int = 240,
-    side: int = 720,
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> None:
-    """Write a path-following run as an animated GIF that plays in browsers and in a README.
+def path_frame_image(
+    recording: PathData, frame: PathFrame, *, side: int = WIDTH, scale: float = 1.0
+) -> Image.Image:
+    """Draw one frame of a path-following run, as in the animation.
 
     It shows the whole course, or, if the robot would be too small, a view that follows the robot.
 
     Args:
         recording: recording of the run.
-        path: path of the file.
-        max_frames: greatest number of frames, evenly chosen, the first and the last one among them.
-        side: the longer one of the course [pixels].
-        on_progress: called with the share that is done, 0 to 1.
-
-    Raises:
-        ValueError: less than one frame, or a side below 320 pixels.
-    """
-    canvas = _make_canvas(recording, side)
-    write_gif(
-        path,
-        recording.frames,
-        partial(_draw, canvas),
-        _palette,
-        max_frames,
-        on_progress,
-    )
-
-
-def path_frame_image(recording: PathData, frame: PathFrame, *, side: int = 720) -> Image.Image:
-    """Draw one frame of a path-following run, as in the animation.
-
-    Args:
-        recording: recording of the run.
         frame: one of its frames.
-        side: the longer one of the course [pixels].
+        side: the longer one of the course at scale 1 [pixels].
+        scale: factor on the size of the picture.
 
     Raises:
         ValueError: a side below 320 pixels.
     """
-    return _draw(_make_canvas(recording, side), frame)
+    return _draw(_make_canvas(recording, side, scale), frame)
 
 
-def _make_canvas(recording: PathData, side: int) -> PathCanvas:
+def path_painter(recording: PathData, scale: float) -> Callable[[PathFrame], Image.Image]:
+    """Return a function that draws the frames of a run; what they share is computed once.
+
+    Args:
+        recording: recording of the run.
+        scale: factor on the size of the pictures.
+    """
+    return partial(_draw, _make_canvas(recording, WIDTH, scale))
+
+
+def _make_canvas(recording: PathData, side: int, zoom: float) -> PathCanvas:
     if side < MIN_WIDTH:
         raise ValueError(f"side is {side!r}; accepted: a whole number >= {MIN_WIDTH}")
     low, high = course_box(recording)
@@ -160,15 +163,16 @@ def _make_canvas(recording: PathData, side: int) -> PathCanvas:
         scale = min(CLOSE_ROBOT / thickness, MAX_ZOOM * scale)
         most = np.array([side, round(CLOSE_RATIO * side)])
     shown = np.clip(np.round((high - low) * scale).astype(int), MIN_MAP_SIDE, most)
-    size = (int(shown[0]), int(shown[1]))
+    columns, rows = (SUPERSAMPLING * round(float(pixels) * zoom) for pixels in shown)
     # Where nodes are less than a pixel apart, a subset is enough.
     nodes = len(recording.centre)
     stride = max(1, int(nodes / (scale * recording.length)))
     kept = np.unique(np.append(np.arange(0, nodes, stride), nodes - 1))
     canvas = PathCanvas(
         recording=recording,
-        scale=scale,
-        size=size,
+        zoom=zoom,
+        scale=scale * zoom * SUPERSAMPLING,
+        size=(columns, rows),
         low=low,
         high=high,
         edges=recording.edges[:, kept].astype(np.float64),
@@ -199,9 +203,9 @@ def _draw(canvas: PathCanvas, frame: PathFrame) -> Image.Image:
     # The run is drawn into the ground, so each frame needs a copy.
     ground = canvas.course.copy() if canvas.course else _draw_course(canvas, view)
     _draw_run(canvas, view, frame, ImageDraw.Draw(ground, "RGBA"))
-    columns, rows = canvas.size
-    image = Image.new("RGB", (canvas.width, rows + FOOTER), PAPER)
-    image.paste(ground.reduce(SUPERSAMPLING), ((canvas.width - columns) // 2, 0))
+    columns, _ = canvas.size
+    image = Image.new("RGB", (canvas.width, canvas.height), PAPER)
+    image.paste(ground.reduce(SUPERSAMPLING), ((canvas.width - columns // SUPERSAMPLING) // 2, 0))
     _draw_footer(canvas, frame, image)
     return image
 
@@ -211,8 +215,7 @@ def _draw_course(canvas: PathCanvas, view: View) -> Image.Image:
     edges = canvas.edges
     # An infinite edge has no ground outside.
     is_bounded = len(edges) > 0 and bool(np.isfinite(edges).all())
-    columns, rows = (SUPERSAMPLING * pixels for pixels in view.size)
-    ground = Image.new("RGB", (columns, rows), BEYOND if is_bounded else FREE)
+    ground = Image.new("RGB", view.size, BEYOND if is_bounded else FREE)
     draw = ImageDraw.Draw(ground)
     if len(edges):
         near = view.holds(edges)
@@ -252,9 +255,9 @@ def _draw_run(canvas: PathCanvas, view: View, frame: PathFrame, draw: ImageDraw.
         # The white cross below is a rim that keeps the mark visible on the trail.
         for thickness, colour in ((4.5, PAPER), (2.5, MISSED)):
             for arm in (np.array([1.0, 1.0]), np.array([1.0, -1.0])):
-                reach = (4.0 + 0.25 * thickness) * SUPERSAMPLING * arm
+                reach = (4.0 + 0.25 * thickness) * view.unit * arm
                 ends = pairs(np.stack([middle - reach, middle + reach]))
-                draw.line(ends, colour, round(thickness * SUPERSAMPLING))
+                draw.line(ends, colour, round(thickness * view.unit))
     footprint, radius = recording.footprint, recording.robot_radius
     draw_body(view, draw, footprint, radius, frame.position, frame.heading)
 
@@ -266,9 +269,9 @@ def _draw_obstacle(
     if not np.isfinite(corners).all():
         return
     places = view.pixels(corners)
-    edge = 1.5 * SUPERSAMPLING
+    edge = 1.5 * view.unit
     # A small obstacle keeps a visible size.
-    reach = max(radius * view.scale * SUPERSAMPLING, edge if len(places) > 2 else 2.0 * edge)
+    reach = max(radius * view.scale, edge if len(places) > 2 else 2.0 * edge)
     for colour, around in ((MOVER_EDGE, reach), (MOVER, reach - edge)):
         if around > 0.0:
             draw.line(pairs(np.concatenate([places, places[:1]])), colour, round(2.0 * around))
@@ -279,18 +282,17 @@ def _draw_obstacle(
 
 
 def _draw_footer(canvas: PathCanvas, frame: PathFrame, image: Image.Image) -> None:
-    """Draw speed, time, progress, the legend and the curve of the speed."""
+    """Draw speed, time, progress, the scale bar, the legend and the curve of the speed."""
     recording, laps = canvas.recording, num_laps(canvas.recording)
-    top, step = image.height - FOOTER, min(frame.step, recording.num_steps)
-    draw, (large, small) = ImageDraw.Draw(image), fonts()
-    number = f"{canvas.speed[step]:.1f} m/s"
-    draw.text((16, top + 14), number, INK, large)
-    draw.text((24 + draw.textlength(number, large), top + 20), "speed", PALE, small)
-    draw.text((88, top + 50), _progress(canvas, frame, step, laps), INK, small)
-    draw.text((16, top + 50), f"{frame.time:.1f} s", INK, small)
-    end = draw_legend(image, _legend(canvas))
+    step = min(frame.step, recording.num_steps)
+    footer = Footer(image, canvas.zoom, canvas.legend)
+    footer.headline(f"{canvas.speed[step]:.1f} m/s", "speed")
+    footer.text(88, 42, _progress(canvas, frame, step, laps))
+    footer.text(EDGE, 42, f"{frame.time:.1f} s")
+    footer.scale_bar(canvas.scale / SUPERSAMPLING)
+    footer.legend()
     fastest = max(float(canvas.speed.max()), 1e-6)
-    draw_curve(image, recording.time, canvas.speed / fastest, step, left=end)
+    footer.curve(recording.time, canvas.speed / fastest, step)
 
 
 def _progress(canvas: PathCanvas, frame: PathFrame, step: int, laps: int) -> str:
@@ -300,21 +302,28 @@ def _progress(canvas: PathCanvas, frame: PathFrame, step: int, laps: int) -> str
     return f"lap {min(done + 1, laps)} of {laps}"
 
 
-def _legend(canvas: PathCanvas) -> list[tuple[str, Colour]]:
-    entries: list[tuple[str, Colour]] = [
-        ("plan", PLAN),
-        ("rollouts", STRONG),
-        ("trail", TRAIL),
-        ("path", PALE),
-    ]
-    if len(canvas.recording.obstacle_radii):
-        entries.append(("obstacle", MOVER))
-    if len(canvas.contacts) or (np.asarray(canvas.recording.records.room) < 0.0).any():
-        entries.append(("violation", MISSED))
-    return entries
+def _legend(canvas: PathCanvas) -> tuple[Entry, ...]:
+    recording = canvas.recording
+    room, frames = np.asarray(recording.records.room), recording.frames
+    entries = (
+        (Entry("robot", ROBOT, "disc"), True),
+        (Entry("trail", TRAIL, "line"), recording.num_steps > 0),
+        (Entry("plan", PLAN, "line"), any(len(each.plan) for each in frames)),
+        (
+            Entry("rollouts", STRONG[:3], "line"),
+            any(len(each.samples) for each in frames),
+        ),
+        (Entry("path", PALE, "dashes"), True),
+        (Entry("corridor", INK, "line"), len(recording.edges) > 0),
+        (Entry("obstacle", MOVER, "disc", MOVER_EDGE), len(recording.obstacle_radii) > 0),
+        (Entry("out of corridor", MISSED, "bar"), bool((room < 0.0).any())),
+        (Entry("contact", MISSED, "cross"), len(canvas.contacts) > 0),
+    )
+    return tuple(entry for entry, is_drawn in entries if is_drawn)
 
 
-def _palette(pictures: Sequence[Image.Image]) -> Image.Image:
+def path_palette(pictures: Sequence[Image.Image]) -> Image.Image:
+    """Compute the palette that all frames share."""
     # Thin lines have few pixels, and a palette by frequency would lose their colours.
     lines = (PLAN, STRONG[:3], FAINT[:3], TRAIL, INK, PALE, MISSED)
     given: list[Colour] = [PAPER, FREE, BEYOND, MOVER_EDGE, *lines]

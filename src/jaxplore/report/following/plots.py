@@ -20,6 +20,7 @@ from jaxplore.report.drawing.colours import (
     shade,
 )
 from jaxplore.report.drawing.picture import outline_at
+from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import lap_starts, num_laps, speeds
 from jaxplore.report.motion import episodes
@@ -108,6 +109,7 @@ def path_figure(recording: PathData) -> "Figure":
     _add_marks(axes, recording)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set(xlabel="x [m]", ylabel="y [m]")
+    add_scale_bar(axes)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,
@@ -266,6 +268,15 @@ def _add_marks(axes: "Axes", recording: PathData) -> None:
     else:
         x, y = positions[-1].tolist()
         axes.add_patch(Circle((x, y), recording.robot_radius, fill=False, **line))
+    axes.plot(
+        [],
+        [],
+        marker="s" if len(recording.footprint) else "o",
+        markerfacecolor="none",
+        markeredgecolor=shade(MOVER),
+        linestyle="none",
+        label="robot",
+    )
     touched = after[worst_steps(records.gap)]
     if len(touched):
         axes.plot(

@@ -1,15 +1,18 @@
 """The recording of a path-following run."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
-from os import PathLike
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
-from jaxplore.report.following.animation import path_frame_image, write_path_animation
+from jaxplore.report.following.animation import (
+    path_frame_image,
+    path_painter,
+    path_palette,
+)
 from jaxplore.report.following.data import PathData, PathFrame
 from jaxplore.report.following.metrics import PathMetrics, compute_path_metrics
 from jaxplore.report.following.plots import errors_figure, path_figure
@@ -30,23 +33,21 @@ class PathRecording(PathData, Recording):
         """Compute the metrics of the run."""
         return compute_path_metrics(self, seed=seed)
 
-    def frame_image(self, frame: PathFrame) -> Image.Image:
+    def frame_image(self, frame: PathFrame, *, scale: float = 1.0) -> Image.Image:
         """Draw a frame as in the animation."""
-        return path_frame_image(self, frame)
+        return path_frame_image(self, frame, scale=scale)
+
+    def painter(self, scale: float = 1.0) -> Callable[[PathFrame], Image.Image]:
+        """Return a function that draws frames."""
+        return path_painter(self, scale)
+
+    def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
+        """Compute the palette that all frames share."""
+        return path_palette(pictures)
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures, by file name without suffix."""
         return {"path": partial(path_figure, self), "errors": partial(errors_figure, self)}
-
-    def write_animation(
-        self,
-        path: str | PathLike[str],
-        *,
-        max_frames: int = 240,
-        on_progress: Callable[[float], None] = lambda _: None,
-    ) -> None:
-        """Write the run as an animated GIF."""
-        write_path_animation(self, path, max_frames=max_frames, on_progress=on_progress)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.

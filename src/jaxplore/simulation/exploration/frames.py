@@ -46,6 +46,7 @@ def frame_arrays(
         "heading": pose[2],
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
+        "is_found": state.is_seen,
         "terms": {},
     }
     if plan is None:

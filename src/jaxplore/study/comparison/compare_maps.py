@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.padding import common_shapes
 from jaxplore.report.console import progress_bar
+from jaxplore.report.drawing.figure import PNG, figure_formats
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
@@ -105,6 +106,7 @@ def compare_maps(
     *,
     runner: Runner | None = None,
     overwrite: bool = False,
+    figures: str | Sequence[str] = PNG,
     progress: bool = False,
 ) -> MapComparison:
     """Compare variants on maps: run each on each map with each seed, and write tables and a page.
@@ -119,6 +121,8 @@ def compare_maps(
         runner: runs them in other processes or on a cluster; this process when absent. It is closed
             at the end.
         overwrite: whether to remove a former comparison in the folder first.
+        figures: formats of the figures: png, pdf or svg, or several, "pdf,svg". The page holds
+            them as PNG; pdf and svg are written into the folder `figures`.
         progress: show a progress bar.
 
     Raises:
@@ -126,6 +130,7 @@ def compare_maps(
             cluster that cannot be reached.
         ChildProcessError: workers that do not start.
     """
+    kinds = [kind for kind in figure_formats(figures) if kind != PNG]
     plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
     episodes = plan.episodes()
     store = open_store(folder, plan, overwrite=overwrite)
@@ -134,6 +139,8 @@ def compare_maps(
         advance(0.0, f"{len(episodes)} runs")
         counts = run_episodes(episodes, store, runner, _show(advance))
     page = store.write_page(grids)
+    if kinds:
+        store.write_figures(grids, kinds)
     rows = store.rows(NEEDED)
     return MapComparison(
         tuple(map_tables(rows)),

@@ -5,17 +5,19 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.report.drawing.colours import SERIES
+from jaxplore.report.drawing.figure import PNG, figure_formats, write_figure
+from jaxplore.report.drawing.film import FilmOptions
+from jaxplore.report.drawing.series import line_style
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
-from jaxplore.report.save import DOTS_PER_INCH, settings_document
+from jaxplore.report.save import settings_document
 from jaxplore.report.table import to_markdown
 
 if TYPE_CHECKING:
@@ -91,27 +93,34 @@ class Comparison:
         *,
         overwrite: bool = False,
         animation: bool = True,
+        film: FilmOptions | None = None,
+        figures: str | Sequence[str] = PNG,
         settings: Mapping[str, object] | None = None,
         variants: Mapping[str, Mapping[str, object]] | None = None,
         on_progress: Callable[[float], None] = lambda _: None,
     ) -> None:
         """Write a folder: metrics.json, table.md, curves.png, and an animation for each variant.
 
-        The folder is written completely or not at all.
+        The caption of an animation is the name of its variant. The folder is written completely or
+        not at all.
 
         Args:
             path: the folder.
             overwrite: whether to replace a former run or comparison.
             animation: whether to draw the first seed of each variant, NAME.gif; Ctrl-C skips the
                 rest.
+            film: frames per second and size of the animations; the defaults when absent.
+            figures: formats of the figures: png, pdf or svg, or several, "pdf,svg".
             settings: common settings, written to settings.yaml; plain values only.
             variants: all settings of variants, each written to NAME.yaml.
             on_progress: called with the share that is done, 0 to 1.
 
         Raises:
-            ValueError: a folder that exists or cannot be written, a name that is not a file name.
+            ValueError: a folder that exists or cannot be written, a name that is not a file name,
+                another format of figures.
         """
         check_names(self.runs)
+        kinds = figure_formats(figures)
         documents = {name: settings_document(each) for name, each in (variants or {}).items()}
         if settings is not None:
             documents["settings"] = settings_document(settings)
@@ -121,13 +130,15 @@ class Comparison:
             (folder / "table.md").write_text(f"{self}\n", encoding="utf-8")
             for name, document in documents.items():
                 (folder / f"{name}.yaml").write_text(document, encoding="utf-8")
-            curves_figure(self.runs).savefig(folder / "curves.png", dpi=DOTS_PER_INCH)
+            write_figure(curves_figure(self.runs), folder, "curves", kinds)
             drawn = self.recordings if animation else {}
             # Animations are optional: Ctrl-C skips them and still saves the comparison.
             with contextlib.suppress(KeyboardInterrupt):
                 for number, (name, recording) in enumerate(drawn.items()):
                     recording.write_animation(
                         folder / f"{name}.gif",
+                        film,
+                        title=name,
                         on_progress=lambda share, done=number: on_progress(  # type: ignore[misc]
                             (done + share) / len(drawn)
                         ),
@@ -162,7 +173,12 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
 
     shown = {name: metrics for name, metrics in runs.items() if metrics}
     first = next((metrics[0] for metrics in shown.values()), None)
-    curves = () if first is None else first.plotted
+    every = [each for metrics in shown.values() for each in metrics]
+    curves = [
+        curve
+        for curve in (() if first is None else first.plotted)
+        if any(curve.applies(each) for each in every)
+    ]
     figure = Figure(figsize=(5.0 * max(len(curves), 1), 4.4), layout="constrained")
     FigureCanvasAgg(figure)
     panels = figure.subplots(1, max(len(curves), 1), sharex=True, squeeze=False)[0]
@@ -170,14 +186,14 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
     time = np.linspace(0.0, max(longest, 1e-6), CURVE_POINTS)
     for panel, curve in zip(panels, curves, strict=False):
         for number, (name, metrics) in enumerate(shown.items()):
-            colour = SERIES[number % len(SERIES)]
+            style = line_style(number)
             low, median, high = np.percentile(
                 [curve.scale * _curve(each, curve.name, time) for each in metrics],
                 [25, 50, 75],
                 axis=0,
             )
-            panel.fill_between(time, low, high, color=colour, alpha=0.18, linewidth=0.0)
-            panel.plot(time, median, color=colour, linewidth=1.8, label=name)
+            panel.fill_between(time, low, high, color=style["color"], alpha=0.18, linewidth=0.0)
+            panel.plot(time, median, **style, linewidth=1.8, label=name)
         panel.set(xlim=(0.0, time[-1]), xlabel="time [s]", ylabel=curve.label)
         panel.set_ylim(bottom=0.0 if curve.limit is not None else None, top=curve.limit)
         panel.grid(color="0.2", alpha=0.12, linewidth=0.6)
@@ -186,7 +202,7 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
         figure.legend(
             *panels[0].get_legend_handles_labels(),
             loc="outside lower center",
-            ncols=len(shown),
+            ncols=min(len(shown), 2 + 3 * len(curves)),
             frameon=False,
         )
         figure.suptitle(f"medians and quartiles, seeds: {most}", fontsize=11)

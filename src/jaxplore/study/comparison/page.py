@@ -5,14 +5,16 @@ import html
 import importlib.resources
 import io
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.report.drawing.colours import OUTLINE, SERIES, UNKNOWN, belief_colours
+from jaxplore.report.drawing.colours import OUTLINE, UNKNOWN, belief_colours
+from jaxplore.report.drawing.figure import figure_bytes
+from jaxplore.report.drawing.series import line_style
 from jaxplore.report.table import to_html
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
@@ -126,6 +128,25 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
     return "\n".join([*parts, "</body></html>", ""])
 
 
+def page_figures(
+    results: Sequence[Row], maps: Mapping[str, OccupancyGrid]
+) -> Iterator[tuple[str, "Figure"]]:
+    """Yield the figures of the page with names: the curves of each map, and each path.
+
+    Args:
+        results: rows with the columns `SHOWN`.
+        maps: maps by name; a missing one has no paths.
+    """
+    for table in map_tables(results):
+        runs = [row for row in results if row["map"] == table.map and row["error"] is None]
+        yield f"{table.map}-curves", curves_figure(runs)
+        if table.map in maps:
+            grid = maps[table.map]
+            part = known_part(grid)
+            for name, own in _by_variant(runs).items():
+                yield f"{table.map}-{name}-path", path_figure(own[0], grid, part)
+
+
 def curves_figure(runs: Sequence[Row]) -> "Figure":
     """Draw coverage over time for each variant: medians, and bands between the quartiles.
 
@@ -146,10 +167,9 @@ def curves_figure(runs: Sequence[Row]) -> "Figure":
     for number, (name, own) in enumerate(_by_variant(runs).items()):
         curves = [np.interp(time, row["curve_time"], row["curve_coverage"]) for row in own]
         low, median, high = np.percentile(100.0 * np.asarray(curves), [25, 50, 75], axis=0)
-        # After the last colour the line style changes, so that many variants stay distinct.
-        colour, style = SERIES[number % len(SERIES)], ("-", "--", ":")[number // len(SERIES) % 3]
-        axes.fill_between(time, low, high, color=colour, alpha=0.15, linewidth=0.0)
-        axes.plot(time, median, color=colour, linestyle=style, linewidth=1.7, label=name)
+        style = line_style(number)
+        axes.fill_between(time, low, high, color=style["color"], alpha=0.15, linewidth=0.0)
+        axes.plot(time, median, **style, linewidth=1.7, label=name)
     axes.set(xlim=(0.0, time[-1]), ylim=(0.0, 104.0), xlabel="time [s]", ylabel="coverage [%]")
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)
     figure.legend(loc="outside right upper", frameon=False, fontsize=9)
@@ -262,9 +282,8 @@ def _by_variant(runs: Sequence[Row]) -> dict[str, list[Row]]:
 
 
 def _picture(figure: "Figure", alternative: str) -> str:
-    data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=DOTS_PER_INCH)
-    return f'<img alt="{html.escape(alternative)}" src="{_url(data.getvalue())}">'
+    data = figure_bytes(figure, dpi=DOTS_PER_INCH)
+    return f'<img alt="{html.escape(alternative)}" src="{_url(data)}">'
 
 
 def _png(picture: np.ndarray) -> str:

@@ -3,12 +3,15 @@
 import dataclasses
 import json
 import os
+import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from jaxplore._optional import import_optional
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.report.drawing.figure import write_figure
 from jaxplore.report.folder import in_one_line, write_whole
 from jaxplore.study.comparison.episodes import (
     FORMAT,
@@ -19,9 +22,8 @@ from jaxplore.study.comparison.episodes import (
     variant_entries,
 )
 from jaxplore.study.comparison.maps import MapFile
-from jaxplore.study.comparison.page import SHOWN, page
+from jaxplore.study.comparison.page import SHOWN, page, page_figures
 from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, schema
-from jaxplore.study.optional import import_optional
 
 MARK = "comparison.json"
 """File by which a comparison is recognised: version of the format, and the plan."""
@@ -31,6 +33,8 @@ RESULTS = "results.parquet"
 """All rows, by map, variant and seed."""
 PAGE = "results.html"
 """The page."""
+FIGURES = "figures"
+"""Folder with the figures of the page as PDF or SVG."""
 RUNS = "runs"
 """Folder with a file for each run, named by its id."""
 
@@ -158,6 +162,23 @@ class Store:
         write_whole(target, lambda file: file.write(text.encode()), _WHAT)
         return target
 
+    def write_figures(self, maps: Mapping[str, OccupancyGrid], kinds: Sequence[str]) -> None:
+        """Write the figures of the page into the folder `figures`.
+
+        Args:
+            maps: maps by name; see `page`.
+            kinds: formats, of `figure_formats`.
+
+        Raises:
+            ValueError: the folder cannot be written.
+        """
+        folder = self.folder / FIGURES
+        with in_one_line(_WHAT, folder):
+            folder.mkdir(exist_ok=True)
+            for name, figure in page_figures(self.rows(SHOWN), maps):
+                # A map in a folder has a slash in its name.
+                write_figure(figure, folder, re.sub(r"[^\w.+-]", "_", name), kinds)
+
     def forget(self, map_: str | None = None) -> None:
         """Remove the files of all runs, or of those on a map."""
         for id_ in [id_ for id_, (name, _) in self._state.items() if map_ in (None, name)]:
@@ -205,7 +226,8 @@ def open_store(
         return Store(target)
     if overwrite and former is not None:
         with in_one_line(_WHAT, target):
-            shutil.rmtree(target / RUNS, ignore_errors=True)
+            for name in (RUNS, FIGURES):
+                shutil.rmtree(target / name, ignore_errors=True)
             for name in (RESULTS, PAGE, MARK, FORMER_MARK):
                 (target / name).unlink(missing_ok=True)
         former = None

@@ -1,12 +1,20 @@
 """Animation of runs before and after a search, side by side."""
 
-import io
+import tempfile
 from bisect import bisect_right
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 from PIL import Image
 
-from jaxplore.report.drawing.gif import evenly_chosen, save_gif
+from jaxplore.report.drawing.film import (
+    GIF,
+    FilmOptions,
+    captioned,
+    evenly_chosen,
+    told_speed,
+    write_film,
+)
 from jaxplore.report.recording import Recording
 from jaxplore.simulation.run import NUM_TRAJECTORIES
 from jaxplore.study.experiments import record_alone
@@ -15,14 +23,15 @@ from jaxplore.study.tuning.space import Candidate
 
 FRAMES, COLOURS = 120, 128
 _GAP = 12
-"""Gap between the pictures [pixels]."""
+"""Gap between the pictures [pixels of scale 1]."""
 
 
 def before_and_after(
     episodes: SettingsEpisodes,
     scenario: str,
-    candidates: Sequence[Candidate],
+    candidates: Mapping[str, Candidate],
     seed: int,
+    options: FilmOptions,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes | None:
     """Run a scenario with several candidates and one seed, and return a GIF of all runs.
@@ -30,25 +39,27 @@ def before_and_after(
     Args:
         episodes: episodes whose parameters are searched.
         scenario: name of the scenario.
-        candidates: candidates to draw, from left to right.
+        candidates: candidates to draw by title, from left to right.
         seed: seed of the runs.
+        options: frames per second and size of the film.
         on_progress: called with the share that is done, 0 to 1.
 
     Returns:
         The GIF; None if the user stopped it.
     """
-    recordings = []
-    for candidate in candidates:
+    recordings = {}
+    for title, candidate in candidates.items():
         experiment = episodes.experiment(scenario, candidate, seed)
         try:
-            recordings.append(record_alone(experiment, num_trajectories=NUM_TRAJECTORIES))
+            recordings[title] = record_alone(experiment, num_trajectories=NUM_TRAJECTORIES)
         except KeyboardInterrupt:
             return None
-    return side_by_side(recordings, on_progress)
+    return side_by_side(recordings, options, on_progress)
 
 
 def side_by_side(
-    recordings: Sequence[Recording],
+    recordings: Mapping[str, Recording],
+    options: FilmOptions,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> bytes:
     """Return a GIF of several runs side by side, at the same simulated time.
@@ -56,31 +67,43 @@ def side_by_side(
     A finished run keeps its last frame while the others continue.
 
     Args:
-        recordings: recordings of the runs, from left to right.
+        recordings: recordings of the runs by title, from left to right; each picture has its title
+            as caption, and the last one the speed of the film.
+        options: frames per second and size of the film.
         on_progress: called with the share that is done, 0 to 1.
     """
-    instants = [[frame.time for frame in each.frames] for each in recordings]
-    shown = evenly_chosen(sorted(set().union(*instants)), FRAMES)
-    pictures = []
-    for done, time in enumerate(shown):
+    runs = list(recordings.values())
+    instants = [[frame.time for frame in each.frames] for each in runs]
+    shown = evenly_chosen(sorted(set().union(*instants)), min(FRAMES, options.max_frames))
+    speed = told_speed(options.speed(shown, GIF))
+    painters = [each.painter(options.scale) for each in runs]
+    told = [*[""] * (len(runs) - 1), speed]
+
+    def draw(time: float) -> Image.Image:
         frames = [
-            each.frame_image(each.frames[bisect_right(times, time) - 1])
-            for each, times in zip(recordings, instants, strict=True)
+            each.frames[bisect_right(times, time) - 1]
+            for each, times in zip(runs, instants, strict=True)
         ]
-        pictures.append(_beside(frames))
-        on_progress((done + 1) / len(shown))
-    palette = pictures[-1].quantize(colors=COLOURS)
-    file = io.BytesIO()
-    save_gif(file, [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in pictures])
-    return file.getvalue()
+        pictures = [
+            captioned(paint(frame), options.scale, title, right)
+            for paint, frame, title, right in zip(painters, frames, recordings, told, strict=True)
+        ]
+        return _beside(pictures, round(_GAP * options.scale))
+
+    def palette(pictures: Sequence[Image.Image]) -> Image.Image:
+        return pictures[-1].quantize(colors=COLOURS)
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / f"film{GIF}"
+        write_film(file, shown, draw, palette, options, on_progress)
+        return file.read_bytes()
 
 
-def _beside(pictures: Sequence[Image.Image]) -> Image.Image:
-    height = max(each.height for each in pictures)
-    scaled = [each.resize((round(each.width * height / each.height), height)) for each in pictures]
-    width = sum(each.width + _GAP for each in scaled) - _GAP
-    picture, left = Image.new("RGB", (width, height), "white"), 0
-    for each in scaled:
+def _beside(pictures: Sequence[Image.Image], gap: int) -> Image.Image:
+    """Return pictures side by side, aligned at the top."""
+    width = sum(each.width + gap for each in pictures) - gap
+    picture, left = Image.new("RGB", (width, max(each.height for each in pictures)), "white"), 0
+    for each in pictures:
         picture.paste(each, (left, 0))
-        left += each.width + _GAP
+        left += each.width + gap
     return picture

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from jaxplore.study.optional import import_optional
+from jaxplore._optional import import_optional
 from jaxplore.study.tuning.episodes import Episode, Episodes, Result
 from jaxplore.study.tuning.objective import Numbers
 from jaxplore.study.tuning.search import Search

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxplore.study.optional import import_optional
+from jaxplore._optional import import_optional
 from jaxplore.study.tuning.space import Candidate, Space, distribution
 
 STEP = 0.2

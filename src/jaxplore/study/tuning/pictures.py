@@ -1,14 +1,13 @@
 """Figures of a search: convergence, importances, candidates by parameter, fronts, archives."""
 
-import io
 import math
 import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxplore._optional import import_optional
 from jaxplore.report.drawing.colours import SERIES
-from jaxplore.study.optional import import_optional
 from jaxplore.study.tuning.optimizers import RibsOptimizer
 from jaxplore.study.tuning.study import Study
 from jaxplore.study.tuning.trials import Trial
@@ -16,7 +15,6 @@ from jaxplore.study.tuning.trials import Trial
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DOTS_PER_INCH = 120
 _FEW_DECADES = 300.0
 """Greatest ratio of values for which labels at 1, 2, 5, 10, 20 ... have room."""
 
@@ -70,20 +68,20 @@ _DONE, _GIVEN_UP, _CHOSEN = SERIES[0], "0.7", SERIES[1]
 def _convergence(study: Study) -> "Figure":
     figure, axes = _axes(1)
     trials = study.trials()
-    for state, colour, label in (
-        ("given up", _GIVEN_UP, "given up early"),
-        ("done", _DONE, "evaluated"),
+    for state, colour, marker, label in (
+        ("given up", _GIVEN_UP, "x", "given up early"),
+        ("done", _DONE, "o", "evaluated"),
     ):
         some = [each for each in trials if each.state == state]
         numbers, values = [each.number for each in some], [each.values[0] for each in some]
-        axes[0].scatter(numbers, values, s=14, color=colour, label=label)
+        axes[0].scatter(numbers, values, s=14, color=colour, marker=marker, label=label)
     done = [each for each in trials if each.state == "done"]
     least = np.minimum.accumulate([each.values[0] for each in done])
     axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
     axes[0].set_xlabel("candidate")
     _scale(axes[0], "y", [each.values[0] for each in done])
     axes[0].set_ylabel(_label(study))
-    axes[0].legend(loc="upper right")
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -125,13 +123,16 @@ def _front(study: Study, chosen: Trial) -> "Figure":
     figure, axes = _axes(1)
     done = [each for each in study.trials() if each.state == "done"]
     front = sorted(study.front(), key=lambda each: each.values)
-    for some, colour, label in ((done, _GIVEN_UP, "evaluated"), (front, _DONE, "front")):
+    for some, colour, marker, label in (
+        (done, _GIVEN_UP, "o", "evaluated"),
+        (front, _DONE, "D", "front"),
+    ):
         across, up = [each.values[0] for each in some], [each.values[1] for each in some]
-        axes[0].scatter(across, up, s=18, color=colour, label=label)
+        axes[0].scatter(across, up, s=18, color=colour, marker=marker, label=label)
     axes[0].scatter(*chosen.values[:2], s=80, marker="*", color=_CHOSEN, label="chosen", zorder=3)
     axes[0].set_xlabel(str(first))
     axes[0].set_ylabel(str(second))
-    axes[0].legend()
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
     return figure
 
 
@@ -194,10 +195,3 @@ def _archive(study: Study, optimizer: RibsOptimizer) -> "Figure":
     axes[0].set_ylabel(measures[1].metric)
     figure.colorbar(cells, label=label)
     return figure
-
-
-def png(figure: "Figure") -> bytes:
-    """Render a figure as PNG."""
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=DOTS_PER_INCH)
-    return file.getvalue()

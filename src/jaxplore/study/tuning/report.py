@@ -12,10 +12,11 @@ from typing import Any
 import yaml
 
 from jaxplore.report.compute import software
+from jaxplore.report.drawing.figure import PNG, figure_bytes
 from jaxplore.report.folder import write_whole
 from jaxplore.report.table import to_html
 from jaxplore.study.tuning.optimizers import RibsOptimizer
-from jaxplore.study.tuning.pictures import figures, importances, png
+from jaxplore.study.tuning.pictures import figures, importances
 from jaxplore.study.tuning.result import TuningResult
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.significance import table
@@ -86,7 +87,13 @@ def record(study: Study, found: TuningResult) -> dict[str, Any]:
 
 
 def write_results(
-    study: Study, found: TuningResult, folder: Path, *, title: str, animation: bytes | None = None
+    study: Study,
+    found: TuningResult,
+    folder: Path,
+    *,
+    title: str,
+    animation: bytes | None = None,
+    kinds: Sequence[str] = (PNG,),
 ) -> list[Path]:
     """Write tables, figures, the summary and the page, and return their paths.
 
@@ -96,6 +103,7 @@ def write_results(
         folder: folder of the study.
         title: title of the page.
         animation: GIF of runs before and after; none when absent.
+        kinds: formats of the figures; the page shows them as PNG.
 
     Raises:
         ValueError: the folder cannot be written.
@@ -110,10 +118,16 @@ def write_results(
         texts[FRONT] = _csv(_trial_rows(study, found.front))
     if isinstance(study.optimizer, RibsOptimizer):
         texts[ARCHIVE] = _csv(_archive_rows(study, study.optimizer))
-    pictures = {f"{name}.png": png(each) for name, each in figures(study, found.chosen).items()}
+    drawn = figures(study, found.chosen)
+    pictures = {f"{name}.{PNG}": figure_bytes(each) for name, each in drawn.items()}
+    copies = {
+        f"{name}.{kind}": pictures.get(f"{name}.{kind}") or figure_bytes(each, kind)
+        for name, each in drawn.items()
+        for kind in kinds
+    }
     if animation is not None:
-        pictures = {ANIMATION: animation, **pictures}
-    files = {name: text.encode() for name, text in texts.items()} | pictures
+        pictures, copies = {ANIMATION: animation, **pictures}, {ANIMATION: animation, **copies}
+    files = {name: text.encode() for name, text in texts.items()} | copies
     files[PAGE] = _page(study, found, pictures, title).encode()
     return [_write(folder / name, data) for name, data in files.items()]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from jaxplore.study.optional import import_optional
+from jaxplore._optional import import_optional
 
 type Value = float | int | str | bool
 type Candidate = dict[str, Value]

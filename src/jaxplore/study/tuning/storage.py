@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from jaxplore._optional import import_optional
 from jaxplore.report.folder import in_one_line
-from jaxplore.study.optional import import_optional
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.study import Study

@@ -8,6 +8,8 @@ from os import PathLike
 from pathlib import Path
 
 from jaxplore.report.console import progress_bar
+from jaxplore.report.drawing.figure import PNG, figure_formats
+from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.study.tuning.before_after import before_and_after
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.objective import Objective
@@ -54,6 +56,8 @@ def tune(
     folder: str | PathLike[str] | None = None,
     title: str = "",
     animation: bool = True,
+    film: FilmOptions | None = None,
+    figures: str | Sequence[str] = PNG,
     progress: bool = False,
 ) -> TuningResult:
     """Search for the parameter values with the least objective, and compare them with the current.
@@ -86,6 +90,8 @@ def tune(
             chosen settings and an animation. Nothing is written when absent.
         title: title of the page; the names of the scenarios when absent.
         animation: whether to draw runs before and after the search.
+        film: frames per second and size of the animation; the defaults when absent.
+        figures: formats of the figures: png, pdf or svg, or several, "pdf,svg".
         progress: whether to show progress bars.
 
     Raises:
@@ -93,6 +99,7 @@ def tune(
             and metrics.
         KeyboardInterrupt: the user stopped it before any candidate had a value.
     """
+    kinds, options = figure_formats(figures), FilmOptions() if film is None else film
     if unseen < 1:
         raise ValueError(f"unseen is {unseen}; accepted: a whole number >= 1")
     objectives = _objectives(episodes, objective)
@@ -114,9 +121,9 @@ def tune(
             return found
         files = [write_settings(study, found.chosen, where)]
         if found.is_complete:
-            clip = _animation(study, found, progress=progress) if animation else None
+            clip = _animation(study, found, options, progress=progress) if animation else None
             name = title or f"Tuned: {', '.join(episodes.scenarios)}"
-            files += write_results(study, found, where, title=name, animation=clip)
+            files += write_results(study, found, where, title=name, animation=clip, kinds=kinds)
         return dataclasses.replace(found, files=tuple(each for each in files if each is not None))
 
 
@@ -199,17 +206,22 @@ def _result(
     )
 
 
-def _animation(study: Study, found: TuningResult, *, progress: bool) -> bytes | None:
+def _animation(
+    study: Study, found: TuningResult, options: FilmOptions, *, progress: bool
+) -> bytes | None:
     """Draw runs before and after the search side by side; None if that is not possible."""
     episodes = study.episodes
     if not isinstance(episodes, SettingsEpisodes) or not found.before:
         return None
     scenario = episodes.scenarios[0]
     seed = next(seed for name, seed in found.before if name == scenario)
-    candidates = (found.current, found.chosen.candidate)
+    candidates = {
+        "before": found.current,
+        f"after: candidate {found.chosen.number}": found.chosen.candidate,
+    }
     with progress_bar("drawing", enabled=progress) as advance:
         return before_and_after(
-            episodes, scenario, candidates, seed, lambda share: advance(share, "")
+            episodes, scenario, candidates, seed, options, lambda share: advance(share, "")
         )
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore.study.optional import import_optional
+from jaxplore._optional import import_optional
 from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads
 from jaxplore.study.workers.task import Files, Task, run_task
 

@@ -1,0 +1,56 @@
+"""Options of figures and films, the same for all commands that draw."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxplore.cli._known import known
+
+
+def picture_options(animation: str, *, video: bool = False) -> Callable[[Any], Any]:
+    """Return a decorator that adds the options of figures and films.
+
+    Args:
+        animation: help of `--animation`.
+        video: whether the command writes a video.
+    """
+    options = [
+        click.option("--animation/--no-animation", default=True, help=animation),
+        click.option(
+            "--fps",
+            type=float,
+            help="Frames per second of playback; the film shows how many times as fast as the run "
+            f"it plays.  [default: {known().fps:g}]",
+        ),
+        click.option(
+            "--film-scale",
+            type=float,
+            help=f"Factor on the size of films, 0.5 to 4.  [default: {known().film_scale:g}]",
+        ),
+        click.option(
+            "--figures",
+            default=known().figures[0],
+            show_default=True,
+            metavar="FORMAT,FORMAT",
+            help=f"Formats of figures: {', '.join(known().figures)}.",
+        ),
+    ]
+    if video:
+        options.append(
+            click.option(
+                "--video",
+                type=click.Path(path_type=Path),
+                metavar="FILE.mp4",
+                help="Also write the film as an MP4 video (needs imageio-ffmpeg).",
+            )
+        )
+
+    def add(command: Any) -> Any:
+        # Click lists options in the reverse order of their addition.
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add

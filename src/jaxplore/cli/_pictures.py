@@ -1,0 +1,49 @@
+"""What a command draws, from the options of figures and films."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxplore.report.drawing.figure import figure_formats
+from jaxplore.report.drawing.film import FPS, SCALE, FilmOptions, check_film
+
+
+class Pictures(NamedTuple):
+    """What a command draws.
+
+    Args:
+        animation: whether it draws its animations.
+        film: how films are played, and their size.
+        figures: formats of the figures.
+        video: another film to write; None without one.
+    """
+
+    animation: bool
+    film: FilmOptions
+    figures: tuple[str, ...]
+    video: Path | None
+
+
+def take_pictures(options: dict[str, Any], *, overwrite: bool = False) -> Pictures:
+    """Remove the options of figures and films from all options, and check them.
+
+    Args:
+        options: options of a command.
+        overwrite: whether a video that exists is replaced.
+
+    Raises:
+        ValueError: a value that is not accepted, a video that exists or cannot be written.
+    """
+    animation, video = options.pop("animation"), options.pop("video", None)
+    fps, scale = options.pop("fps"), options.pop("film_scale")
+    for name, value in (("--fps", fps), ("--film-scale", scale)):
+        if value is not None and not animation and video is None:
+            raise ValueError(f"{name} is {value:g} beside --no-animation; accepted: with a film")
+    film = FilmOptions(fps=FPS if fps is None else fps, scale=SCALE if scale is None else scale)
+    if animation:
+        check_film("animation.gif", film)
+    if video is not None:
+        check_film(video, film)
+        if video.exists() and not overwrite:
+            raise ValueError(f"--video is {str(video)!r}, which exists; accepted: a new file, or "
+                             "--overwrite")  # fmt: skip
+    return Pictures(animation, film, figure_formats(options.pop("figures")), video)

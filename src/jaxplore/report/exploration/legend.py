@@ -1,0 +1,55 @@
+"""The legend of an exploration animation: an entry for everything that its frames show."""
+
+from jaxplore.report.drawing.colours import (
+    CLOSED,
+    CLOSED_SHARE,
+    FREE,
+    MOVER,
+    MOVER_EDGE,
+    OCCUPIED,
+    TARGET,
+    UNKNOWN,
+    blend,
+)
+from jaxplore.report.drawing.footer import Entry
+from jaxplore.report.drawing.palette import (
+    HEAT,
+    HIDDEN_WALL,
+    LIDAR_RAY,
+    MAX_HEAT,
+    PLAN,
+    REFERENCE,
+    ROBOT,
+    STRONG,
+    TRAIL,
+)
+from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.progress import is_known_map
+
+
+def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Entry, ...]:
+    """Return the entries of the legend.
+
+    Args:
+        recording: recording of the run.
+        has_closed: whether the picture shows untraversable ground.
+    """
+    frames = recording.frames
+    entries = (
+        (Entry("robot", ROBOT, "disc"), True),
+        (Entry("trail", TRAIL, "line"), recording.num_steps > 0),
+        (Entry("plan", PLAN, "line"), any(len(each.plan) for each in frames)),
+        (Entry("rollouts", STRONG[:3], "line"), any(len(each.samples) for each in frames)),
+        (Entry("reference", REFERENCE, "dashes"), any(len(each.reference) > 1 for each in frames)),
+        (Entry("lidar", LIDAR_RAY[:3], "line"), any(len(each.scan) for each in frames)),
+        (Entry("information", blend(HEAT, FREE, MAX_HEAT)), True),
+        (Entry("unknown", UNKNOWN), True),
+        (Entry("wall", OCCUPIED), True),
+        (Entry("unseen wall", HIDDEN_WALL), not is_known_map(recording)),
+        (Entry("goal", REFERENCE, "disc"), recording.goal is not None),
+        (Entry("target", TARGET, "star"), len(recording.targets) > 0),
+        (Entry("target found", TARGET, "found"), len(recording.targets) > 0),
+        (Entry("mover", MOVER, "disc", MOVER_EDGE), len(recording.mover_radii) > 0),
+        (Entry("untraversable", blend(CLOSED, FREE, CLOSED_SHARE)), has_closed),
+    )
+    return tuple(entry for entry, is_drawn in entries if is_drawn)
