@@ -1,9 +1,9 @@
 """Strict from day one: shapes and types of the whole package are checked at run time, implicit
 dtype promotion is an error, and so is every warning (pyproject.toml).
 
-Also runs the Python blocks of README.md and docs/: what the documents show is what works. One
-document is one test, because its blocks build on each other: they share a namespace and an empty
-working directory, and no test runner can spread them over several workers.
+Also runs the Python blocks of README.md and docs/, and the cells of notebooks: what the documents
+show is what works. One document is one test, because its blocks build on each other: they share a
+namespace and an empty working directory, and no test runner can spread them over several workers.
 """
 
 import contextlib
@@ -50,7 +50,7 @@ import jax
 import pytest
 from jaxtyping import install_import_hook
 from sybil import Sybil
-from sybil.parsers.markdown import PythonCodeBlockParser
+from sybil.parsers.myst import PythonCodeBlockParser
 
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 # Nobody looks for lines of Python in the programs: that saves a fiftieth.

@@ -46,6 +46,7 @@ def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
     assert {path.name for path in Path("first").iterdir()} == {
         "metrics.json",
         "arrays.npz",
+        "state.npz",
         "map.png",
         "coverage.png",
         "settings.yaml",

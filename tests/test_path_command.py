@@ -42,6 +42,7 @@ def test_a_run_along_a_file_writes_a_folder_that_repeats_itself(file: Path, caps
     assert {path.name for path in folder.iterdir()} == {
         "metrics.json",
         "arrays.npz",
+        "state.npz",
         "path.png",
         "errors.png",
         "settings.yaml",

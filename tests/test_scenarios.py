@@ -120,6 +120,7 @@ def write(name: str, **changes: Any) -> str:
 
 FILES = {
     "arrays.npz",
+    "state.npz",
     "coverage.png",
     "map.png",
     "members.png",

@@ -45,6 +45,7 @@ SAID = {
         "ValueError: world is an array of shape (9, 9); accepted: an OccupancyGrid or a TerrainMap"
     ),
     "the seed as key of simulate": "ValueError: key is 0; accepted: jax.random.key(0)",
+    "a folder to resume": "ValueError: resume is 'runs/1'; accepted: a Run or None",
     "the seed as key of step": "ValueError: key is 0; accepted: jax.random.key(0)",
     "several keys": "ValueError: key is an array of shape (2,); accepted: jax.random.key(0)",
     "a raw key": "works",

@@ -367,6 +367,7 @@ def mistakes() -> dict[str, Callable[[], Any]]:
         "one of two sensors": lambda: jx.ExplorationScenario(grid, robot, [lidar, robot], start),
         "an array as world": lambda: jx.ExplorationScenario(np.zeros((9, 9)), robot, lidar, start),
         "the seed as key of simulate": lambda: jx.simulate(mppi, scenario, 1, key=0),
+        "a folder to resume": lambda: jx.simulate(mppi, scenario, 1, key=key, resume="runs/1"),
         "the seed as key of step": lambda: mppi.step(state, at, key=0),
         "several keys": lambda: mppi.step(state, at, key=jax.random.split(key)),
         "a raw key": lambda: mppi.step(state, at, key=jax.random.PRNGKey(0)),

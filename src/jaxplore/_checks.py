@@ -15,11 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore._kinds import described, is_traced
-from jaxplore._types import Rows, Scalar, Vector
+from jaxplore._types import ArrayLike, Rows, Scalar, Vector
 from jaxplore._xla import on_device
 
 LARGEST = float(np.finfo(np.float32).max)

@@ -7,7 +7,7 @@ of a map, B beams, D directions, N any other count.
 from collections.abc import Sequence
 
 from jax import Array
-from jax.typing import ArrayLike
+from jax.typing import ArrayLike as _ArrayLike
 from jaxtyping import Bool, Float, Int, PRNGKeyArray
 
 Scalar = Float[Array, ""]
@@ -20,7 +20,10 @@ GridMask = Bool[Array, "H W"]
 StateVector = Float[Array, "nx"]
 ControlVector = Float[Array, "nu"]
 Key = PRNGKeyArray
-Vector = ArrayLike | Sequence[float | int]
+# Signatures and tooltips show the name of an alias, and would show all parts of a plain union.
+type ArrayLike = _ArrayLike
+"""A number or an array: Python's, NumPy's or JAX's."""
+type Vector = ArrayLike | Sequence[float | int]
 """A few numbers written by hand: a list, a tuple or an array."""
-Rows = ArrayLike | Sequence[Vector]
+type Rows = ArrayLike | Sequence[Vector]
 """Rows of numbers written by hand: nested lists, tuples or an array."""

@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxplore import _kinds
+from jaxplore._types import ArrayLike
 from jaxplore.costs.base import Cost, NamedCost, SumCost, WeightedCost
 
 PREFIX = "controller."

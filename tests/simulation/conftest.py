@@ -1,3 +1,6 @@
+import dataclasses
+
+import jax
 import numpy as np
 import pytest
 
@@ -66,5 +69,28 @@ def check_frames():
         np.testing.assert_array_equal(last.state, recording.records.state[-1])
         expected = np.round(255 * recording.belief).astype(np.uint8)
         np.testing.assert_array_equal(last.probability, expected)
+
+    return check
+
+
+@pytest.fixture(scope="session")
+def check_equal():
+    """Return a check that two runs are equal to the bit, but for their times."""
+
+    def check(one, other) -> None:
+        first, second = (
+            {field.name: getattr(each.recording, field.name) for field in fields}
+            for each in (one, other)
+            for fields in [dataclasses.fields(each.recording)]
+        )
+        del first["timing"], second["timing"]
+        frames = [[vars(frame) for frame in each.pop("frames")] for each in (first, second)]
+        for mine, theirs in ((first, second), frames):
+            leaves = [jax.tree.flatten(each) for each in (mine, theirs)]
+            assert leaves[0][1] == leaves[1][1]
+            for a, b in zip(leaves[0][0], leaves[1][0], strict=True):
+                np.testing.assert_array_equal(a, b)
+        metrics = [each.metrics.as_dict() | {"compute": None} for each in (one, other)]
+        assert metrics[0] == metrics[1]
 
     return check

@@ -1,3 +1,4 @@
+import dataclasses
 import itertools
 import signal
 import threading
@@ -24,7 +25,7 @@ from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk
-from jaxplore.simulation.run import record_run
+from jaxplore.simulation.run import Run, record_run, simulate
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
 ONE = jnp.asarray(1, jnp.int32)  # as record_run counts: a weak type would be another program
@@ -197,6 +198,64 @@ def test_ctrl_c_keeps_what_was_done(make) -> None:
     assert signal.getsignal(signal.SIGINT) is before
     whole = run(make(), 50, jax.random.key(0))[1]
     np.testing.assert_array_equal(recording.records.state, whole.state)
+
+
+def test_a_resumed_run_equals_one_that_never_stopped(
+    make, check_equal, monkeypatch, tmp_path
+) -> None:
+    """It is resumed twice: within a chunk and between frames, and from its folder after Ctrl-C."""
+    controller, scenario = make()
+    key, options = jax.random.key(4), {"num_trajectories": 4}
+    whole = simulate(controller, scenario, 331, key=key, **options)
+    part = simulate(controller, scenario, 133, key=key, **options)
+    assert part.recording.frames[-1].step == 133
+    presses = iter([None] * 5)
+    show = ExplorationScenario.progress
+
+    def press(self, state):
+        if next(presses, 0) == 0:
+            signal.raise_signal(signal.SIGINT)
+        return show(self, state)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ExplorationScenario, "progress", press)
+        part = simulate(controller, scenario, 331, key=key, resume=part, **options)
+    assert part.metrics.is_interrupted
+    assert 133 < part.recording.num_steps < 331
+    part.save(tmp_path / "run", animation=False)
+    loaded = Run.load(tmp_path / "run")
+    check_equal(loaded, part)
+    part = simulate(controller, scenario, 331, key=key, resume=loaded, **options)
+    assert part.metrics.compute.compile_seconds > 0.0
+    check_equal(part, whole)
+
+
+def test_only_the_same_unfinished_run_can_be_resumed(make, other_world) -> None:
+    controller, scenario = make()
+    key = jax.random.key(0)
+    run = simulate(controller, scenario, 5, key=key, num_trajectories=0)
+    gone = run.checkpoint.loop.state.task._replace(finished=jnp.ones((), jnp.int32))
+    state = run.checkpoint.loop.state._replace(task=gone)
+    loop = dataclasses.replace(run.checkpoint.loop, state=state)
+    finished = dataclasses.replace(run, checkpoint=dataclasses.replace(run.checkpoint, loop=loop))
+    more = eqx.tree_at(lambda each: each.dt, controller, jnp.asarray(0.06))
+    for expected, arguments in {
+        "num_steps is 5; accepted: a whole number >= 6": (controller, scenario, 5, key, run),
+        "key has the data": (controller, scenario, 9, jax.random.key(1), run),
+        "scenario differs": (controller, make(other_world)[1], 9, key, run),
+        "controller differs": (more, scenario, 9, key, run),
+        "resume is a finished run": (controller, scenario, 9, key, finished),
+        "without the state of its loop": (
+            controller,
+            scenario,
+            9,
+            key,
+            dataclasses.replace(run, checkpoint=None),
+        ),
+    }.items():
+        *given, key_, resume = arguments
+        with pytest.raises(ValueError, match=expected):
+            simulate(*given, key=key_, resume=resume, num_trajectories=0)
 
 
 def test_frames_are_dense_at_first_and_thinned_out_evenly() -> None:

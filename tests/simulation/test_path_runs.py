@@ -122,6 +122,15 @@ def test_the_same_key_gives_the_same_run_and_looking_changes_nothing(lap) -> Non
     )
 
 
+def test_a_resumed_run_equals_one_that_never_stopped(lap, check_equal) -> None:
+    finished, scenario = lap
+    given = {"key": jax.random.key(0), "num_trajectories": 0}
+    whole, part = (jx.simulate(PASSING.controller, scenario, n, **given) for n in (160, 77))
+    check_equal(jx.simulate(PASSING.controller, scenario, 160, resume=part, **given), whole)
+    with pytest.raises(ValueError, match="resume is a finished run"):
+        jx.simulate(PASSING.controller, scenario, 3000, resume=finished, **given)
+
+
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     controller = PASSING.controller.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)

@@ -132,8 +132,12 @@ def test_it_is_simulated_and_saved(tmp_path: Path) -> None:
     assert {each.name for each in (tmp_path / "run").iterdir()} == {
         "metrics.json",
         "arrays.npz",
+        "state.npz",
         "animation.gif",
     }
+    loaded = jx.Run.load(tmp_path / "run")
+    assert loaded.metrics == run.metrics
+    np.testing.assert_array_equal(loaded.recording.records.state, run.recording.records.state)
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["visited"] == 3
     assert "visited" in str(run.metrics)
 

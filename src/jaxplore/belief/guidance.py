@@ -1,7 +1,7 @@
 """Compute cost-to-go fields over known free space, which lead to remaining information."""
 
 import functools
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +12,10 @@ from jaxtyping import Bool, Float
 from jaxplore._types import Position, Scalar
 from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.lattice_figure import lattice_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DIAGONAL = 2.0**0.5
 """Length of a step to a diagonal neighbour [node spacings]."""
@@ -43,6 +47,10 @@ class GuidanceField(eqx.Module):
     def __call__(self, position: Position) -> Scalar:
         """Return the cost-to-go at a world position (x, y) [m]."""
         return gather(self.values, self._around(position), self.outside)
+
+    def plot(self) -> "Figure":
+        """Draw the cost-to-go in the world, with a colour bar."""
+        return lattice_figure(self.values, self.frame, "cost to go [m]")
 
     def direction(self, position: Position) -> Position:
         """Return the direction of descent (x, y) at a world position.

@@ -3,10 +3,9 @@
 import equinox as eqx
 import jax.numpy as jnp
 from jax.scipy.special import entr
-from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import GridMask, GridValues, Scalar
+from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar
 
 NEVER = float("inf")
 """Idleness of a cell that was never observed [s]."""

@@ -6,12 +6,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _kinds
 from jaxplore._checks import array, covariances, one_each, scalar
-from jaxplore._types import Key, Rows, Scalar, Vector
+from jaxplore._types import ArrayLike, Key, Rows, Scalar, Vector
 from jaxplore.geometry.outlines import Outlines
 
 FAR = 1e9

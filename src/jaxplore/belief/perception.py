@@ -8,10 +8,9 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Flag, GridValues, Pose, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount

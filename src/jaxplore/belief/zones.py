@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import GridMask, Position, Scalar
+from jaxplore._types import ArrayLike, GridMask, Position, Scalar
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid

@@ -8,11 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.compat._inputs import Inputs, Structure, join_arrays, split_arrays
 from jaxplore.compat.batch import RolloutBatch, rollout_batch
 from jaxplore.control.base import Info

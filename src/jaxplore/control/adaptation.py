@@ -2,11 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.control.parameterisations import Parameters, Samples, shifted
 
 

@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore._describe import describe_fields
-from jaxplore._types import ControlVector, Flag, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.trajectory import Trajectory
 
 

@@ -1,11 +1,10 @@
 """Draw coloured noise, whose power falls with frequency."""
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Key, Scalar
+from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.control.noise import Noise, Shape, WhiteNoise
 from jaxplore.control.parameterisations import Samples
 

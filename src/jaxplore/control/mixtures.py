@@ -7,11 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Key, Rows, Scalar
+from jaxplore._types import ArrayLike, Key, Rows, Scalar
 from jaxplore.control.parameterisations import Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 

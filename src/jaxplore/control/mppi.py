@@ -7,11 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Key, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan

@@ -7,11 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import jax.scipy.linalg
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Key, Scalar
+from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.control.parameterisations import Parameters, Samples
 
 Shape = tuple[int, int, int]

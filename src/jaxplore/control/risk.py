@@ -6,11 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 
 Totals = Float[Array, "M K"]
 StepCosts = Float[Array, "M K"]

@@ -3,10 +3,9 @@
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.control.parameterisations import (
     ControlSamples,
     ControlSpace,

@@ -6,11 +6,10 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 
 Costs = Float[Array, " K"]
 Weights = Float[Array, " K"]

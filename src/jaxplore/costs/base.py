@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import WIDTH, describe, describe_fields
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.dynamics.base import Dynamics, State
 
 

@@ -4,11 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
 from jaxplore._checks import by_name, names_within
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 

@@ -3,11 +3,10 @@
 import functools
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import Belief, part
 from jaxplore.costs._contact import Lever, contact, depth, levers, shifted
 from jaxplore.costs._many import add_up

@@ -4,11 +4,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics, State

@@ -2,12 +2,11 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._checks import array
-from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, Vector
 from jaxplore.belief.belief import Belief, StrategicBelief, part
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField

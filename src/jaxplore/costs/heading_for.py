@@ -1,9 +1,7 @@
 """Costs of direction: the cost to go to a goal, and a preferred direction of motion."""
 
-from jax.typing import ArrayLike
-
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Pose, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Pose, Scalar
 from jaxplore.belief.belief import Belief, part
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs.base import Cost

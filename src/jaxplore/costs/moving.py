@@ -5,11 +5,10 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import part
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.costs._contact import contact, depth, levers, shifted

@@ -4,12 +4,11 @@ import functools
 from typing import Any
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._checks import array
-from jaxplore._types import ControlVector, Rows, Scalar, Vector
+from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.belief.belief import Belief, part
 from jaxplore.costs._contact import Lever, contact, levers, penalty, shifted
 from jaxplore.costs._distance import offset

@@ -17,11 +17,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.costs import extract
 from jaxplore.costs._contact import levers, shifted
 from jaxplore.costs.base import Cost

@@ -1,10 +1,9 @@
 """Costs of the ground: slope and roughness, and low traversability."""
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar
+from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State

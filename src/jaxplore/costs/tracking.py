@@ -17,12 +17,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._checks import array, by_name, names_within
-from jaxplore._types import ControlVector, Rows, Scalar, Vector
+from jaxplore._types import ArrayLike, ControlVector, Rows, Scalar, Vector
 from jaxplore.costs._distance import offset
 from jaxplore.costs._many import least
 from jaxplore.costs.base import Cost

@@ -2,10 +2,9 @@
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar, Vector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, Vector
 from jaxplore._xla import on_device
 
 

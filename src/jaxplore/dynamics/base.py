@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxplore import _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._types import ControlVector, Pose, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics.integrators import Derivative, Integrator
 from jaxplore.geometry.footprint import Disc, Footprint

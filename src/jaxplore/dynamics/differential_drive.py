@@ -3,10 +3,9 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics

@@ -4,10 +4,9 @@ import math
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore._xla import computed, cut
 from jaxplore.dynamics._bounds import radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics

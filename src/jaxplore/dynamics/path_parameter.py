@@ -3,10 +3,9 @@
 from typing import ClassVar
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.path import Path
 

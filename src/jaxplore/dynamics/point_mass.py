@@ -2,10 +2,9 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Position, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics

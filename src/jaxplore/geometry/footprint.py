@@ -5,11 +5,10 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 
 
 class Footprint(eqx.Module):

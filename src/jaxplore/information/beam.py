@@ -28,11 +28,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.information.gain import CellGains, CellSensor, cell_gains
 from jaxplore.information.noise import RangeNoise
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel

@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import GridValues, Position, Scalar
+from jaxplore._types import ArrayLike, GridValues, Position, Scalar
 from jaxplore.geometry.rays import traverse
 from jaxplore.information.batches import over_poses
 from jaxplore.information.heading_field import HeadingField

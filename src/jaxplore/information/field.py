@@ -1,6 +1,7 @@
 """Look up the expected information of a scan at any pose and field of view in O(1)."""
 
 import math
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,9 +11,13 @@ from jaxtyping import Float
 
 from jaxplore import _checks
 from jaxplore._types import GridValues, Position, Scalar
-from jaxplore.information.heading_field import HeadingField
+from jaxplore.information.heading_field import HeadingField, at_nodes_figure
 from jaxplore.maps.field import Stencil, gather, stencil
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.lattice_figure import lattice_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class InformationField(eqx.Module):
@@ -69,6 +74,20 @@ class InformationField(eqx.Module):
         centre = jnp.where(is_finite, heading, 0.0) - self.frame.origin[2]
         upper, lower = (self._until(nodes, centre + part * view) for part in (0.5, -0.5))
         return jnp.where(is_finite, upper - lower, 0.0)
+
+    def plot(self, heading: float | None = None) -> "Figure":
+        """Draw the field in the world, with a colour bar.
+
+        Args:
+            heading: heading of the sensor [rad]; a full circle of beams when absent.
+
+        Raises:
+            ValueError: a heading that is not finite.
+        """
+        if heading is None:
+            return lattice_figure(self.total, self.frame, "information, full circle [nat]")
+        angle = _checks.scalar("heading", heading)
+        return at_nodes_figure(self, self.frame, self.total.shape, angle)
 
     def at_headings(self, num_headings: int, field_of_view: float | None = None) -> HeadingField:
         """Return the information at the nodes for equally spaced headings.

@@ -1,15 +1,23 @@
 """Interpolate a scalar over position and heading from values on a lattice."""
 
 import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from jaxplore import _checks
 from jaxplore._types import Position, Scalar
 from jaxplore.maps.field import ScalarField, gather, stencil
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.lattice_figure import lattice_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class HeadingField(eqx.Module):
@@ -58,7 +66,40 @@ class HeadingField(eqx.Module):
         """Field of the maximum over headings; 0 beyond the outermost nodes."""
         return ScalarField(self.values.max(axis=-1), self.frame, jnp.zeros(()), 0.0)
 
+    def plot(self, heading: float | None = None) -> "Figure":
+        """Draw the field in the world, with a colour bar.
+
+        Args:
+            heading: heading of the sensor [rad]; the best one at each node when absent.
+
+        Raises:
+            ValueError: a heading that is not finite.
+        """
+        if heading is None:
+            return lattice_figure(self.best.values, self.frame, "information, best heading [nat]")
+        angle = _checks.scalar("heading", heading)
+        return at_nodes_figure(self, self.frame, self.best.values.shape, angle)
+
     @property
     def origin(self) -> Position:
         """World position (x, y) of node (0, 0) [m]."""
         return self.frame.to_world(jnp.full(2, 0.5))
+
+
+def at_nodes_figure(
+    field: Callable[[Position, Scalar], Scalar],
+    frame: GridFrame,
+    shape: tuple[int, ...],
+    heading: Scalar,
+) -> "Figure":
+    """Draw what a field reads at the nodes of its lattice with one heading.
+
+    Args:
+        field: function of a position [m] and a heading [rad].
+        frame: pose and node spacing of the lattice.
+        shape: rows and columns of the lattice.
+        heading: heading of the sensor [rad].
+    """
+    nodes = frame.cell_centre(jnp.stack(jnp.mgrid[: shape[0], : shape[1]], axis=-1))
+    values = jax.vmap(jax.vmap(lambda position: field(position, heading)))(nodes)
+    return lattice_figure(values, frame, f"information, heading {float(heading):.2f} rad [nat]")

@@ -17,11 +17,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import Scalar, Vector
+from jaxplore._types import ArrayLike, Scalar, Vector
 
 
 class RangeNoise(eqx.Module):

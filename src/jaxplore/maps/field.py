@@ -1,6 +1,6 @@
 """Interpolate values that are stored at the nodes of a regular lattice."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,6 +9,10 @@ from jaxtyping import Float
 
 from jaxplore._types import Count, Flag, Position, Scalar
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.lattice_figure import lattice_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Stencil(NamedTuple):
@@ -122,3 +126,11 @@ class ScalarField(eqx.Module):
         height, width = self.values.shape
         around = stencil((height, width), self.frame.to_grid(position), self.margin)
         return gather(self.values, around, self.outside)
+
+    def plot(self, label: str = "value") -> "Figure":
+        """Draw the field in the world, with a colour bar.
+
+        Args:
+            label: label of the colour bar, with the unit.
+        """
+        return lattice_figure(self.values, self.frame, label)

@@ -6,11 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import GridMask, GridValues, Scalar, Vector
+from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar, Vector
 from jaxplore._xla import on_device
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame

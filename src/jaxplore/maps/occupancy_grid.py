@@ -1,23 +1,27 @@
 """Represent an occupancy grid: a probability for each cell, and the pose of the grid."""
 
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe
-from jaxplore._types import Count, GridMask, GridValues, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Position, Scalar, Vector
 from jaxplore._xla import on_device
 from jaxplore.maps import resample
 from jaxplore.maps.field import bilinear
 from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.lattice_figure import lattice_figure
 from jaxplore.maps.padding import padded_cells, padded_shape
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FREE_THRESHOLD = 0.25
 """A cell with a lower probability is free (nav2's default `free_thresh`)."""
@@ -211,6 +215,16 @@ class OccupancyGrid(eqx.Module):
         It is exact at cell centres, and 1 off the map.
         """
         return bilinear(self.probability, self.frame.to_grid(position), jnp.float32(OUTSIDE))
+
+    def plot(self) -> "Figure":
+        """Draw the map in the world: free is white, occupied is black."""
+        return lattice_figure(
+            self.cropped(self.probability),
+            self.frame,
+            "probability of being occupied",
+            colours="gray_r",
+            limits=(0.0, 1.0),
+        )
 
     @property
     def entropy(self) -> GridValues:

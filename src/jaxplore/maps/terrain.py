@@ -8,12 +8,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import GridMask, GridValues, Vector
+from jaxplore._types import ArrayLike, GridMask, GridValues, Vector
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
 from jaxplore.maps.files.untrusted import printable_path, read_bytes, replace_files

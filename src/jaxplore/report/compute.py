@@ -31,6 +31,15 @@ class Timing:
     loop_steps: int
     step_seconds: np.ndarray
 
+    def __add__(self, other: "Timing") -> "Timing":
+        """Return the times of a run in two parts."""
+        return Timing(
+            self.compile_seconds + other.compile_seconds,
+            self.loop_seconds + other.loop_seconds,
+            self.loop_steps + other.loop_steps,
+            np.concatenate([self.step_seconds, other.step_seconds]),
+        )
+
 
 @dataclasses.dataclass(frozen=True)
 class Compute:

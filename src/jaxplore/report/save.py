@@ -13,6 +13,8 @@ from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
+from jaxplore.report.stored import NAME as STATE
+from jaxplore.report.stored import stored_arrays
 
 BEFORE_ANIMATION = 0.2
 """Share of the progress bar for everything but the animation, which takes longest."""
@@ -29,11 +31,13 @@ def save_run(
     figures: str | Sequence[str] = PNG,
     overwrite: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
+    further: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write a run folder, completely or not at all.
 
-    It holds `metrics.json`, `arrays.npz`, the figures of the recording, its animation, and
-    `settings.yaml` if there are settings.
+    It holds `metrics.json`, `arrays.npz`, `state.npz` for `load_run`, the figures of the recording,
+    its animation, and `settings.yaml` if there are settings. There is no `state.npz` if the
+    recording holds something else than arrays, numbers and texts.
 
     Args:
         recording: the run.
@@ -45,6 +49,7 @@ def save_run(
         figures: formats of the figures, of png, pdf and svg.
         overwrite: replace a former run.
         on_progress: called with the share that is done, from 0 to 1.
+        further: more arrays for `state.npz`.
 
     Raises:
         ValueError: settings that YAML cannot hold; another format of figures; a folder that exists
@@ -54,6 +59,9 @@ def save_run(
     # Both documents are made first, so that a value they cannot hold stops before any file exists.
     document = None if settings is None else settings_document(settings)
     report = json.dumps(metrics.as_dict(), indent=2, allow_nan=False)
+    state = None
+    with contextlib.suppress(ValueError):
+        state = {**stored_arrays(recording), **(further or {})}
     with run_folder(path, overwrite=overwrite) as folder:
         on_progress(0.0)
         (folder / MARK).write_text(report + "\n", encoding="utf-8")
@@ -61,6 +69,9 @@ def save_run(
             (folder / "settings.yaml").write_text(document, encoding="utf-8")
         with (folder / "arrays.npz").open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **recording.arrays())
+        if state is not None:
+            with (folder / STATE).open("wb") as file:
+                np.savez_compressed(file, allow_pickle=False, **state)
         for name, draw in recording.figures().items():
             write_figure(draw(), folder, name, kinds)
         if animation:

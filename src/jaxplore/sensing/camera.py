@@ -6,11 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.fan import checked_range, checked_view

@@ -4,11 +4,10 @@ import math
 
 import equinox as eqx
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.fan import checked_range, checked_view, first_entry

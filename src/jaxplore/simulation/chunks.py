@@ -75,6 +75,7 @@ class ChunkedRun[S, R, F]:
         timing: wall-clock times.
         num_steps: number of steps done.
         is_interrupted: whether Ctrl-C ended the run.
+        interval: number of steps between the frames.
     """
 
     state: S
@@ -83,6 +84,7 @@ class ChunkedRun[S, R, F]:
     timing: Timing
     num_steps: int
     is_interrupted: bool
+    interval: int = 1
 
     def common(self, period: float) -> dict[str, Any]:
         """Return the constructor arguments that all recordings share.
@@ -99,6 +101,78 @@ class ChunkedRun[S, R, F]:
         }
 
 
+class _Frames[S, F]:
+    """Frames at regular steps, and one at the end.
+
+    Args:
+        make: function that makes a frame of a state after a number of steps.
+        interval: number of steps between frames. It doubles when there are too many frames.
+        former: the part of the run that is done; None without one.
+    """
+
+    def __init__(
+        self, make: Callable[[S, int], F], interval: int, former: ChunkedRun[S, Any, F] | None
+    ) -> None:
+        self._make, self.interval = make, interval
+        self.frames: list[F] = []
+        self._shown = 0
+        if former is not None:
+            # The frame at the former end is left out unless the whole run has one there.
+            self.interval = former.interval
+            number = former.num_steps // self.interval
+            self.frames = list(former.frames[: number + 1])
+            self._shown = number * self.interval
+
+    @property
+    def next(self) -> int:
+        """Steps of the run at the next frame."""
+        return self._shown + self.interval if self.frames else 0
+
+    def add_when_due(self, state: S, total: int) -> None:
+        """Make a frame if it is time for one."""
+        if total != self.next:
+            return
+        self.frames.append(self._make(state, total))
+        self._shown = total
+        # The interval doubles with the dropped frames, so that frames stay evenly spaced.
+        if len(self.frames) > MAX_FRAMES:
+            self.frames, self.interval = self.frames[::2], self.interval * 2
+
+    def until_end(self, state: S, total: int) -> tuple[F, ...]:
+        """Return all frames. A run may end between two regular ones, and the last must show the
+        end."""
+        at_end = () if self._shown == total else (self._make(state, total),)
+        return (*self.frames, *at_end)
+
+
+class _Clock:
+    """Wall-clock times of chunks and of single steps."""
+
+    def __init__(self, chunk: int) -> None:
+        self._chunk = chunk
+        self._steps: list[float] = []
+        # Seconds and steps in short chunks and in long ones.
+        self._timed = {False: (0.0, 0), True: (0.0, 0)}
+
+    def add(self, seconds: float, done: int, planned: int, *, is_stepwise: bool) -> None:
+        """Note the time of a call.
+
+        Steps that are timed one at a time return to Python each time, so they stay out of the
+        loop's mean, as do the short chunks between dense frames if there are others.
+        """
+        if is_stepwise:
+            self._steps.append(seconds)
+            return
+        is_long = 2 * planned >= self._chunk
+        former = self._timed[is_long]
+        self._timed[is_long] = former[0] + seconds, former[1] + done
+
+    def timing(self, compile_seconds: float) -> Timing:
+        """Return all times."""
+        has_long = self._timed[True][1] > 0
+        return Timing(compile_seconds, *self._timed[has_long], np.asarray(self._steps))
+
+
 def run_in_chunks[S, R, F](
     run: Callable[[S, Count], tuple[S, R, Count]],
     is_unfinished: Callable[[S], Flag],
@@ -110,6 +184,7 @@ def run_in_chunks[S, R, F](
     chunk: int,
     interval: int,
     on_chunk: Callable[[S, int, float], None],
+    former: ChunkedRun[S, R, F] | None = None,
 ) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until the task is finished or the steps are done.
 
@@ -121,11 +196,13 @@ def run_in_chunks[S, R, F](
         frame: function that makes a frame of a state after a number of steps.
         state: state to begin with.
         began: `time.perf_counter()` at the beginning of the preparations [s].
-        limit: greatest number of steps.
+        limit: greatest number of steps, those of `former` included.
         chunk: greatest number of steps in a chunk.
         interval: number of steps between frames at the start. It doubles when there are too many
             frames; a chunk ends with each frame.
         on_chunk: called with the state, the steps done and the seconds since the first step.
+        former: the part of the run that is done, which ended in `state`; None to start. The result
+            is the whole run.
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:
@@ -141,53 +218,41 @@ def run_in_chunks[S, R, F](
     state, rows, _, _ = advance(state, 0)
     compile_seconds = time.perf_counter() - began
     # The empty records of that call stay in the list, so that a run without a step has records too.
-    pieces, frames, step_seconds = [rows], [frame(state, 0)], []
-    # Seconds and steps in short chunks and in long ones.
-    timed = {False: (0.0, 0), True: (0.0, 0)}
-    total, chunks, shown = 0, 0, 0
+    pieces, clock = [rows], _Clock(chunk)
+    total, chunks = 0, 0
+    if former is not None:
+        pieces, total = [former.records], former.num_steps
+    frames = _Frames(frame, interval, former)
+    frames.add_when_due(state, total)
     started = time.perf_counter()
     finished = not bool(is_unfinished(state))
     with _stop_on_interrupt() as stop_requested:
         while total < limit and not finished and not stop_requested():
             chunks += 1
-            steps = min(chunk, shown + interval - total, limit - total)
+            steps = min(chunk, frames.next - total, limit - total)
             stepwise = chunks % STEPWISE_CHUNKS == 0
             for size in [1] * steps if stepwise else [steps]:
                 state, rows, done, seconds = advance(state, size)
                 pieces.append(rows)
                 total += done
-                # Steps that are timed one at a time return to Python each time, so they stay out of
-                # the loop's mean, as do the short chunks between dense frames if there are others.
-                if stepwise:
-                    step_seconds.append(seconds)
-                else:
-                    is_long = 2 * steps >= chunk
-                    former = timed[is_long]
-                    timed[is_long] = former[0] + seconds, former[1] + done
+                clock.add(seconds, done, steps, is_stepwise=stepwise)
                 finished = not bool(is_unfinished(state))
                 if finished:
                     break
             # Frames are made at the end of a chunk only: the compiled loop does not return to
             # Python within.
-            if total == shown + interval:
-                frames.append(frame(state, total))
-                shown = total
-            # The interval doubles with the dropped frames, so that frames stay evenly spaced.
-            if len(frames) > MAX_FRAMES:
-                frames, interval = frames[::2], interval * 2
+            frames.add_when_due(state, total)
             on_chunk(state, total, time.perf_counter() - started)
         is_interrupted = stop_requested()
-    # A run may end between two regular frames, and its last frame must show the end.
-    if shown != total:
-        frames.append(frame(state, total))
-    has_long = timed[True][1] > 0
+    timing = clock.timing(compile_seconds)
     return ChunkedRun(
         state,
         jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
-        tuple(frames),
-        Timing(compile_seconds, *timed[has_long], np.asarray(step_seconds)),
+        frames.until_end(state, total),
+        timing if former is None else former.timing + timing,
         total,
         is_interrupted,
+        frames.interval,
     )
 
 

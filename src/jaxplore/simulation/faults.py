@@ -4,11 +4,10 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Flag, GridMask, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Flag, GridMask, Scalar, StateVector, Vector
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 NEVER = (0.0, 0.0)

@@ -17,13 +17,16 @@ import numpy as np
 from jaxplore import _checks, _kinds
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
+from jaxplore.maps.lattice_figure import shown_in_notebooks
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG
 from jaxplore.report.drawing.film import FPS, SCALE, Film, FilmOptions
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.save import save_run
-from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, run_in_chunks
+from jaxplore.report.stored import load_run
+from jaxplore.simulation.checkpoint import Checkpoint
+from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, ChunkedRun, run_in_chunks
 from jaxplore.simulation.loop import frame_arrays, initial_loop_state, run_chunk
 from jaxplore.simulation.scenario import LoopState, Scenario
 
@@ -59,10 +62,12 @@ class Run:
     Args:
         recording: every step, and frames of the run.
         metrics: metrics of the run.
+        checkpoint: what `simulate(resume=...)` continues from.
     """
 
     recording: Recording
     metrics: Metrics
+    checkpoint: Checkpoint | None = None
 
     def __repr__(self) -> str:
         return f"Run({self.recording!r})"
@@ -80,7 +85,7 @@ class Run:
         chosen = next(iter(figures), "") if name is None else name
         if chosen not in figures:
             raise ValueError(f"name is {name!r}; accepted: {', '.join(figures) or 'none'}")
-        return figures[chosen]()
+        return shown_in_notebooks(figures[chosen]())
 
     def _repr_html_(self) -> str:
         """Return the first figure and the metrics, for notebooks."""
@@ -142,9 +147,9 @@ class Run:
         settings: Mapping[str, object] | None = None,
         progress: bool = False,
     ) -> None:
-        """Write a run folder: metrics.json, arrays.npz, figures and an animation.
+        """Write a run folder: metrics.json, arrays.npz, state.npz, figures and an animation.
 
-        The folder is written completely or not at all.
+        The folder is written completely or not at all. `Run.load` reads it.
 
         Args:
             path: the folder.
@@ -170,7 +175,30 @@ class Run:
                 figures=figures,
                 overwrite=overwrite,
                 on_progress=lambda share: advance(share, ""),
+                further=None if self.checkpoint is None else self.checkpoint.arrays(),
             )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Run":
+        """Read a run folder.
+
+        The run has the metrics, arrays, figures and frames of the one that was saved, and
+        `simulate` can resume it. Nothing in the folder is executed.
+
+        Args:
+            path: the folder.
+
+        Raises:
+            ValueError: a folder that holds no run, is malformed or too large, or holds a run of a
+                kind of task whose module was not imported.
+        """
+
+        def build(
+            recording: Recording, metrics: Metrics, arrays: Mapping[str, np.ndarray]
+        ) -> "Run":
+            return cls(recording, metrics, Checkpoint.from_arrays(recording, arrays))
+
+        return load_run(path, build)
 
 
 def simulate(
@@ -181,26 +209,35 @@ def simulate(
     key: Key,
     progress: bool = False,
     num_trajectories: int = NUM_TRAJECTORIES,
+    resume: Run | None = None,
 ) -> Run:
     """Simulate a task until it is finished or the steps are done.
 
     The closed loop is one compiled program that runs in chunks of half a simulated second. Ctrl-C
     ends the run after the current chunk and returns what was done.
 
+    A run that ended early, by Ctrl-C or at its greatest number of steps, can be continued: give it
+    as `resume`, with the same controller, scenario and key. The result is the whole run, equal to
+    one that never stopped.
+
     Args:
         controller: controller; it is adapted to the scenario's control period.
         scenario: the task.
-        num_steps: greatest number of control periods.
+        num_steps: greatest number of control periods, those of `resume` included.
         key: random key; the same key gives the same run.
         progress: whether to show a progress bar with the speed and the time left.
         num_trajectories: rollouts in each frame, for the animation; with 0 the frames show no plan,
             and the controller is not compiled a second time for inspection.
+        resume: run to continue; None to start one.
 
     Raises:
         ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
-            a scenario or a key.
+            a scenario or a key; a run to resume that is finished, has as many steps already, or
+            was made with another controller, scenario or key.
     """
     _kinds.flag("progress", progress)
+    _kinds.instance("resume", resume, Run, may_be_none=True)
+    former = None if resume is None else _checkpoint_of(resume)
     with progress_bar("simulating", enabled=progress) as advance:
 
         def show(now: RunProgress) -> None:
@@ -216,17 +253,21 @@ def simulate(
 
         # With a warm compilation cache the text stands for a second only.
         advance(0.0, "compiling the loop, about 10 s the first time")
-        recording = record_run(
-            controller,
-            scenario,
-            num_steps,
-            key=key,
-            on_progress=show,
-            num_trajectories=num_trajectories,
+        recording, loop = _closed_loop(
+            controller, scenario, num_steps, key, show, num_trajectories, former
         )
     # The last word of a key's data is the seed that `jax.random.key` was given.
     seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
-    return Run(recording, recording.metrics(seed=seed))
+    checkpoint = Checkpoint.at_end_of(loop, controller, scenario, key)
+    return Run(recording, recording.metrics(seed=seed), checkpoint)
+
+
+def _checkpoint_of(run: Run) -> Checkpoint:
+    if run.checkpoint is None:
+        raise ValueError(
+            "resume is a run without the state of its loop; accepted: a run of simulate or Run.load"
+        )
+    return run.checkpoint
 
 
 def record_run(
@@ -252,12 +293,27 @@ def record_run(
         ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
             a scenario or a key.
     """
+    return _closed_loop(controller, scenario, num_steps, key, on_progress, num_trajectories)[0]
+
+
+def _closed_loop(
+    controller: Controller,
+    scenario: Scenario,
+    num_steps: int,
+    key: Key,
+    on_progress: Callable[[RunProgress], None],
+    num_trajectories: int,
+    former: Checkpoint | None = None,
+) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame]]:
+    """Simulate; return the recording, and what the loop returned."""
     order = "in the order simulate(controller, scenario, num_steps)"
     _kinds.instance("controller", controller, Controller, hint=order)
     _kinds.instance("scenario", scenario, Scenario, hint=order)
     _kinds.key("key", key)
     limit = _checks.positive_int("num_steps", num_steps)
     rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
+    if former is not None:
+        former.check(controller, scenario, key, limit)
     period = scenario.period
     controller = controller.at_period(scenario.control_period)
     # The preparations compile programs as well, so their time counts as compilation.
@@ -280,11 +336,12 @@ def record_run(
         run,
         lambda current: scenario.is_unfinished(current.task),
         frame,
-        state,
+        state if former is None else former.state(scenario, state),
         began=began,
         limit=limit,
         chunk=chunk,
         interval=max(1, round(FRAME_SECONDS / period)),
         on_chunk=report,
+        former=None if former is None else former.loop,
     )
-    return scenario.recording(controller, state.task, done)
+    return scenario.recording(controller, state.task, done), done

@@ -2,8 +2,6 @@
 
 import io
 import math
-import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
+from jaxplore.maps.files.npz import MALFORMED_NPZ, array_names, read_arrays
+from jaxplore.maps.files.untrusted import error_reason, printable_path
 from jaxplore.maps.resample import CELL_LIMIT
 
 LAYERS = ("probability", "elevation", "slope", "roughness", "traversability")
@@ -30,8 +29,6 @@ _TYPES = {
     "is_given": ("|b1", 0),
 }
 _OPTIONAL = frozenset({"max_roughness"})
-_PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-_ERRORS = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error)
 
 
 def pack(path: Path, arrays: Mapping[str, NDArray[Any]]) -> bytes:
@@ -68,7 +65,7 @@ def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]]
     """
     try:
         return build(_arrays(data))
-    except _ERRORS as error:
+    except MALFORMED_NPZ as error:
         raise ValueError(
             f"{printable_path(path)} is not a terrain map ({error_reason(error)}); "
             "accepted: what TerrainMap.save writes"
@@ -76,39 +73,22 @@ def unpack[T](path: Path, data: bytes, build: Callable[[dict[str, NDArray[Any]]]
 
 
 def _arrays(data: bytes) -> dict[str, NDArray[Any]]:
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        members = archive.infolist()
-        names = [member.filename.removesuffix(".npy") for member in members]
-        missing = sorted(_TYPES.keys() - _OPTIONAL - set(names))
-        if missing:
-            raise ValueError(f"it lacks {', '.join(missing)}")
-        if len(set(names)) < len(names) or not set(names) <= _TYPES.keys():
-            raise ValueError(f"it holds more than {', '.join(_TYPES)}")
-        arrays = {
-            name: _array(archive, member, name) for name, member in zip(names, members, strict=True)
-        }
+    names = array_names(data)
+    missing = sorted(_TYPES.keys() - _OPTIONAL - set(names))
+    if missing:
+        raise ValueError(f"it lacks {', '.join(missing)}")
+    if len(set(names)) < len(names) or not set(names) <= _TYPES.keys():
+        raise ValueError(f"it holds more than {', '.join(_TYPES)}")
+    arrays = read_arrays(data, _check_header)
     shapes = {arrays[name].shape for name in LAYERS}
     if len(shapes) > 1:
         raise ValueError(f"its layers have the shapes {sorted(shapes)}")
     return arrays
 
 
-def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, name: str) -> NDArray[Any]:
-    if member.compress_type not in _PACKED:
-        raise ValueError(f"{name} is packed in a way that is not known")
-    with archive.open(member) as file:
-        # Check the header before memory is allocated for the size that it declares.
-        if np.lib.format.read_magic(file) != (1, 0):
-            raise ValueError(f"{name} has another version of the format")
-        shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
-        kind, ndim = _TYPES[name]
-        if by_column or dtype != np.dtype(kind) or len(shape) != ndim:
-            raise ValueError(f"{name} has shape {shape} and type {dtype}")
-        count = math.prod(shape)
-        if not 0 < count <= CELL_LIMIT:
-            raise ValueError(f"{name} has shape {shape}, not 1 to {CELL_LIMIT} cells")
-        # One byte more than expected shows whether the member is longer than its header says.
-        data = file.read(count * dtype.itemsize + 1)
-    if len(data) != count * dtype.itemsize:
-        raise ValueError(f"{name} has more or fewer values than its shape says")
-    return np.frombuffer(data, dtype).reshape(shape)
+def _check_header(name: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+    kind, ndim = _TYPES[name]
+    if dtype != np.dtype(kind) or len(shape) != ndim:
+        raise ValueError(f"{name} has shape {shape} and type {dtype}")
+    if not 0 < math.prod(shape) <= CELL_LIMIT:
+        raise ValueError(f"{name} has shape {shape}, not 1 to {CELL_LIMIT} cells")

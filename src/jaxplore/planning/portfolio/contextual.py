@@ -5,11 +5,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar, Vector
+from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation, select_member
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")

@@ -7,11 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Info
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState

@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Key, Rows, Scalar, StateVector, Vector
+from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI

@@ -3,10 +3,9 @@
 from typing import Any
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.planning.portfolio.fusion import (
     Candidates,
     Fused,

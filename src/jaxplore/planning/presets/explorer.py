@@ -2,10 +2,8 @@
 
 from typing import Any
 
-from jax.typing import ArrayLike
-
 from jaxplore import _checks, _kinds
-from jaxplore._types import Vector
+from jaxplore._types import ArrayLike, Vector
 from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost

@@ -4,10 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from jax.typing import ArrayLike
 
 from jaxplore import _checks
-from jaxplore._types import Vector
+from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
 from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Vector
+from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
 from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI

@@ -2,10 +2,8 @@
 
 from typing import NamedTuple
 
-from jax.typing import ArrayLike
-
 from jaxplore import _checks, _kinds
-from jaxplore._types import Vector
+from jaxplore._types import ArrayLike, Vector
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.knots import Knots

@@ -2,10 +2,8 @@
 
 from typing import Any
 
-from jax.typing import ArrayLike
-
 from jaxplore import _checks, _kinds
-from jaxplore._types import Vector
+from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones

@@ -9,11 +9,10 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 
 SLOW = 0.1

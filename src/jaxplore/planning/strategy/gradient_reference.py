@@ -6,11 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import Flag, Position, Scalar
+from jaxplore._types import ArrayLike, Flag, Position, Scalar
 from jaxplore.maps.field import ScalarField, gather, stencil
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
 

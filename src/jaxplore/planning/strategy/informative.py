@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.mixtures import BiasedProposal

@@ -3,11 +3,10 @@
 import math
 
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks
-from jaxplore._types import ControlVector, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.geometry.vectors import TINY, angle, length

@@ -5,10 +5,9 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Count, Key, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.model_checks import checked_call

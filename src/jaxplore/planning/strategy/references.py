@@ -4,11 +4,10 @@ import abc
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Scalar
+from jaxplore._types import ArrayLike, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps.field import ScalarField

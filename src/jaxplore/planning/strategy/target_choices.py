@@ -3,11 +3,10 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import GridMask, Position, Scalar
+from jaxplore._types import ArrayLike, GridMask, Position, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.information.trajectory import TrajectoryInformation, path_headings
 from jaxplore.maps.occupancy_grid import OccupancyGrid

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
 from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE

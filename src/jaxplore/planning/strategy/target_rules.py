@@ -5,11 +5,10 @@ import abc
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
-from jaxplore._types import Key, Scalar
+from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.belief.guidance import geodesic
 from jaxplore.planning.strategy.frontiers import Frontiers
 

@@ -6,11 +6,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Count, Flag, GridMask, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Count, Flag, GridMask, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import GuidanceField, Roadmap, descent_field, geodesic, roadmap
 from jaxplore.belief.perception import LAYERS

@@ -6,11 +6,10 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ControlVector, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.perception import LAYERS

@@ -11,10 +11,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.typing import ArrayLike
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Count, Flag, Key, Scalar
+from jaxplore._types import ArrayLike, Count, Flag, Key, Scalar
 from jaxplore.simulation.environment.action_modes import ActionMode, ActionVector
 from jaxplore.simulation.loop import (
     control_step,

@@ -4,11 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks
-from jaxplore._types import GridMask, Position, Rows, Scalar, StateVector
+from jaxplore._types import ArrayLike, GridMask, Position, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics

@@ -8,11 +8,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Key, Position, Scalar
+from jaxplore._types import ArrayLike, Key, Position, Scalar
 from jaxplore.maps.world import MovingObstacle
 
 START_OF_MOVING = 2**31 - 1

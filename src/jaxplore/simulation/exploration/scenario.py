@@ -8,12 +8,12 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import (
+    ArrayLike,
     ControlVector,
     Count,
     Flag,

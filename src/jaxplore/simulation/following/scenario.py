@@ -9,12 +9,20 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._types import ControlVector, Flag, Key, Position, Scalar, StateVector, Vector
+from jaxplore._types import (
+    ArrayLike,
+    ControlVector,
+    Flag,
+    Key,
+    Position,
+    Scalar,
+    StateVector,
+    Vector,
+)
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles

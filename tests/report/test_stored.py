@@ -1,0 +1,130 @@
+"""Run folders that are read again."""
+
+import dataclasses
+import io
+import json
+import pickle
+import zipfile
+
+import jax
+import numpy as np
+import pytest
+
+from jaxplore.report import stored
+from jaxplore.report.save import save_run
+from jaxplore.report.stored import load_run
+from jaxplore.simulation.run import Run
+
+
+def drawn(draw) -> bytes:
+    stream = io.BytesIO()
+    draw().savefig(stream, format="raw", dpi=50)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", ["recording", "vehicle", "no_step", "straight"])
+def test_a_run_that_is_read_equals_the_one_that_was_written(kind, request, tmp_path) -> None:
+    if kind == "straight":
+        saved = request.getfixturevalue("make_straight")()
+    else:
+        saved = request.getfixturevalue(kind)
+    metrics = saved.metrics(seed=5)
+    metrics = dataclasses.replace(metrics, versions=metrics.versions | {"jax": "0.0.1"})
+    save_run(saved, metrics, tmp_path / "run", animation=False)
+    run = Run.load(tmp_path / "run")
+    assert type(run.recording) is type(saved)
+    assert run.metrics == metrics
+    for field in dataclasses.fields(saved):
+        pair = [getattr(each, field.name) for each in (run.recording, saved)]
+        if field.name in ("frames", "timing"):
+            pair = [
+                [vars(one) for one in (each if field.name == "frames" else [each])] for each in pair
+            ]
+        leaves = [jax.tree.flatten(each) for each in pair]
+        assert leaves[0][1] == leaves[1][1]
+        for mine, theirs in zip(leaves[0][0], leaves[1][0], strict=True):
+            assert type(mine) is type(theirs)
+            np.testing.assert_array_equal(mine, theirs)
+    for mine, theirs in zip(run.recording.frames, saved.frames, strict=True):
+        assert type(mine) is type(theirs)
+    assert run.recording.figures().keys() == saved.figures().keys()
+    for name, draw in saved.figures().items():
+        assert drawn(run.recording.figures()[name]) == drawn(draw)
+    if saved.frames:
+        images = [each.frame_image(each.frames[-1]).tobytes() for each in (run.recording, saved)]
+        assert images[0] == images[1]
+
+
+def changed(folder, **arrays) -> None:
+    with np.load(folder / stored.NAME) as held:
+        known = {name: held[name] for name in held if name not in arrays}
+    known |= {name: each for name, each in arrays.items() if each is not None}
+    np.savez(folder / stored.NAME, **known)
+
+
+def restructured(folder, change) -> None:
+    with np.load(folder / stored.NAME) as held:
+        structure = json.loads(held["structure"].tobytes())
+    change(structure)
+    changed(folder, structure=np.frombuffer(json.dumps(structure).encode(), np.uint8))
+
+
+DAMAGE = {
+    "is not there": lambda folder: (folder / stored.NAME).unlink(),
+    "metrics.json is not there": lambda folder: (folder / "metrics.json").unlink(),
+    "cannot be loaded": lambda folder: (folder / stored.NAME).write_bytes(b"PK nothing"),
+    "Expecting value": lambda folder: (folder / "metrics.json").write_text("no JSON"),
+    "'versions'": lambda folder: (folder / "metrics.json").write_text("{}"),
+    "fields/world": lambda folder: changed(folder, **{"fields/world": None}),
+    "differ in length": lambda folder: changed(folder, **{"fields/records/coverage": np.zeros(3)}),
+    "and type object": lambda folder: changed(folder, world=np.array([{}, 1], object)),
+    "Recording 'system' is of a module not imported": lambda folder: restructured(
+        folder, lambda structure: structure.update(kind="system")
+    ),
+    "missing or unknown: world": lambda folder: restructured(
+        folder, lambda structure: structure["fields"].pop("world")
+    ),
+    "'far' and not of type": lambda folder: restructured(
+        folder, lambda structure: structure["fields"].update(resolution={"value": "far"})
+    ),
+}
+
+
+@pytest.mark.parametrize("expected", DAMAGE)
+def test_a_damaged_folder_gets_one_line(expected, recording, tmp_path) -> None:
+    folder = tmp_path / "run"
+    save_run(recording, recording.metrics(), folder, animation=False)
+    DAMAGE[expected](folder)
+    with pytest.raises(ValueError, match=expected) as caught:
+        Run.load(folder)
+    assert "\n" not in str(caught.value)
+    assert "accepted: " in str(caught.value)
+
+
+def test_folders_that_are_too_large_or_hold_programs_are_refused(
+    recording, tmp_path, monkeypatch
+) -> None:
+    folder = tmp_path / "run"
+    save_run(recording, recording.metrics(), folder, animation=False)
+    monkeypatch.setattr(stored, "CONTENT_LIMIT", 1000)
+    with pytest.raises(ValueError, match="it holds more than 1000 bytes"):
+        load_run(folder, lambda *_: None)
+    monkeypatch.setattr(stored, "FILE_LIMIT", 1000)
+    with pytest.raises(ValueError, match="is too large; accepted: at most 1000 bytes"):
+        load_run(folder, lambda *_: None)
+    monkeypatch.undo()
+    with zipfile.ZipFile(folder / stored.NAME, "w") as archive:
+        archive.writestr("structure.npy", pickle.dumps(print))
+    with pytest.raises(ValueError, match="cannot be loaded"):
+        load_run(folder, lambda *_: None)
+
+
+def test_a_recording_of_other_things_is_saved_but_cannot_be_loaded(recording, tmp_path) -> None:
+    frames = tuple(
+        dataclasses.replace(frame, scan=np.zeros((index, 2)))
+        for index, frame in enumerate(recording.frames)
+    )
+    other = dataclasses.replace(recording, frames=frames)
+    save_run(other, other.metrics(), tmp_path / "run", animation=False)
+    with pytest.raises(ValueError, match="is not there or not a file; accepted: a run folder"):
+        Run.load(tmp_path / "run")
