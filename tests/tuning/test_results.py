@@ -88,3 +88,31 @@ def test_compromises_are_drawn_and_written(tmp_path) -> None:
     numbers = {int(row["number"]) for row in rows(tmp_path / "front.csv")}
     assert numbers == {each.number for each in front}
     assert len(numbers) > 1
+
+
+def test_candidates_without_a_value_are_marks_on_the_edge_of_the_convergence(tmp_path) -> None:
+    def half(candidate, seed) -> dict[str, float]:
+        if candidate["a"] > 0.85:
+            raise ValueError("too large")
+        return valley(candidate, seed)
+
+    with open_study(search("random", "cost"), FunctionEpisodes(half, START), tmp_path) as study:
+        study.run(20)
+        trials = study.trials()
+        figure = figures(study, study.best())["convergence"]
+    (axes,) = figure.axes
+    drawn = {each.get_label(): each for each in axes.collections}
+    by_state = {
+        state: [each for each in trials if each.state == state] for state in ("done", "failed")
+    }
+    assert by_state["failed"]
+    places = np.asarray(drawn["evaluated"].get_offsets())
+    expected = [(each.number, each.values[0]) for each in by_state["done"]]
+    np.testing.assert_allclose(places, expected)
+    low, high = axes.get_ylim()
+    assert (low <= places[:, 1]).all()
+    assert (places[:, 1] <= high).all()
+    marks = np.asarray(drawn["failed"].get_offsets())
+    np.testing.assert_array_equal(marks[:, 0], [each.number for each in by_state["failed"]])
+    assert (marks[:, 1] == 1.0).all()
+    assert "given up early" not in drawn

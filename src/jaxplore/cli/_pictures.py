@@ -42,7 +42,7 @@ def take_pictures(options: dict[str, Any], *, overwrite: bool = False) -> Pictur
     if animation:
         check_film("animation.gif", film)
     if video is not None:
-        check_film(video, film)
+        check_film(video, film, name="--video")
         if video.exists() and not overwrite:
             raise ValueError(f"--video is {str(video)!r}, which exists; accepted: a new file, or "
                              "--overwrite")  # fmt: skip

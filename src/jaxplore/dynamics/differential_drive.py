@@ -51,7 +51,7 @@ class DifferentialDrive(ContinuousDynamics):
 
     def __init__(
         self,
-        max_speed: ArrayLike = 2.0,
+        max_speed: ArrayLike = 1.0,
         max_turn_rate: ArrayLike = 2.0,
         max_acceleration: ArrayLike = 1.0,
         max_angular_acceleration: ArrayLike = 2.0,

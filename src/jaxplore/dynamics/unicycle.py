@@ -44,7 +44,7 @@ class Unicycle(ContinuousDynamics):
 
     def __init__(
         self,
-        max_speed: ArrayLike = 2.0,
+        max_speed: ArrayLike = 1.0,
         max_turn_rate: ArrayLike = 2.0,
         min_speed: ArrayLike = 0.0,
         radius: ArrayLike = 0.2,

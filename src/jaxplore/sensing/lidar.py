@@ -51,9 +51,9 @@ class Lidar(Sensor):
     def __init__(
         self,
         num_beams: int = 360,
-        max_range: float = 30.0,
+        max_range: float = 5.0,
         field_of_view: float = 2.0 * math.pi,
-        range_noise: ArrayLike = 0.05,
+        range_noise: ArrayLike = 0.02,
         height: ArrayLike = 0.5,
     ) -> None:
         self.num_beams = _checks.positive_int("num_beams", num_beams)

@@ -60,13 +60,6 @@ def in_degrees(angle: float) -> float:
 
 
 DIFFERENCES: dict[str, DefaultDifference] = {
-    "exploration.robot.max_speed": DefaultDifference(
-        1.0, "a walking pace, for a robot in a building"
-    ),
-    "exploration.lidar.max_range": DefaultDifference(
-        5.0, "a short-range lidar, as small indoor robots have"
-    ),
-    "exploration.lidar.range_noise": DefaultDifference(0.02, "the noise of a short-range lidar"),
     "path.robot.max_acceleration": DefaultDifference(6.0, "a race car of F1TENTH's size"),
     "path.robot.wheelbase": DefaultDifference(0.33, "a race car of F1TENTH's size"),
     "path.robot.max_steering": DefaultDifference(0.42, "a race car of F1TENTH's size"),

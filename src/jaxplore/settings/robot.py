@@ -40,9 +40,7 @@ class RobotSettings(Section):
     model: Annotated[
         str, WordsOrOwn(("differential_drive", "unicycle", "ackermann", "quadrotor"))
     ] = "differential_drive"
-    max_speed: Positive = setting(
-        DifferentialDrive, "max_speed", differs="exploration.robot.max_speed"
-    )
+    max_speed: Positive = setting(DifferentialDrive, "max_speed")
     max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
     max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")
     max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
@@ -61,13 +59,11 @@ class LidarSettings(Section):
     """A planar lidar: see `jaxplore.Lidar`."""
 
     num_beams: Count = setting(Lidar, "num_beams")
-    max_range: Positive = setting(Lidar, "max_range", differs="exploration.lidar.max_range")
+    max_range: Positive = setting(Lidar, "max_range")
     field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = setting(
         Lidar, "field_of_view", in_degrees
     )
-    range_noise: NonNegative = setting(
-        Lidar, "range_noise", differs="exploration.lidar.range_noise"
-    )
+    range_noise: NonNegative = setting(Lidar, "range_noise")
     height: NonNegative = setting(Lidar, "height")
 
 

@@ -111,12 +111,13 @@ class Film:
         return f'<video controls loop src="data:video/mp4;base64,{code}"></video>'
 
 
-def check_film(path: str | PathLike[str], options: FilmOptions) -> Path:
+def check_film(path: str | PathLike[str], options: FilmOptions, *, name: str = "film") -> Path:
     """Check before a long run whether a film can be written; return its path.
 
     Args:
         path: file of the film.
         options: how it is played.
+        name: name of the path in messages.
 
     Raises:
         ValueError: a file that is neither a GIF nor an MP4, or without a folder; a rate that a GIF
@@ -125,9 +126,9 @@ def check_film(path: str | PathLike[str], options: FilmOptions) -> Path:
     file = Path(path)
     suffix = file.suffix.lower()
     if suffix not in (GIF, MP4):
-        raise ValueError(f"film is {str(file)!r}; accepted: a file that ends in {GIF} or {MP4}")
+        raise ValueError(f"{name} is {str(file)!r}; accepted: a file that ends in {GIF} or {MP4}")
     if not file.parent.is_dir():
-        raise ValueError(f"film is {str(file)!r}; accepted: a file in a folder that exists")
+        raise ValueError(f"{name} is {str(file)!r}; accepted: a file in a folder that exists")
     if suffix == GIF:
         _checks.number("fps of a GIF", options.fps, above=0.0, at_most=MAX_GIF_FPS)
     else:

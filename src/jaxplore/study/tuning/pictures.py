@@ -62,26 +62,37 @@ def figures(study: Study, chosen: Trial) -> dict[str, "Figure"]:
     return found
 
 
-_DONE, _GIVEN_UP, _CHOSEN = SERIES[0], "0.7", SERIES[1]
+_DONE, _GIVEN_UP, _CHOSEN = SERIES[0], "0.45", SERIES[1]
 
 
 def _convergence(study: Study) -> "Figure":
     figure, axes = _axes(1)
     trials = study.trials()
-    for state, colour, marker, label in (
-        ("given up", _GIVEN_UP, "x", "given up early"),
-        ("done", _DONE, "o", "evaluated"),
-    ):
-        some = [each for each in trials if each.state == state]
-        numbers, values = [each.number for each in some], [each.values[0] for each in some]
-        axes[0].scatter(numbers, values, s=14, color=colour, marker=marker, label=label)
     done = [each for each in trials if each.state == "done"]
+    numbers, values = [each.number for each in done], [each.values[0] for each in done]
+    axes[0].scatter(numbers, values, s=14, color=_DONE, label="evaluated")
+    # A candidate that was not evaluated to its end has no value to compare: it is a mark on the
+    # upper edge.
+    edge = axes[0].get_xaxis_transform()
+    for state, marker, label in (("given up", "|", "given up early"), ("failed", "x", "failed")):
+        numbers = [each.number for each in trials if each.state == state]
+        if numbers:
+            axes[0].scatter(
+                numbers,
+                np.ones(len(numbers)),
+                s=30,
+                color=_GIVEN_UP,
+                marker=marker,
+                label=label,
+                transform=edge,
+                clip_on=False,
+            )
     least = np.minimum.accumulate([each.values[0] for each in done])
     axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
     axes[0].set_xlabel("candidate")
     _scale(axes[0], "y", [each.values[0] for each in done])
     axes[0].set_ylabel(_label(study))
-    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    figure.legend(loc="outside upper center", ncols=4, frameon=False)
     return figure
 
 
