@@ -83,10 +83,14 @@ def _with_map(
 
 
 def folder_name(entries: Mapping[str, Any]) -> str:
-    """Return a name for folders from the map or path of settings entries."""
+    """Return a name for folders from the map or path of settings entries.
+
+    A file that is just called `map` is named by its folder, as in a comparison on maps.
+    """
     if entries.get(PATH) == TRACK:
         return PATH
-    return Path(str(entries.get(PATH, entries.get("map")))).stem
+    file = Path(str(entries.get(PATH, entries.get("map"))))
+    return file.parent.name if file.stem == "map" and file.parent.name else file.stem
 
 
 def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
