@@ -70,7 +70,7 @@ def test_a_map_without_a_start_gets_one_that_is_shown_and_kept(
 ) -> None:
     ran, kept = [], []
 
-    def save(result: None, folder: Path, settings: Any, **_: Any) -> None:
+    def save(result: None, folder: Path, settings: Any, *_: Any, **__: Any) -> None:
         kept.append(settings)
 
     monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *given, **_: ran.append(given))

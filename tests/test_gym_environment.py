@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 from jaxplore import DifferentialDrive, Lidar, office, start_pose
 from jaxplore.gym.registration import ENVIRONMENT, register_environment
 from jaxplore.gym.vector_environment import _step_each
+from jaxplore.report.drawing.palette import ROBOT
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NAME = f"jaxplore.gym:{ENVIRONMENT}"
@@ -115,7 +116,7 @@ def test_a_picture_shows_the_robot_on_its_map() -> None:
     assert image.dtype == np.uint8
     assert image.shape == (560, 640, 3)  # 8 pixels a cell
     x, y = environment.unwrapped.state.moment.observed[:2]
-    rows, columns = np.nonzero((image == [214, 40, 85]).all(axis=-1))
+    rows, columns = np.nonzero((image == ROBOT).all(axis=-1))
     np.testing.assert_allclose(columns.mean(), float(x) * 80.0, atol=4.0)
     np.testing.assert_allclose(rows.mean(), 560.0 - float(y) * 80.0, atol=4.0)
 

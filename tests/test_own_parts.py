@@ -194,7 +194,7 @@ def test_the_settings_of_a_run_repeat_it(mine, monkeypatch: pytest.MonkeyPatch) 
     kept: list[Any] = []
     monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *_, **__: None)
     monkeypatch.setattr(
-        "jaxplore.cli._run.save", lambda _, __, settings, **___: kept.append(settings)
+        "jaxplore.cli._run.save", lambda _, __, settings, *___, **____: kept.append(settings)
     )
     main(["run", "office", "--architecture", mine("Near"), "--robot", mine("Cart"), *ROOM])
     Path("settings.yaml").write_text(yaml.safe_dump(kept[0].model_dump(mode="json")))

@@ -57,10 +57,11 @@ def test_a_row_says_what_is_known() -> None:
     assert (row.unit, row.default, row.owner) == ("m", 5.0, "Lidar")
     assert (row.accepted, row.read_by) == ("number > 0", "every run")
     assert row.notes == (
-        "`Lidar` has 30.0; here: a short-range lidar, as small indoor robots have.",
         "Quadrotors: 4.0, a depth camera, from the design notes.",
         "warehouse: 8.0; search-rescue: 8.0; perimeter: 8.0.",
     )
+    note = "`Ackermann` has 0.5; here: a race car of F1TENTH's size."
+    assert row_of("robot.wheelbase", "path").notes == (note,)
     assert row_of("terrain.threshold").unit is None
     assert row_of("map").is_required
     assert row_of("camera.num_beams").read_by == "runs with a camera (search-rescue)"

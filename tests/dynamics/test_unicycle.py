@@ -62,7 +62,7 @@ def test_another_integrator(fly) -> None:
 
 def test_bounds_and_default() -> None:
     np.testing.assert_array_equal(ROBOT.control_min, [0.0, -2.0])
-    np.testing.assert_array_equal(ROBOT.control_max, [2.0, 2.0])
+    np.testing.assert_array_equal(ROBOT.control_max, [1.0, 2.0])
     robot = Unicycle(max_speed=3.0, max_turn_rate=1.5, min_speed=-0.5)
     np.testing.assert_array_equal(robot.control_min, [-0.5, -1.5])
     np.testing.assert_array_equal(robot.control_max, [3.0, 1.5])

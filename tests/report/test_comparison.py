@@ -464,7 +464,7 @@ def test_curves_and_films_of_a_known_map_show_no_coverage(make: Make) -> None:
     assert labels(time_to=[known], mean_idleness=[1.5]) == ["mean idleness [s]"]
     assert labels(time_to=[known], mean_idleness=[1.5], num_targets=[2]) == ["targets found"]
     unknown: dict[str, float | None] = {**known, "99": None}
-    both = ["coverage of reachable cells [%]", "unknown cells of the map [%]"]
+    both = ["coverage of reachable cells [%]", "unknown reachable cells [%]"]
     assert labels(time_to=[unknown]) == both
     assert labels(time_to=[unknown], num_targets=[2]) == [*both, "targets found"]
 

@@ -217,10 +217,10 @@ def test_beams_cover_the_field_of_view_and_none_comes_twice() -> None:
     np.testing.assert_array_equal(Lidar(1, 1.0, 0.5).beam_angles, [0.0])
 
 
-def test_defaults_are_a_long_full_circle() -> None:
+def test_defaults_are_those_of_a_small_indoor_robot() -> None:
     lidar = Lidar()
-    assert (lidar.num_beams, lidar.max_range, lidar.is_full_circle) == (360, 30.0, True)
-    assert float(lidar.range_noise) == pytest.approx(0.05)
+    assert (lidar.num_beams, lidar.max_range, lidar.is_full_circle) == (360, 5.0, True)
+    assert float(lidar.range_noise) == pytest.approx(0.02)
     assert float(lidar.height) == pytest.approx(0.5)
 
 

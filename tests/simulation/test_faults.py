@@ -74,7 +74,7 @@ class Run(NamedTuple):
 
     @property
     def maps(self) -> np.ndarray:
-        return np.stack([state.task.belief.grid.probability for state in self.states])
+        return np.stack([state.task.belief.grid.unpadded().probability for state in self.states])
 
 
 def make(

@@ -60,7 +60,7 @@ def fly(flight: Experiment, faults: Faults | None = None, steps: int = STEPS) ->
     )
     records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
     positions = np.concatenate([np.asarray(scenario.start)[None], records.state])[:, :2]
-    belief = np.asarray(after.task.belief.grid.probability)
+    belief = np.asarray(after.task.belief.grid.unpadded().probability)
     return Flight(records, positions, belief, float(before.task.progress.unknown))
 
 

@@ -184,7 +184,7 @@ class ExplorationScenario(Scenario):
             perception, self.sensors, world, robot, ground, self.goal, self.max_unknown
         )
         known = checks.checked_prior(prior, world)
-        faults = checks.checked_faults(faults, world)
+        self.faults = checks.checked_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
@@ -199,15 +199,10 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
-        self._place(MapArrays(world, known, reachable, ground).padded(), perception, faults)
-
-    def _place(self, arrays: MapArrays, perception: Perception, faults: Faults | None) -> None:
-        """Set the map, and the parts that have its shape."""
-        if faults is not None and faults.walls is not None:
-            faults = eqx.tree_at(lambda each: each.walls, faults, arrays.mask(faults.walls))
-        if arrays.ground is not None:
-            perception = eqx.tree_at(lambda each: each.ground, perception, arrays.ground)
-        self.map_arrays, self.perception, self.faults = arrays, perception, faults
+        self.map_arrays = MapArrays(world, known, reachable, ground).padded()
+        if ground is not None:
+            perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
+        self.perception = perception
 
     @property
     def world(self) -> OccupancyGrid:
