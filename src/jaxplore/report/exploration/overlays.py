@@ -119,6 +119,9 @@ def add_targets(axes: "Axes", recording: ExplorationData, window: Window) -> Non
         (~is_found, "*", 12.0, colour, "white", "target"),
         (is_found, "o", 8.0, "white", colour, "target found"),
     ):
+        # A kind that is not there has no entry in the legend.
+        if not some.any():
+            continue
         axes.plot(
             *places[some].T,
             marker=marker,
