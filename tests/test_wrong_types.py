@@ -110,6 +110,10 @@ SAID = {
     "a range in millimetres": (
         "UserWarning: max_range is 5000; a range is in metres, not in millimetres"
     ),
+    "a text as shape": "ValueError: shape is '40'; accepted: (rows, columns)",
+    "one number as shape": "ValueError: shape is a tuple; accepted: (rows, columns)",
+    "half a row": "ValueError: shape is 40.5; accepted: a whole number >= 1",
+    "fewer rows than there are": "ValueError: shape is (5, 60); accepted: at least (12, 12)",
 }
 
 RIGHT = {

@@ -397,6 +397,10 @@ def mistakes() -> dict[str, Callable[[], Any]]:
         "a view in degrees": lambda: jx.Lidar(field_of_view=90.0),
         "a radius in centimetres": lambda: jx.DifferentialDrive(radius=200.0),
         "a range in millimetres": lambda: jx.Lidar(max_range=5000.0),
+        "a text as shape": lambda: grid.padded("40"),
+        "one number as shape": lambda: grid.padded((40,)),
+        "half a row": lambda: grid.padded((40.5, 60)),
+        "fewer rows than there are": lambda: grid.padded((5, 60)),
     }
 
 
