@@ -116,8 +116,21 @@ def test_settings_reach_the_controller_by_path() -> None:
     )
     found = jx.get_parameters(build(settings).controller)
     assert found["cost.information.weight"] == 7.0
+    # A parameter that a setting sets is stored under the setting's name.
+    assert settings.controller.information_weight == 7.0
+    assert list(settings.parameters) == ["noise_std"]
     np.testing.assert_allclose(found["proposal.noise_std"], [0.3, 0.4])
     settings = make_path_settings({"parameters": {"cost.comfort.weight": 3.0}})
     assert jx.get_parameters(build(settings).controller)["cost.comfort.weight"] == 3.0
+    assert settings.controller.comfort_weight == 3.0
+    # The weight of progress per metre is another number than the parameter, which has `dt` in it.
+    kept = make_path_settings({"parameters": {"cost.progress.weight": 3.0}})
+    assert kept.parameters == {"cost.progress.weight": 3.0}
+    with pytest.raises(ValueError, match=r"controller.information_weight is -1"):
+        make_settings({"map": "office", "parameters": {"cost.information.weight": -1}})
+    # An explorer that drives by rules holds the controller inside of another one.
+    other = {"map": "office", "architecture": "nearest-frontier"}
+    named = {"parameters": {"cost.guidance.weight": 2.0}}
+    assert make_settings({**other, **named}).parameters == named["parameters"]
     with pytest.raises(ValueError, match=r"parameter cost.nothing is not known"):
         build(make_settings({"map": "office", "parameters": {"cost.nothing": 1.0}}))

@@ -21,6 +21,7 @@ from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.own import WordsOrOwn
+from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import (
     CameraSettings,
     LidarSettings,
@@ -290,7 +291,12 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return checked_section(Settings, _with_defaults(entries))
+    entries = _with_defaults(entries)
+    # The other architectures have no section `controller`, or drive with it inside of another one.
+    explored_by = Settings.model_fields["architecture"].default
+    if entries.get("architecture", explored_by) == explored_by:
+        entries = under_their_settings(entries, ControllerSettings)
+    return checked_section(Settings, entries)
 
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:

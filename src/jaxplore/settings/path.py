@@ -10,6 +10,7 @@ from jaxplore.maps.files.path_file import read_path
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import WordsOrOwn
+from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import RobotSettings
 from jaxplore.settings.sections import (
     Count,
@@ -152,4 +153,4 @@ def make_path_settings(entries: dict[str, Any]) -> PathSettings:
     Raises:
         ValueError: an unknown name or a value that is not accepted; one line that names it.
     """
-    return checked_section(PathSettings, entries)
+    return checked_section(PathSettings, under_their_settings(entries, ContouringSettings))

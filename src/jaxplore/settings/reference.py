@@ -11,10 +11,6 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from jaxplore.planning.presets.explorer import explorer
-from jaxplore.planning.presets.flight import Flight
-from jaxplore.planning.presets.ground_vehicle import ground_portfolio
-from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.settings.accepted import accepted_values, choices
 from jaxplore.settings.defaults import DIFFERENCES, descriptions, unit
 from jaxplore.settings.exploration import (
@@ -25,6 +21,7 @@ from jaxplore.settings.exploration import (
     Settings,
     make_exploration_settings,
 )
+from jaxplore.settings.parameter_names import PER_METRE, controller_parameter
 from jaxplore.settings.path import PATH, TRACK, PathSettings, make_path_settings
 from jaxplore.settings.readers import EVERY, NONE, Reader, reader
 from jaxplore.settings.sections import RunSettings, section_class
@@ -35,8 +32,6 @@ PLACES = (OFFICE, ZONES, *SCENARIOS, PATH)
 """Names that stand for a map, a scenario or a path."""
 _DEGREES = "_degrees"
 """End of the name of a setting in degrees. Owners take radians."""
-_PER_METRE = "progress_weight"
-"""Name of a weight per metre, whose cost sums a rate over steps: the parameter has `dt` in it."""
 _UNNAMED = ("map", "world")
 """Settings that say what a scenario is, and are no values of its own."""
 
@@ -219,30 +214,8 @@ def _other_names(name: str, given: dict[str, Any]) -> Iterator[str]:
         yield f"Parameter `{given['parameter']}` of `{given['owner']}`."
     path = controller_parameter(given.get("owner"), name)
     if path is not None:
-        scale = ", to its value times `dt`" if name == _PER_METRE else ""
+        scale = ", to its value times `dt`" if name == PER_METRE else ""
         yield f"Sets the controller parameter `{path}`{scale}."
-
-
-def controller_parameter(owner: str | None, name: str) -> str | None:
-    """Return the path of the controller parameter that a setting sets, where the name tells.
-
-    See `jaxplore.get_parameters`. The path may be abbreviated, see `jaxplore.find_parameter`.
-
-    Args:
-        owner: qualified name of the owner of the setting.
-        name: name of the setting within its section.
-
-    Returns:
-        The path; none if the setting sets no parameter, several, or one with another name.
-    """
-    if name == "temperature" and owner in {
-        each.__qualname__ for each in (explorer, mpcc, Flight, ground_portfolio)
-    }:
-        return "weighting.temperature"
-    # The terms of these two are called like their weights.
-    if name.endswith("_weight") and owner in {explorer.__qualname__, mpcc.__qualname__}:
-        return f"cost.{name.removesuffix('_weight')}.weight"
-    return None
 
 
 def _value(settings: RunSettings, name: str, otherwise: Any) -> Any:
