@@ -32,13 +32,18 @@ def ros_maps() -> Path:
     return folder
 
 
+def files_here() -> list[str]:
+    """Return the files of the current folder, without the byte code of modules in it."""
+    return sorted(name for name in os.listdir() if name != "__pycache__")
+
+
 @pytest.fixture
 def fails(capsys: pytest.CaptureFixture[str]):
     """Return what runs a command that must fail as users' mistakes do, one line, exit code 2 and
     nothing written, and returns the line."""
 
     def run(*arguments: str) -> str:
-        before = sorted(os.listdir())
+        before = files_here()
         with pytest.raises(SystemExit) as exit_:
             main(arguments)
         captured = capsys.readouterr()
@@ -46,7 +51,7 @@ def fails(capsys: pytest.CaptureFixture[str]):
         assert captured.out == ""
         assert captured.err.startswith("jaxplore: ")
         assert captured.err.count("\n") == 1
-        assert sorted(os.listdir()) == before
+        assert files_here() == before
         return captured.err
 
     return run

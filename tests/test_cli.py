@@ -353,7 +353,8 @@ def test_a_chosen_start_of_a_comparison_and_of_a_search_is_kept(
     monkeypatch.setattr("jaxplore.cli._tune.SettingsEpisodes", Stopped)
     with pytest.raises(SystemExit):
         main(["tune", str(ros_map), "--tune", "controller.temperature"])
-    assert asked[0]["map"]["start"] == asked[1]["start"]
+    (scenario,) = asked[0].values()
+    assert scenario["start"] == asked[1]["start"]
 
 
 @pytest.fixture

@@ -35,9 +35,9 @@ MASS, GRAVITY, LAG = 1.3, 9.81, 0.05
 FLIGHT = Quadrotor(MASS, GRAVITY, LAG)
 PILOT = QuadrotorFollower()
 CARS = {
-    "differential drive": DifferentialDrive(),
-    "unicycle": Unicycle(),
-    "unicycle with a reverse gear": Unicycle(min_speed=-1.0),
+    "differential drive": DifferentialDrive(max_speed=2.0),
+    "unicycle": Unicycle(max_speed=2.0),
+    "unicycle with a reverse gear": Unicycle(max_speed=2.0, min_speed=-1.0),
 }
 STEP, STEPS = jnp.float32(0.05), 60
 GROUND_STEP, GROUND_STEPS = jnp.float32(0.1), 100

@@ -30,7 +30,7 @@ from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25
 KEY = jax.random.key(0)
-LIDAR = Lidar(num_beams=60, max_range=2.0)
+LIDAR = Lidar(num_beams=60, max_range=2.0, range_noise=0.05)
 ROBOT = DifferentialDrive(max_speed=1.0, radius=0.2)
 PERCEPTION = Perception(LIDAR, RESOLUTION, 0.2, num_directions=8)
 NUMBERS = {"min_information": 1.0, "leftover_share": 0.1}
