@@ -20,8 +20,9 @@ from jaxplore.report.folder import whole_file
 
 FPS, SCALE = 10.0, 1.0
 """Frames per second of playback, and size of the picture, by default."""
-MAX_FPS, MAX_GIF_FPS, SCALES = 120.0, 50.0, (0.5, 4.0)
-"""Greatest rate of a video, of a GIF (browsers slow faster ones down), and range of the scale."""
+MIN_FPS, MAX_FPS, MAX_GIF_FPS, SCALES = 0.1, 120.0, 50.0, (0.5, 4.0)
+"""Least rate, as a GIF cannot show a frame for minutes. Greatest rate of a video, and of a GIF, as
+browsers slow faster ones down. Range of the scale."""
 LAST_SECONDS = 3.0
 """Time for which a GIF shows its last frame before it starts again [s]."""
 LOOKS = 6
@@ -49,7 +50,7 @@ class FilmOptions:
     The film says so in its caption.
 
     Args:
-        fps: frames per second of playback, up to 120, in a GIF up to 50. A GIF shows each frame
+        fps: frames per second of playback, 0.1 to 120, in a GIF up to 50. A GIF shows each frame
             for whole hundredths of a second, so it plays at the nearest such rate.
         scale: factor on the size of the picture, from 0.5 to 4. Lines and texts are drawn at that
             size and stay sharp.
@@ -65,7 +66,7 @@ class FilmOptions:
     max_frames: int = 240
 
     def __post_init__(self) -> None:
-        fps = _checks.number("fps", self.fps, above=0.0, at_most=MAX_FPS)
+        fps = _checks.number("fps", self.fps, at_least=MIN_FPS, at_most=MAX_FPS)
         scale = _checks.number("scale", self.scale, at_least=SCALES[0], at_most=SCALES[1])
         object.__setattr__(self, "fps", fps)
         object.__setattr__(self, "scale", scale)
