@@ -140,7 +140,7 @@ def record_experiments(
         limit=limit,
         chunk=chunk,
         interval=max(1, round(FRAME_SECONDS / scenario.period)),
-        on_chunk=lambda *_: None,
+        on_chunk=lambda _: chunk,
     )
     recordings = tuple(
         scenario.recording(controller, _run_at(before.states, i).task, _alone(together, i))

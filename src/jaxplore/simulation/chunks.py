@@ -101,6 +101,25 @@ class ChunkedRun[S, R, F]:
         }
 
 
+@dataclasses.dataclass(frozen=True)
+class Chunk[S, R]:
+    """A chunk that was run.
+
+    Args:
+        state: state of the loop after it.
+        records: its records, in NumPy.
+        total: number of steps of the run that are done.
+        seconds: wall-clock time since the first step [s].
+        is_stop_requested: function that says whether Ctrl-C was pressed.
+    """
+
+    state: S
+    records: R
+    total: int
+    seconds: float
+    is_stop_requested: Callable[[], bool]
+
+
 class _Frames[S, F]:
     """Frames at regular steps, and one at the end.
 
@@ -183,7 +202,7 @@ def run_in_chunks[S, R, F](
     limit: int,
     chunk: int,
     interval: int,
-    on_chunk: Callable[[S, int, float], None],
+    on_chunk: Callable[[Chunk[S, R]], int],
     former: ChunkedRun[S, R, F] | None = None,
 ) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until the task is finished or the steps are done.
@@ -200,7 +219,8 @@ def run_in_chunks[S, R, F](
         chunk: greatest number of steps in a chunk.
         interval: number of steps between frames at the start. It doubles when there are too many
             frames; a chunk ends with each frame.
-        on_chunk: called with the state, the steps done and the seconds since the first step.
+        on_chunk: called after each chunk; returns the greatest number of steps of the next one, or
+            0 to end the run, as Ctrl-C does.
         former: the part of the run that is done, which ended in `state`; None to start. The result
             is the whole run.
     """
@@ -225,11 +245,12 @@ def run_in_chunks[S, R, F](
     frames = _Frames(frame, interval, former)
     frames.add_when_due(state, total)
     started = time.perf_counter()
-    finished = not bool(is_unfinished(state))
+    finished, longest = not bool(is_unfinished(state)), chunk
     with _stop_on_interrupt() as stop_requested:
-        while total < limit and not finished and not stop_requested():
+        while total < limit and longest > 0 and not finished and not stop_requested():
             chunks += 1
-            steps = min(chunk, frames.next - total, limit - total)
+            first = len(pieces)
+            steps = min(longest, frames.next - total, limit - total)
             stepwise = chunks % STEPWISE_CHUNKS == 0
             for size in [1] * steps if stepwise else [steps]:
                 state, rows, done, seconds = advance(state, size)
@@ -242,8 +263,10 @@ def run_in_chunks[S, R, F](
             # Frames are made at the end of a chunk only: the compiled loop does not return to
             # Python within.
             frames.add_when_due(state, total)
-            on_chunk(state, total, time.perf_counter() - started)
-        is_interrupted = stop_requested()
+            rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces[first:])
+            seconds = time.perf_counter() - started
+            longest = on_chunk(Chunk(state, rows, total, seconds, stop_requested))
+        is_interrupted = longest == 0 or stop_requested()
     timing = clock.timing(compile_seconds)
     return ChunkedRun(
         state,

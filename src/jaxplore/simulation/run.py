@@ -26,9 +26,16 @@ from jaxplore.report.recording import Frame, Recording
 from jaxplore.report.save import save_run
 from jaxplore.report.stored import load_run
 from jaxplore.simulation.checkpoint import Checkpoint
-from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, ChunkedRun, run_in_chunks
+from jaxplore.simulation.chunks import (
+    CHUNK_SECONDS,
+    FRAME_SECONDS,
+    Chunk,
+    ChunkedRun,
+    run_in_chunks,
+)
 from jaxplore.simulation.loop import frame_arrays, initial_loop_state, run_chunk
-from jaxplore.simulation.scenario import LoopState, Scenario
+from jaxplore.simulation.monitor import Monitor, Watch
+from jaxplore.simulation.scenario import LoopState, Scenario, blank_recording
 
 NUM_TRAJECTORIES = 60
 """Number of rollouts in each frame."""
@@ -210,6 +217,7 @@ def simulate(
     progress: bool = False,
     num_trajectories: int = NUM_TRAJECTORIES,
     resume: Run | None = None,
+    monitors: Sequence[Monitor] = (),
 ) -> Run:
     """Simulate a task until it is finished or the steps are done.
 
@@ -229,14 +237,16 @@ def simulate(
         num_trajectories: rollouts in each frame, for the animation; with 0 the frames show no plan,
             and the controller is not compiled a second time for inspection.
         resume: run to continue; None to start one.
+        monitors: live views and recorders that watch the run, and may pause, stop or change it.
 
     Raises:
         ValueError: fewer than one step, or fewer than 0 rollouts; something else than a controller,
-            a scenario or a key; a run to resume that is finished, has as many steps already, or
-            was made with another controller, scenario or key.
+            a scenario, a key or monitors; a run to resume that is finished, has as many steps
+            already, or was made with another controller, scenario or key.
     """
     _kinds.flag("progress", progress)
     _kinds.instance("resume", resume, Run, may_be_none=True)
+    _kinds.instances("monitors", monitors, Monitor)
     former = None if resume is None else _checkpoint_of(resume)
     with progress_bar("simulating", enabled=progress) as advance:
 
@@ -253,8 +263,8 @@ def simulate(
 
         # With a warm compilation cache the text stands for a second only.
         advance(0.0, "compiling the loop, about 10 s the first time")
-        recording, loop = _closed_loop(
-            controller, scenario, num_steps, key, show, num_trajectories, former
+        recording, loop, controller = _closed_loop(
+            controller, scenario, num_steps, key, show, num_trajectories, former, monitors
         )
     # The last word of a key's data is the seed that `jax.random.key` was given.
     seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
@@ -304,8 +314,9 @@ def _closed_loop(
     on_progress: Callable[[RunProgress], None],
     num_trajectories: int,
     former: Checkpoint | None = None,
-) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame]]:
-    """Simulate; return the recording, and what the loop returned."""
+    monitors: Sequence[Monitor] = (),
+) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame], Controller]:
+    """Simulate; return the recording, what the loop returned, and the controller at the end."""
     order = "in the order simulate(controller, scenario, num_steps)"
     _kinds.instance("controller", controller, Controller, hint=order)
     _kinds.instance("scenario", scenario, Scenario, hint=order)
@@ -315,33 +326,47 @@ def _closed_loop(
     if former is not None:
         former.check(controller, scenario, key, limit)
     period = scenario.period
-    controller = controller.at_period(scenario.control_period)
     # The preparations compile programs as well, so their time counts as compilation.
     began = time.perf_counter()
-    state = initial_loop_state(controller, scenario, key)
-    chunk = max(1, round(CHUNK_SECONDS / period))
+    initial = initial_loop_state(controller.at_period(scenario.control_period), scenario, key)
+    first = initial if former is None else former.state(scenario, initial)
+    capacity = max(1, round(CHUNK_SECONDS / period))
+    total = 0 if former is None else former.loop.num_steps
+
+    def make_frame(planner: Controller, current: LoopState, step: int) -> Frame:
+        planner = planner.at_period(scenario.control_period)
+        return scenario.make_frame(step, frame_arrays(planner, scenario, current, key, rollouts))
+
+    watch = Watch(monitors, controller, make_frame, period, total)
 
     def run(current: LoopState, steps: Count) -> tuple[LoopState, Any, Count]:
-        return run_chunk(controller, scenario, current, key, steps, chunk)
+        planner = watch.controller.at_period(scenario.control_period)
+        return run_chunk(planner, scenario, current, key, steps, capacity)
 
-    def frame(current: LoopState, step: int) -> Frame:
-        arrays = frame_arrays(controller, scenario, current, key, rollouts)
-        return scenario.make_frame(step, arrays)
+    def report(chunk: Chunk[LoopState, Any]) -> int:
+        share, text = scenario.progress(chunk.state.task)
+        on_progress(RunProgress(chunk.total * period, limit * period, share, text, chunk.seconds))
+        return watch.after_chunk(chunk, text) if monitors else capacity
 
-    def report(current: LoopState, total: int, seconds: float) -> None:
-        share, text = scenario.progress(current.task)
-        on_progress(RunProgress(total * period, limit * period, share, text, seconds))
-
-    done = run_in_chunks(
-        run,
-        lambda current: scenario.is_unfinished(current.task),
-        frame,
-        state if former is None else former.state(scenario, state),
-        began=began,
-        limit=limit,
-        chunk=chunk,
-        interval=max(1, round(FRAME_SECONDS / period)),
-        on_chunk=report,
-        former=None if former is None else former.loop,
-    )
-    return scenario.recording(controller, state.task, done), done
+    if monitors:
+        frame = make_frame(controller, first, total)
+        watch.begin(blank_recording(scenario, controller, first, frame))
+    recording = None
+    try:
+        done = run_in_chunks(
+            run,
+            lambda current: scenario.is_unfinished(current.task),
+            lambda current, step: make_frame(watch.controller, current, step),
+            first,
+            began=began,
+            limit=limit,
+            chunk=capacity,
+            interval=max(1, round(FRAME_SECONDS / period)),
+            on_chunk=report,
+            former=None if former is None else former.loop,
+        )
+        recording = scenario.recording(watch.controller, initial.task, done)
+    finally:
+        # A recorder closes its file, however the run ended.
+        watch.end(recording)
+    return recording, done, watch.controller

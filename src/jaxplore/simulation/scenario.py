@@ -294,14 +294,28 @@ class AgentView(eqx.Module):
         # Without a plan, the key decides only about the noise of a scan that a frame may draw.
         arrays = task.frame(state, moment, None, jax.random.key(0))
         frame = task.make_frame(int(moment.step), arrays)
-        blank = jax.tree.map(
-            lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
-            task.blank_records(state, None, 1),
-        )
         pending = jnp.zeros((0, task.robot.control_size))
         loop = LoopState(state, (), moment.step, moment.observed, pending)
-        run = ChunkedRun(loop, blank, (frame,), Timing(0.0, 0.0, 0, np.zeros(0)), 0, False)
-        return np.asarray(task.recording(None, state, run).frame_image(frame))
+        return np.asarray(blank_recording(task, None, loop, frame).frame_image(frame))
+
+
+def blank_recording(
+    scenario: Scenario, controller: Controller | None, state: LoopState, frame: Frame
+) -> Recording:
+    """Make the recording of a run without a step: its world, its robot and one frame.
+
+    Args:
+        scenario: the task.
+        controller: controller of the run; None if an agent chooses the actions.
+        state: state of the loop.
+        frame: frame of that state.
+    """
+    blank = jax.tree.map(
+        lambda leaf: np.zeros((0, *leaf.shape[1:]), leaf.dtype),
+        scenario.blank_records(state.task, controller, 1),
+    )
+    run = ChunkedRun(state, blank, (frame,), Timing(0.0, 0.0, 0, np.zeros(0)), 0, False)
+    return scenario.recording(controller, state.task, run)
 
 
 FAR = 1e6

@@ -1,0 +1,235 @@
+"""Watch a run while it goes on, and change it: live views and recorders are monitors."""
+
+import abc
+import math
+import time
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxplore._types import ArrayLike
+from jaxplore.control.base import Controller
+from jaxplore.parameters import set_parameters
+from jaxplore.report.recording import Frame, Recording
+from jaxplore.simulation.chunks import Chunk
+
+WATCHED_SECONDS = 0.1
+"""Longest simulated time of a chunk of a run with monitors [s]."""
+PAUSE_SECONDS = 0.02
+"""Time between two looks at the requests of a run that waits [s]."""
+
+
+class Update(NamedTuple):
+    """What a monitor is shown of a run.
+
+    Args:
+        frame: belief, scan, plan and rollouts at this moment, as in the animation.
+        records: records of the steps since the last update, in NumPy; a row for each step.
+        time: time of each of these steps [s].
+        text: progress of the task in words.
+    """
+
+    frame: Frame
+    records: Any
+    time: np.ndarray
+    text: str
+
+
+class Requests(NamedTuple):
+    """What a monitor asks of a run.
+
+    Args:
+        parameters: new values of parameters of the controller, see `set_parameters`; those that
+            were asked for before keep their values.
+        is_paused: whether the run waits.
+        single_steps: number of single steps that a paused run shall have done, since it began.
+        speed: greatest number of simulated seconds per second.
+        is_stopped: whether the run ends.
+    """
+
+    parameters: Mapping[str, ArrayLike] = {}
+    is_paused: bool = False
+    single_steps: int = 0
+    speed: float = math.inf
+    is_stopped: bool = False
+
+
+class Monitor(abc.ABC):
+    """Watches a run; abstract.
+
+    `simulate` and a robot's pilot call the methods from their own thread, so each must return
+    quickly: a slow consumer takes the newest update and skips others.
+    """
+
+    @abc.abstractmethod
+    def begin(self, recording: Recording, controller: Controller) -> None:
+        """Take note of a run that begins.
+
+        Args:
+            recording: the run so far, with no step and one frame: the world, the robot, the goal.
+            controller: the controller, with its parameters.
+        """
+
+    @abc.abstractmethod
+    def is_due(self, simulated: float, elapsed: float) -> bool:
+        """Check whether the next update is due.
+
+        Args:
+            simulated: simulated time since the last update [s].
+            elapsed: wall-clock time since then [s].
+        """
+
+    @abc.abstractmethod
+    def show(self, update: Update) -> None:
+        """Take an update."""
+
+    def requests(self) -> Requests:
+        """Return what is asked of the run now; nothing by default."""
+        return Requests()
+
+    def refuse(self, message: str) -> None:
+        """Take note of a request that was not accepted; by default a warning of one line."""
+        warnings.warn(message, stacklevel=2)
+
+    @abc.abstractmethod
+    def end(self, recording: Recording | None) -> None:
+        """Take note of the end of the run.
+
+        Args:
+            recording: the whole run; None if it failed.
+        """
+
+
+class _Shown:
+    """What a monitor has not been shown yet."""
+
+    def __init__(self, monitor: Monitor, total: int) -> None:
+        self.monitor = monitor
+        self._rows: list[Any] = []
+        self._total, self._at = total, -math.inf
+
+    def add(self, rows: Any) -> None:
+        self._rows.append(rows)
+
+    def show_when_due(
+        self, make_frame: Callable[[], Frame], total: int, period: float, text: str
+    ) -> None:
+        now = time.monotonic()
+        if not self.monitor.is_due((total - self._total) * period, now - self._at):
+            return
+        records = jax.tree.map(lambda *parts: np.concatenate(parts), *self._rows)
+        times = period * np.arange(self._total + 1, total + 1)
+        self.monitor.show(Update(make_frame(), records, times, text))
+        self._rows, self._total, self._at = [], total, now
+
+
+class Watch[S]:
+    """Shows a run to monitors, and does what they ask for.
+
+    Args:
+        monitors: the monitors.
+        controller: controller at the start.
+        make_frame: function that makes a frame of a state after a number of steps, with the plan of
+            a controller.
+        period: control period [s].
+        total: number of steps that were done before.
+    """
+
+    def __init__(
+        self,
+        monitors: Sequence[Monitor],
+        controller: Controller,
+        make_frame: Callable[[Controller, S, int], Frame],
+        period: float,
+        total: int,
+    ) -> None:
+        self.controller = controller
+        self._make_frame, self._period = make_frame, period
+        self._shown = [_Shown(each, total) for each in monitors]
+        self._parameters: dict[str, ArrayLike] = {}
+        self._single_steps = 0
+        # Speed, and the step and the time from which it is held.
+        self._pace: tuple[float, int, float] | None = None
+
+    def begin(self, recording: Recording) -> None:
+        """Tell the monitors that the run begins."""
+        for each in self._shown:
+            each.monitor.begin(recording, self.controller)
+
+    def end(self, recording: Recording | None) -> None:
+        """Tell the monitors that the run has ended."""
+        for each in self._shown:
+            each.monitor.end(recording)
+
+    def after_chunk(self, chunk: Chunk[S, Any], text: str) -> int:
+        """Show a chunk, wait as the monitors ask for, and return the length of the next one.
+
+        Args:
+            chunk: the chunk that was run.
+            text: progress of the task in words.
+
+        Returns:
+            Greatest number of steps of the next chunk; 0 if the run shall stop.
+        """
+        frames: list[Frame] = []
+
+        def make_frame() -> Frame:
+            # One frame serves all monitors that are due.
+            if not frames:
+                frames.append(self._make_frame(self.controller, chunk.state, chunk.total))
+            return frames[0]
+
+        for each in self._shown:
+            each.add(chunk.records)
+            each.show_when_due(make_frame, chunk.total, self._period, text)
+        return self._wait(chunk)
+
+    def _wait(self, chunk: Chunk[S, Any]) -> int:
+        while not chunk.is_stop_requested():
+            requests = [each.monitor.requests() for each in self._shown]
+            self._take_parameters(requests)
+            if any(each.is_stopped for each in requests):
+                break
+            if not any(each.is_paused for each in requests):
+                self._hold_speed(chunk.total, min(each.speed for each in requests))
+                # Frames of the recording end chunks as well; updates keep their own beat.
+                beat = max(1, round(WATCHED_SECONDS / self._period))
+                return beat - chunk.total % beat
+            # After a pause the speed is held from there on.
+            self._pace = None
+            if sum(each.single_steps for each in requests) > self._single_steps:
+                self._single_steps += 1
+                return 1
+            time.sleep(PAUSE_SECONDS)
+        return 0
+
+    def _hold_speed(self, total: int, speed: float) -> None:
+        """Wait until a number of steps is due at a speed [simulated seconds per second]."""
+        now = time.monotonic()
+        if self._pace is None or self._pace[0] != speed:
+            self._pace = (speed, total, now)
+        _, first, began = self._pace
+        ahead = (total - first) * self._period / speed - (now - began)
+        if ahead > 0.0:
+            time.sleep(ahead)
+        elif ahead < -WATCHED_SECONDS:
+            # A run that was too slow does not catch up.
+            self._pace = None
+
+    def _take_parameters(self, requests: Sequence[Requests]) -> None:
+        """Set the parameters that monitors ask for; those that are not accepted are refused."""
+        for shown, each in zip(self._shown, requests, strict=True):
+            for name, value in each.parameters.items():
+                # A value that was refused is not tried again. NaN differs from itself.
+                if name in self._parameters and np.array_equal(
+                    np.asarray(self._parameters[name]), np.asarray(value), equal_nan=True
+                ):
+                    continue
+                self._parameters[name] = value
+                try:
+                    self.controller = set_parameters(self.controller, {name: value})
+                except ValueError as error:
+                    shown.monitor.refuse(str(error))
