@@ -8,7 +8,12 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import speed_range
+from jaxplore.dynamics._bounds import (
+    BrakingLimits,
+    acceleration_range,
+    acceleration_to,
+    speed_range,
+)
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -34,7 +39,8 @@ class Ackermann(ContinuousDynamics):
         wheelbase: distance between the axles [m].
         max_speed: upper bound of v [m/s].
         max_steering: bound of |steering|, below pi/2 [rad].
-        max_acceleration: bound of |a| [m/s^2].
+        max_acceleration: bound of |a|, or of |a| while |v| grows beside a `max_deceleration`
+            [m/s^2].
         max_steering_rate: bound of |steering_rate| [rad/s].
         min_speed: lower bound of v [m/s]; negative to drive backwards.
         drag: drag coefficient c, fraction of the speed lost per second [1/s].
@@ -42,6 +48,8 @@ class Ackermann(ContinuousDynamics):
             that reaches a quarter of the wheelbase beyond either axle and is 0.8 of the wheelbase
             wide, covered by two discs.
         integrator: time integrator; `RK4()` by default.
+        max_deceleration: bound of |a| while |v| shrinks, for brakes that differ from the motor
+            [m/s^2]; `max_acceleration` when absent.
 
     Raises:
         ValueError: a length or bound that is not positive, a negative drag, a `max_steering` of
@@ -60,6 +68,7 @@ class Ackermann(ContinuousDynamics):
     drag: Scalar
     outline: Footprint
     integrator: Integrator
+    limits: BrakingLimits | None
 
     def __init__(
         self,
@@ -72,6 +81,7 @@ class Ackermann(ContinuousDynamics):
         drag: ArrayLike = 0.0,
         footprint: Footprint | None = None,
         integrator: Integrator | None = None,
+        max_deceleration: ArrayLike | None = None,
     ) -> None:
         _kinds.instance("footprint", footprint, Footprint, may_be_none=True)
         _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
@@ -80,12 +90,14 @@ class Ackermann(ContinuousDynamics):
         self.max_steering = _checks.scalar(
             "max_steering", max_steering, above=0.0, below=0.5 * math.pi
         )
-        self.control_max = computed(
-            lambda xp, *each: xp.stack(each),
-            _checks.scalar("max_acceleration", max_acceleration, above=0.0),
-            _checks.scalar("max_steering_rate", max_steering_rate, above=0.0),
+        lowest, highest, self.limits = acceleration_range(
+            max_acceleration, max_deceleration, self.min_speed
         )
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        steering_rate = _checks.scalar("max_steering_rate", max_steering_rate, above=0.0)
+        self.control_min = computed(
+            lambda xp, low, rate: xp.stack([low, -rate]), lowest, steering_rate
+        )
+        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, steering_rate)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         if footprint is None:
             overhang, width = 0.25 * self.wheelbase, 0.8 * self.wheelbase
@@ -136,3 +148,29 @@ class Ackermann(ContinuousDynamics):
                 jnp.clip(steering, -self.max_steering, self.max_steering),
             ]
         )
+
+    def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
+        """Return the state (5,) after `dt` seconds under a control (2,)."""
+        return super().step(state, self._within_limits(state, control, dt), dt)
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (2,) that brakes hardest, and steers to the share `turn` of
+        `max_steering`; a car at rest does not steer."""
+        *_, v, steering = state
+        a = acceleration_to(0.0, v, self.drag, self.integrator, dt)
+        # Backwards, wheels that point to the left turn the car clockwise.
+        target = jnp.sign(v) * turn * self.max_steering
+        steering_rate = jnp.where(v == 0.0, 0.0, (target - steering) / dt)
+        control = jnp.clip(jnp.stack([a, steering_rate]), self.control_min, self.control_max)
+        return self._within_limits(state, control, dt)
+
+    def _within_limits(
+        self, state: StateVector, control: ControlVector, dt: Scalar
+    ) -> ControlVector:
+        """Return the control (2,) with an acceleration that the limits admit."""
+        if self.limits is None:
+            return control
+        a, steering_rate = control
+        return jnp.stack([self.limits.clip(a, state[3], dt), steering_rate])

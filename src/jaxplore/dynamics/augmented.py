@@ -4,7 +4,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _kinds
-from jaxplore._types import ControlVector, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Position, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
 
@@ -124,6 +124,18 @@ class Augmented(Dynamics):
         """Return the state of a robot at rest at a pose, with the virtual state at zero."""
         return jnp.concatenate(
             [self.physical.at_pose(x, y, yaw), jnp.zeros(self.virtual.state_size)]
+        )
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (nu,) that brakes the physical part hardest."""
+        parts, states = (self.physical, self.virtual), self.split_state(state)
+        return jnp.concatenate(
+            [
+                part.stopping_control(values, dt, turn)
+                for part, values in zip(parts, states, strict=True)
+            ]
         )
 
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:

@@ -4,14 +4,16 @@ import abc
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _kinds
 from jaxplore._describe import describe_fields
-from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector, Twist
 from jaxplore._xla import computed
 from jaxplore.dynamics.integrators import Derivative, Integrator
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.footprint import Disc, Footprint
 
 
@@ -99,6 +101,41 @@ class Dynamics(eqx.Module):
     def speed(self, state: StateVector) -> Scalar:
         """Return the forward speed [m/s]."""
         return self.component(state, "v")
+
+    def twist(self, state: StateVector, control: ControlVector) -> Twist:
+        """Return the velocity (vx, vy, omega) in the body frame [m/s, m/s, rad/s].
+
+        It is the time derivative of the pose under a control (nu,), turned into the frame of the
+        heading: vx is forwards and vy is to the left of the heading, or to the right if z points
+        down.
+
+        Args:
+            state: state (nx,) of the robot.
+            control: control (nu,), which matters to a model whose controls are velocities.
+        """
+        pose, (x_rate, y_rate, turn_rate) = jax.jvp(
+            lambda dt: self.pose(self.step(state, control, dt)),
+            (jnp.zeros((), state.dtype),),
+            (jnp.ones((), state.dtype),),
+        )
+        sin, cos = sin_cos(pose[2])
+        return jnp.stack([cos * x_rate + sin * y_rate, cos * y_rate - sin * x_rate, turn_rate])
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (nu,) that brakes hardest over the next `dt` seconds.
+
+        Applied again and again it brings the robot to rest and keeps it there. The default is
+        `default_control`, which stops a robot whose controls are velocities.
+
+        Args:
+            state: state (nx,) of the robot.
+            dt: time for which the control is applied [s].
+            turn: share of the turning bound, in [-1, 1], that the robot turns with while it moves;
+                positive turns counter-clockwise. 0 brings the turn rate to zero.
+        """
+        return self.default_control
 
     def component(self, state: StateVector, name: str) -> Scalar:
         """Return the state component with a name.

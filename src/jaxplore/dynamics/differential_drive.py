@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import radius_of_robot
+from jaxplore.dynamics._bounds import acceleration_range, acceleration_to, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import Euler, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -27,12 +27,14 @@ class DifferentialDrive(ContinuousDynamics):
     Args:
         max_speed: upper bound of v [m/s].
         max_turn_rate: bound of |omega| [rad/s].
-        max_acceleration: bound of |a| [m/s^2].
+        max_acceleration: bound of |a|, or of a beside a `max_deceleration` [m/s^2].
         max_angular_acceleration: bound of |alpha| [rad/s^2].
         drag: drag coefficient c, fraction of v and omega lost per second [1/s].
         radius: radius of the disc that contains the robot [m].
         integrator: time integrator; by default `Euler()`, which is cheap. `RK4()` is more accurate,
             except in steps in which a speed is clipped.
+        max_deceleration: bound of -a, for brakes that differ from the motor [m/s^2]; that of |a|
+            when absent.
 
     Raises:
         ValueError: a bound or radius that is not positive, a negative drag.
@@ -58,16 +60,16 @@ class DifferentialDrive(ContinuousDynamics):
         drag: ArrayLike = 0.1,
         radius: ArrayLike = 0.2,
         integrator: Integrator | None = None,
+        max_deceleration: ArrayLike | None = None,
     ) -> None:
         _kinds.instance("integrator", integrator, Integrator, may_be_none=True)
         self.max_speed = _checks.scalar("max_speed", max_speed, above=0.0)
         self.max_turn_rate = _checks.scalar("max_turn_rate", max_turn_rate, above=0.0)
-        self.control_max = computed(
-            lambda xp, *each: xp.stack(each),
-            _checks.scalar("max_acceleration", max_acceleration, above=0.0),
-            _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0),
-        )
-        self.control_min = computed(lambda xp, high: -high, self.control_max)
+        # The robot drives forwards only, so the sign of a tells speeding up from braking.
+        lowest, highest, _ = acceleration_range(max_acceleration, max_deceleration, jnp.zeros(()))
+        turn = _checks.scalar("max_angular_acceleration", max_angular_acceleration, above=0.0)
+        self.control_min = computed(lambda xp, low, turn: xp.stack([low, -turn]), lowest, turn)
+        self.control_max = computed(lambda xp, *each: xp.stack(each), highest, turn)
         self.drag = _checks.scalar("drag", drag, at_least=0.0)
         self.radius = radius_of_robot(radius)
         self.integrator = Euler() if integrator is None else integrator
@@ -99,3 +101,19 @@ class DifferentialDrive(ContinuousDynamics):
                 jnp.clip(omega, -self.max_turn_rate, self.max_turn_rate),
             ]
         )
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (2,) that brakes hardest.
+
+        The turn rate goes to the share `turn` of its bound, and to zero together with v.
+        """
+        *_, v, omega = state
+        deceleration, turn_rate_change = -self.control_min[0], self.control_max[1]
+        a = acceleration_to(0.0, v, self.drag, self.integrator, dt)
+        # The turn rate that can still be braked in the time that v needs after this step.
+        left = jnp.maximum(v / deceleration - dt, 0.0)
+        target = turn * jnp.minimum(self.max_turn_rate, turn_rate_change * left)
+        alpha = acceleration_to(target, omega, self.drag, self.integrator, dt)
+        return jnp.clip(jnp.stack([a, alpha]), self.control_min, self.control_max)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore._xla import computed, cut
-from jaxplore.dynamics._bounds import radius_of_robot, speed_range
+from jaxplore.dynamics._bounds import acceleration_to, radius_of_robot, speed_range
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Derivative, Integrator
 from jaxplore.geometry.angles import sin_cos
@@ -117,3 +117,13 @@ class KinematicBicycle(ContinuousDynamics):
         """Return the state (4,) with the speed within its bounds."""
         x, y, yaw, v = state
         return jnp.stack([x, y, yaw, jnp.clip(v, self.min_speed, self.max_speed)])
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (2,) that brakes hardest with the share `turn` of the steering."""
+        v = state[3]
+        a = acceleration_to(0.0, v, jnp.zeros(()), self.integrator, dt)
+        # Backwards, wheels that point to the left turn the car clockwise.
+        steering = jnp.sign(v) * turn * self.control_max[1]
+        return jnp.clip(jnp.stack([a, steering]), self.control_min, self.control_max)

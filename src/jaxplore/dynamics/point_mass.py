@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Position, Scalar, StateVector, Vector
 from jaxplore._xla import computed
-from jaxplore.dynamics._bounds import positive, radius_of_robot
+from jaxplore.dynamics._bounds import acceleration_to, positive, radius_of_robot, shrunk
 from jaxplore.dynamics.base import ContinuousDynamics
 from jaxplore.dynamics.integrators import RK4, Integrator
 from jaxplore.geometry.vectors import angle, length
@@ -109,3 +109,16 @@ class PointMass(ContinuousDynamics):
     def speed(self, state: StateVector) -> Scalar:
         """Return the norm of the velocity in all dimensions [m/s]."""
         return length(*tuple(state)[self.dimensions :])
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (n,) in n dimensions that brakes hardest along a straight line.
+
+        A point mass has no turning bound, so `turn` has no effect.
+        """
+        needed = [
+            acceleration_to(0.0, v, self.drag, self.integrator, dt)
+            for v in tuple(state)[self.dimensions :]
+        ]
+        return shrunk(jnp.stack(needed), self.control_max)
