@@ -23,7 +23,7 @@ from jaxplore import (
     start_pose,
 )
 from jaxplore.maps import Ground
-from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
+from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
 
 ROBOT = DifferentialDrive(radius=0.2)

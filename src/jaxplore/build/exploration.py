@@ -37,6 +37,20 @@ def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = No
     if map_shape is not None:
         ground = None if world.ground is None else world.ground.padded(map_shape)
         world = world._replace(grid=world.grid.padded(map_shape), ground=ground)
+    return build_in(settings, robot, world)
+
+
+def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment:
+    """Build the experiment that settings describe in a world that is given.
+
+    Args:
+        settings: settings of the run; those of the map are not read.
+        robot: the robot.
+        world: the world.
+
+    Raises:
+        ValueError: a start that is not possible, or settings that a part rejects.
+    """
     sensors = build_sensors(settings)
     perception = _perception(settings, robot, world, sensors)
     ground = world.ground

@@ -16,6 +16,7 @@ from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
+from jaxplore.cli._node_options import node_options, robot_options
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
@@ -32,7 +33,7 @@ def cli() -> None:
     its progress and avoids obstacles.
 
     `run` simulates one run, `compare` compares controllers or settings, `tune` searches for better
-    settings.
+    settings. `node` drives a robot over ROS 2, and `robot` simulates one for it.
     """
 
 
@@ -148,6 +149,55 @@ def tune(out: Path | None, **options: Any) -> None:
     from jaxplore.cli._tune import run_tune
 
     run_tune(options, out)
+
+
+@cli.command()
+@node_options
+@cache_option
+def node(**options: Any) -> None:
+    """Drive a robot that explores, over ROS 2.
+
+    Reads a lidar (/scan) and the pose (/odom), keeps a map of its own, and sends velocities
+    (/cmd_vel). The robot brakes whenever data are missing, old or impossible, and the node says
+    why. Topics, the lidar's place on the robot and the numbers of safety are settings of the
+    section node:
+
+    \b
+      jaxplore node
+      jaxplore node --settings robot.yaml --out runs/first
+      jaxplore node --set robot.max_speed=0.3 --set node.latency=0.1
+
+    Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
+    drive as a run folder.
+    """
+    from jaxplore.cli._node import drive
+
+    drive(options)
+
+
+@cli.command()
+@with_options("architecture")
+@robot_options
+@cache_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Run folder.  [default: runs/MAP-robot]",
+)
+def robot(**options: Any) -> None:
+    """Simulate a robot in a map as a ROS 2 node, at wall-clock time.
+
+    Publishes /scan, /odom and /map, and obeys /cmd_vel as the base of a real robot does, with a
+    watchdog of half a second. Writes a run folder that says what the robot has seen and touched:
+
+    \b
+      jaxplore robot office
+      jaxplore robot maps/depot.yaml --start 4.62 7.73 0 --delay 0.06
+    """
+    from jaxplore.cli._node import simulate_robot
+
+    simulate_robot(options)
 
 
 @cli.command("settings")

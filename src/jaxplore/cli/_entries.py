@@ -43,7 +43,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     trust = given.pop("trust", False)
     entries = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
-    entries = _with_map(entries, given.pop("map_"), given.pop("path_file"), trust)
+    entries = _with_map(entries, given.pop("map_"), given.pop("path_file", None), trust)
     along_path = PATH in entries
     for name, value in given.items():
         if value is None:

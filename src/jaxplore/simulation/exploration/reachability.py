@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
-from jaxplore.simulation.exploration.collision import clearance_reach, disc_clearance
 
 
 def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> np.ndarray:

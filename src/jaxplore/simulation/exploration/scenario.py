@@ -31,6 +31,7 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception, as_sensors
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
@@ -43,7 +44,6 @@ from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.clock import when_due, whole_steps
-from jaxplore.simulation.exploration.collision import clearance_reach
 from jaxplore.simulation.exploration.finish import is_finished
 from jaxplore.simulation.exploration.frames import frame_arrays
 from jaxplore.simulation.exploration.map_arrays import MapArrays

@@ -11,11 +11,11 @@ from jaxtyping import Array, Float
 from jaxplore._types import Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.collision import discs_clearance, footprint_clearance
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.collision import discs_clearance, footprint_clearance
 from jaxplore.simulation.exploration.moving_obstacles import START_OF_MOVING, MovingObstacles
 
 

@@ -21,7 +21,7 @@ from jaxplore.study.experiments import record_alone
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
 from jaxplore.study.tuning.space import Candidate
 
-FRAMES, COLOURS = 120, 128
+FRAMES = 120
 _GAP = 12
 """Gap between the pictures [pixels of scale 1]."""
 
@@ -90,12 +90,10 @@ def side_by_side(
         ]
         return _beside(pictures, round(_GAP * options.scale))
 
-    def palette(pictures: Sequence[Image.Image]) -> Image.Image:
-        return pictures[-1].quantize(colors=COLOURS)
-
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / f"film{GIF}"
-        write_film(file, shown, draw, palette, options, on_progress)
+        # Fitted by frequency alone, a palette would lose the colours of thin lines.
+        write_film(file, shown, draw, runs[-1].palette, options, on_progress)
         return file.read_bytes()
 
 

@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore.geometry.footprint import Disc, Footprint, Rectangle
-from jaxplore.maps.frame import GridFrame
-from jaxplore.simulation.exploration.collision import (
+from jaxplore.maps.collision import (
     clearance_reach,
     disc_clearance,
     discs_clearance,
     footprint_clearance,
     rectangle_clearance,
 )
+from jaxplore.maps.frame import GridFrame
 
 CAR = Rectangle(front=0.625, rear=0.125, width=0.4)
 RESOLUTION, SIZE = 0.1, 30

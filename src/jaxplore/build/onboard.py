@@ -1,0 +1,72 @@
+"""The pilot of a real robot, from settings."""
+
+import jax
+import numpy as np
+
+from jaxplore.build.exploration import build_in
+from jaxplore.build.parts import build_robot
+from jaxplore.build.world import RunWorld
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.pilot import Pilot, PilotOptions
+from jaxplore.settings.defaults import arguments
+from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
+from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.sections import checked_section
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+
+NO_PART = ("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude")
+"""Settings that describe a simulated world, or parts that a pilot does not have."""
+
+
+def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettings]:
+    """Check settings entries of a node: those of a run, and the section `node`.
+
+    Args:
+        entries: names and values of settings, as in a settings file; those that describe a
+            simulated world are not read.
+
+    Raises:
+        ValueError: an unknown name or a value that is not accepted.
+    """
+    given = dict(entries)
+    node = given.pop("node", {})
+    if not isinstance(node, dict):
+        raise ValueError(f"setting node is {node!r}; accepted: a mapping")
+    given = {name: value for name, value in given.items() if name not in NO_PART}
+    # The office stands in for the map: a robot finds its own.
+    settings = make_exploration_settings({**given, "map": OFFICE})
+    return settings, checked_section(NodeSettings, node)
+
+
+def build_pilot(settings: Settings, node: NodeSettings) -> Pilot:
+    """Build the pilot that settings describe.
+
+    Args:
+        settings: settings of the robot, its lidar, the controller and the rates.
+        node: settings of the node.
+
+    Raises:
+        ValueError: settings that a part rejects, or a robot that flies.
+    """
+    robot = build_robot(settings.robot)
+    if "z" in robot.state_names:
+        raise ValueError(
+            f"setting robot.model is {settings.robot.model!r}; accepted: a robot on the ground"
+        )
+    cells = max(2, round(node.map_size / settings.resolution))
+    side = cells * settings.resolution
+    # The robot stands in the middle of its map. Nothing is known of the world; for the scenario,
+    # which checks that the robot fits, it is free.
+    grid = OccupancyGrid(
+        np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
+    )
+    made = build_in(settings, robot, RunWorld(grid, (0.0, 0.0, 0.0)))
+    assert isinstance(made.scenario, ExplorationScenario)
+    pilot = Pilot(
+        made.scenario,
+        made.controller,
+        jax.random.key(settings.seed),
+        PilotOptions(**arguments(node, PilotOptions)),
+    )
+    pilot.is_started = node.is_autostarted
+    return pilot

@@ -1,0 +1,140 @@
+"""`jaxplore node` and `jaxplore robot`: drive a robot over ROS 2, and simulate one."""
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import jax
+
+from jaxplore._exit import INTERRUPTED
+from jaxplore.build.onboard import build_pilot, make_node_settings
+from jaxplore.build.tasks import build, find_task, make_settings
+from jaxplore.cli._entries import assign_all, folder_name, option_entries
+from jaxplore.cli._show import free_name, show_starts
+from jaxplore.onboard.simulated_robot import SimulatedRobot
+from jaxplore.report.console import progress_bar
+from jaxplore.report.folder import check_folder
+from jaxplore.report.table import print_table
+from jaxplore.ros import control, robot
+from jaxplore.ros.link import connected
+from jaxplore.settings.sections import read_settings
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.run import Run
+
+
+def drive(options: dict[str, Any]) -> None:
+    """Drive a robot until it is done or the user stops it, and write a run folder.
+
+    The exit code is 130 if the user stopped it.
+
+    Raises:
+        ValueError: options that are not accepted, no ROS 2, or another node that drives the robot.
+    """
+    file, overwrite = options["settings_file"], options["overwrite"]
+    entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
+    assign_all(entries, options["assignments"])
+    settings, node = make_node_settings(entries)
+    out = options["out"]
+    folder = free_name(Path("runs") / "drive") if out is None else out
+    check_folder(folder, overwrite=overwrite)
+    pilot = build_pilot(settings, node)
+    click.echo("Compiling, a few seconds ...", err=True)
+    pilot.prepare()
+    with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
+        driver = control.ControlNode(link, pilot, node)
+        driver.check_alone()
+        click.echo(
+            f"Driving: {node.scan_topic} and {node.pose_topic} to {node.command_topic}; Ctrl-C "
+            "stops the robot and saves the drive.",
+            err=True,
+        )
+        driver.run(is_stopped)
+    click.echo(f"Done: {pilot.finished}", err=True)
+    if pilot.log.num_steps:
+        recording = pilot.recording()
+        run = Run(recording, recording.metrics(seed=settings.seed))
+        kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
+        del kept["map"]
+        run.save(folder, overwrite=overwrite, settings=kept, progress=True)
+        print_table(run.metrics.rows(), title=str(folder), has_header=False)
+    times = driver.latencies
+    rows = [("commands", str(times.num_commands)), ("late", str(times.num_late))]
+    if times.scan_ms:
+        rows.append(
+            (
+                "scan to command",
+                f"{times.percentile(50):.1f} ms median, {times.percentile(99):.1f} ms p99",
+            )
+        )
+    rows.append(("replaced by braking", str(pilot.num_replaced)))
+    print_table(rows, has_header=False)
+    if is_stopped.is_set():
+        sys.exit(INTERRUPTED)
+
+
+def simulate_robot(options: dict[str, Any]) -> None:
+    """Simulate a robot at wall-clock time, and write a run folder that judges it.
+
+    The exit code is 130 if the user stopped it.
+
+    Raises:
+        ValueError: options that are not accepted, no ROS 2, or another simulated robot.
+    """
+    out, overwrite = options.pop("out"), options.pop("overwrite")
+    own = {name: options.pop(name) for name in ("delay", "drift", "command_type", "has_map")}
+    given = option_entries(options)
+    entries = find_task(given).with_start(given)
+    settings = make_settings(entries)
+    folder = free_name(Path("runs") / f"{folder_name(entries)}-robot") if out is None else out
+    check_folder(folder, overwrite=overwrite)
+    experiment = build(settings)
+    scenario = experiment.scenario
+    if not isinstance(scenario, ExplorationScenario):
+        raise ValueError("the task is a path; accepted: a map")
+    show_starts({"": given}, {"": entries})
+    simulated = SimulatedRobot(
+        scenario, jax.random.key(settings.seed), delay=own["delay"], drift=own["drift"]
+    )
+    click.echo("Compiling, a few seconds ...", err=True)
+    simulated.prepare()
+    with connected(robot.NODE) as link, _stopped_by_signals() as is_stopped:
+        if link.has_twin():
+            raise ValueError(
+                f"another node {robot.NODE} is running; accepted: one simulated robot, or another "
+                "ROS_DOMAIN_ID"
+            )
+        node = robot.RobotNode(
+            link, simulated, command_type=own["command_type"], has_map=own["has_map"]
+        )
+        click.echo("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
+        with progress_bar("simulating", enabled=True) as advance:
+            is_interrupted = node.run(is_stopped, settings.time_limit, advance)
+    recording = simulated.recording(is_interrupted=is_interrupted)
+    run = Run(recording, recording.metrics(seed=settings.seed))
+    run.save(folder, overwrite=overwrite, settings=settings.model_dump(mode="json"), progress=True)
+    print_table(run.metrics.rows(), title=str(folder), has_header=False)
+    if is_interrupted:
+        sys.exit(INTERRUPTED)
+
+
+@contextmanager
+def _stopped_by_signals() -> Iterator[threading.Event]:
+    """Yield an event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts at once."""
+    event = threading.Event()
+
+    def stop(number: int, _: Any) -> None:
+        if event.is_set() and number == signal.SIGINT:
+            raise KeyboardInterrupt
+        event.set()
+
+    before = {each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield event
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

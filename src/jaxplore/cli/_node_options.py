@@ -1,0 +1,81 @@
+"""Options of the commands for real robots and their simulation."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+
+def node_options(command: Any) -> Any:
+    """Add the options of the node that drives a robot."""
+    # Click lists options in the reverse order of their addition.
+    for option in reversed(
+        (
+            click.option(
+                "--settings",
+                "settings_file",
+                type=click.Path(path_type=Path),
+                metavar="FILE",
+                help="Settings file in YAML, as of jaxplore run; topics and safety are in its "
+                "section node.",
+            ),
+            click.option(
+                "--set",
+                "assignments",
+                multiple=True,
+                metavar="NAME=VALUE",
+                help="Any setting, for example --set node.latency=0.1.",
+            ),
+            click.option(
+                "--trust",
+                is_flag=True,
+                help="Import what settings files name as MODULE:NAME, which runs its code.",
+            ),
+            click.option(
+                "--out",
+                type=click.Path(path_type=Path),
+                metavar="DIR",
+                help="Run folder, written at the end.  [default: runs/drive]",
+            ),
+            click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def robot_options(command: Any) -> Any:
+    """Add the options of the simulated robot."""
+    for option in reversed(
+        (
+            click.option(
+                "--delay",
+                type=float,
+                default=0.0,
+                show_default=True,
+                help="Time between a command and its effect [s].",
+            ),
+            click.option(
+                "--drift",
+                type=float,
+                default=0.0,
+                show_default=True,
+                help="Standard deviation of the scale errors of the odometry.",
+            ),
+            click.option(
+                "--command-type",
+                type=click.Choice(["twist", "twist_stamped"]),
+                default="twist",
+                show_default=True,
+                help="Type of the messages on /cmd_vel.",
+            ),
+            click.option(
+                "--map/--no-map",
+                "has_map",
+                default=True,
+                help="Publish the map of what the lidar has seen on /map.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command

@@ -1,0 +1,139 @@
+"""Check that the robot can stop after a command, and brake in the best way if it cannot."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxplore import _checks
+from jaxplore._types import ArrayLike, ControlVector, Flag, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.collision import discs_clearance
+
+FAR = 1e3
+"""Distance to which points are moved that do not count [m]."""
+
+
+class Validated(NamedTuple):
+    """A command that was checked.
+
+    Args:
+        control: (nu,) the command, or the one that brakes in the best way.
+        is_replaced: whether the robot could not have stopped after the command.
+        gap: least distance of the robot's edge from a point until it stands [m].
+    """
+
+    control: ControlVector
+    is_replaced: Flag
+    gap: Scalar
+
+
+class StopCheck(eqx.Module):
+    """Checks commands of any controller against the newest measurements themselves.
+
+    A command is safe if the robot, after executing it and then braking as hard as it can, has kept
+    a margin from all measured points until it stands. So every safe command leaves a way to stop
+    (passive safety). If it is not safe, it is replaced by the beginning of the braking trajectory
+    that keeps the greatest distance, of `num_turns` that steer to either side. A robot that is
+    within the margin already may move if it gets no closer.
+
+    Points at which the robot was when it began, such as reflections from its own body, must be left
+    out by the caller.
+
+    Source: Fraichard and Asama, "Inevitable collision states - a step towards safer robots?",
+    Advanced Robotics 18(10), 2004; Bouraine, Fraichard and Salhi, "Provably safe navigation for
+    mobile robots with limited field-of-views in dynamic environments", Autonomous Robots 32, 2012
+    (passive safety).
+
+    Args:
+        margin: distance from points to keep [m].
+        time_step: time between the examined positions [s].
+        horizon: time in which the robot must come to rest [s].
+        num_turns: number of braking trajectories, with steering from full right to full left;
+            static.
+
+    Raises:
+        ValueError: a negative margin, a time that is not positive, fewer than one trajectory.
+    """
+
+    margin: Scalar
+    time_step: Scalar
+    num_steps: int = eqx.field(static=True)
+    num_turns: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        margin: ArrayLike = 0.03,
+        time_step: float = 0.05,
+        horizon: float = 2.5,
+        num_turns: int = 9,
+    ) -> None:
+        self.margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.time_step = _checks.scalar("time_step", time_step, above=0.0)
+        span = _checks.number("horizon", horizon, above=0.0)
+        self.num_steps = max(1, round(span / float(time_step)))
+        self.num_turns = _checks.positive_int("num_turns", num_turns)
+
+    def __call__(
+        self,
+        robot: Dynamics,
+        state: StateVector,
+        control: ControlVector,
+        duration: Scalar,
+        points: Float[Array, "P 2"],
+        is_point: Bool[Array, " P"],
+    ) -> Validated:
+        """Check a command.
+
+        Args:
+            robot: model of the robot.
+            state: (nx,) state in which the command takes effect.
+            control: (nu,) the command.
+            duration: time until the next command takes effect [s].
+            points: (P, 2) measured points [m].
+            is_point: (P,) points that count.
+        """
+        # Shapes are static, so points that do not count are moved far away.
+        kept = jnp.where(is_point[:, None], points, FAR + robot.position(state))
+        radii = jnp.zeros(kept.shape[0])
+
+        def gap(at: StateVector) -> Scalar:
+            return discs_clearance(
+                kept, radii, robot.position(at), robot.heading(at), robot.footprint
+            )
+
+        def braking(start: StateVector, turn: Scalar) -> Scalar:
+            """Return the least gap of the robot while it brakes."""
+
+            def step(
+                carry: tuple[StateVector, Scalar], _: None
+            ) -> tuple[tuple[StateVector, Scalar], None]:
+                at, least = carry
+                at = robot.step(
+                    at, robot.stopping_control(at, self.time_step, turn), self.time_step
+                )
+                return (at, jnp.minimum(least, gap(at))), None
+
+            (_, least), _ = jax.lax.scan(step, (start, gap(start)), None, length=self.num_steps)
+            return least
+
+        # In the middle of a long command the robot may be closer than at its end.
+        half = robot.step(state, control, 0.5 * duration)
+        after = robot.step(half, control, 0.5 * duration)
+        here = gap(state)
+        planned = jnp.minimum(gap(half), braking(after, jnp.zeros(())))
+        # A robot within the margin may move if it gets no closer; a millimetre is rounding.
+        is_safe = planned >= jnp.minimum(self.margin, here - 1e-3)
+        turns = jnp.linspace(-1.0, 1.0, self.num_turns) if self.num_turns > 1 else jnp.zeros(1)
+        gaps = jax.vmap(lambda turn: braking(state, turn))(turns)
+        # Of equal ones the straightest: distances are rounded to a millimetre for that.
+        best = jnp.argmax(jnp.round(gaps, 3) - 1e-4 * jnp.abs(turns))
+        stopping = robot.stopping_control(state, duration, turns[best])
+        is_safe = is_safe & jnp.isfinite(control).all()
+        return Validated(
+            jnp.where(is_safe, control, stopping),
+            ~is_safe,
+            jnp.where(is_safe, planned, gaps[best]),
+        )

@@ -1,0 +1,1 @@
+"""The loop on a real robot: from scans and odometry to checked commands, without any middleware."""

@@ -1,0 +1,221 @@
+"""The log of a drive, and its recording."""
+
+import math
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore.belief.belief import Belief
+from jaxplore.maps.collision import footprint_clearance
+from jaxplore.onboard.frames import EvenFrames
+from jaxplore.report.compute import Timing
+from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.exploration.reachability import reachable_cells
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.robot_fields import robot_fields
+
+BATCH = 1024
+"""Number of states whose clearance is computed by one call of a compiled program."""
+
+
+class _Row(NamedTuple):
+    """What is kept of a command."""
+
+    time: float
+    state: np.ndarray
+    control: np.ndarray
+    effective_sample_size: float
+    is_finite: bool
+    is_faulty: bool
+
+
+class DriveLog:
+    """States, commands and the growth of the map in a drive.
+
+    Nobody knows the true world, so the final map stands for it: coverage is the share of the
+    reachable free cells of the final map that were known at a time. A cell has the entropy ln 2
+    until it is known to be free, and the one of the final map from then on. Contacts are not
+    measured.
+
+    Args:
+        scenario: scenario of the pilot.
+    """
+
+    def __init__(self, scenario: ExplorationScenario) -> None:
+        self._scenario = scenario
+        self._rows: list[_Row] = []
+        self._known_at = np.full(scenario.map_arrays.world.shape, np.inf, np.float32)
+        self.frames = EvenFrames()
+
+    @property
+    def num_steps(self) -> int:
+        """Number of control periods since the first entry."""
+        if len(self._rows) < 2:
+            return 0
+        return round((self._rows[-1].time - self._rows[0].time) / self._scenario.period)
+
+    @property
+    def num_known(self) -> int:
+        """Number of cells that were ever known to be free."""
+        return int(np.isfinite(self._known_at).sum())
+
+    def add(
+        self,
+        time: float,
+        state: np.ndarray,
+        control: np.ndarray,
+        effective_sample_size: float,
+        *,
+        is_finite: bool,
+        is_faulty: bool,
+    ) -> None:
+        """Add a command.
+
+        Args:
+            time: time of the command [s].
+            state: (nx,) newest measured state, relative to the origin of the map.
+            control: (nu,) the control.
+            effective_sample_size: of the rollouts; 0 without a plan.
+            is_finite: whether a rollout was finite.
+            is_faulty: whether the robot brakes for a fault, or the check replaced the command.
+        """
+        self._rows.append(_Row(time, state, control, effective_sample_size, is_finite, is_faulty))
+
+    def add_known(self, time: float, is_free: np.ndarray) -> None:
+        """Note the cells (H, W) that are known to be free at a time [s]."""
+        np.minimum(self._known_at, np.where(is_free, np.float32(self._since(time)), np.inf),
+                   out=self._known_at)  # fmt: skip
+
+    def recording(self, belief: Belief, *, is_done: bool) -> ExplorationRecording:
+        """Make the recording of the drive.
+
+        Args:
+            belief: belief at the end.
+            is_done: whether the robot was done.
+        """
+        scenario, rows = self._scenario, self._resampled()
+        grid, period = belief.grid, scenario.period
+        cropped = grid.cropped
+        start = rows[0].state if rows else np.asarray(scenario.start)
+        known_at, probability = cropped(self._known_at), cropped(grid.probability)
+        reachable = self._reachable(belief, start)
+        count = max(int(reachable.sum()), 1)
+        final_entropy = cropped(grid.entropy)
+        # Rows of the same time have the same map, and a scan is known for the command after it.
+        times = period * np.arange(len(rows)) + 1e-3
+        order = np.sort(known_at[reachable])
+        coverage = np.searchsorted(order, times) / count
+        lost = np.cumsum(np.append(0.0, (math.log(2.0) - final_entropy[reachable])[
+            np.argsort(known_at[reachable], kind="stable")]))  # fmt: skip
+        entropy = math.log(2.0) * count - lost[np.searchsorted(order, times)]
+        states = np.array([row.state for row in rows], np.float32)
+        states = states.reshape(len(rows), scenario.robot.state_size)
+        nothing = np.zeros(len(rows), np.float32)
+        never = np.zeros(len(rows), bool)
+        # Records of a recording are in NumPy, those of the loop on the device.
+        columns: dict[str, Any] = {
+            "state": states,
+            "control": np.array([row.control for row in rows], np.float32).reshape(
+                len(rows), scenario.robot.control_size
+            ),
+            "coverage": coverage.astype(np.float32),
+            "entropy": entropy.astype(np.float32),
+            "unknown": (1.0 - coverage).astype(np.float32),
+            "unknown_map": (1.0 - coverage).astype(np.float32),
+            "mean_idleness": nothing,
+            "worst_idleness": nothing,
+            "clearance": self._clearance(belief, states),
+            "is_collision": never,
+            "is_untraversable": never,
+            "effective_sample_size": np.array(
+                [row.effective_sample_size for row in rows], np.float32
+            ),
+            "is_finite": np.array([row.is_finite for row in rows], bool),
+            "is_faulty": np.array([row.is_faulty for row in rows], bool),
+            "members": None,
+            "targets_seen": np.zeros(len(rows), np.int32),
+        }
+        records = ExplorationRecord(**columns)
+        return ExplorationRecording(
+            records=records,
+            frames=self.frames.all,
+            timing=Timing(0.0, 0.0, 0, np.zeros(0)),
+            control_period=period,
+            is_interrupted=not is_done,
+            **robot_fields(scenario.robot, jnp.asarray(start)),
+            finished_step=len(rows) if is_done and rows else None,
+            target_coverage=None,
+            targets=np.zeros((0, 2), np.float32),
+            member_names=(),
+            world=probability,
+            belief=probability,
+            reachable=reachable,
+            origin=np.asarray(grid.frame.origin),
+            resolution=grid.resolution,
+            field_origin=np.asarray(belief.information.frame.origin),
+            field_resolution=belief.information.frame.resolution,
+            initial_coverage=0.0,
+            initial_entropy=math.log(2.0) * count,
+            initial_unknown=1.0,
+            goal=None,
+            elevation=None,
+            traversable=None,
+            idleness=None,
+            mover_radii=np.zeros(0),
+        )
+
+    def _since(self, time: float) -> float:
+        return time - self._rows[0].time if self._rows else 0.0
+
+    def _resampled(self) -> list[_Row]:
+        """Return the newest row at each control period; commands come at other times as well."""
+        if not self._rows:
+            return []
+        times = np.array([row.time for row in self._rows])
+        wanted = times[0] + self._scenario.period * np.arange(self.num_steps)
+        return [self._rows[index] for index in np.searchsorted(times, wanted + 1e-6) - 1]
+
+    def _reachable(self, belief: Belief, start: np.ndarray) -> np.ndarray:
+        grid, robot = belief.grid, self._scenario.robot
+        try:
+            x, y = np.asarray(robot.position(jnp.asarray(start)))
+            cells = reachable_cells(grid.unpadded(), np.array([x, y, 0.0]), float(robot.radius))
+        except ValueError:
+            # The map may have a wall at the start by now, such as a person who stood there.
+            cells = np.asarray(grid.cropped(grid.is_free))
+        return np.asarray(cells, bool)
+
+    def _clearance(self, belief: Belief, states: np.ndarray) -> np.ndarray:
+        """Return the distance of the robot's edge from the walls of the final map [m]."""
+        found = np.zeros(len(states), np.float32)
+        for first in range(0, len(states), BATCH):
+            some = states[first : first + BATCH]
+            padded = np.concatenate([some, np.repeat(some[-1:], BATCH - len(some), axis=0)])
+            batch = _clearances(self._scenario, belief, jnp.asarray(padded))
+            found[first : first + BATCH] = np.asarray(batch)[: len(some)]
+        return found
+
+
+@eqx.filter_jit
+def _clearances(
+    scenario: ExplorationScenario, belief: Belief, states: Float[Array, "N nx"]
+) -> Float[Array, " N"]:
+    grid, robot = belief.grid, scenario.robot
+
+    def clearance(state: Array) -> Array:
+        return footprint_clearance(
+            grid.is_occupied,
+            grid.frame,
+            robot.position(state),
+            robot.heading(state),
+            robot.footprint,
+            scenario.clearance_reach,
+        )
+
+    found: Array = jax.lax.map(clearance, states, batch_size=64)
+    return found

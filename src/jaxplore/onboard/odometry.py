@@ -1,0 +1,172 @@
+"""The recent poses and velocities of a robot, and what is wrong with them."""
+
+import collections
+import math
+
+import numpy as np
+
+from jaxplore.dynamics.base import Dynamics
+
+KEPT_SECONDS = 2.0
+"""Time for which poses are kept [s]."""
+DIFFERENCE_SECONDS = 0.1
+"""Time over which a velocity is estimated where the odometry has none [s]."""
+
+
+class Placed:
+    """Pose and velocity at a time.
+
+    Args:
+        time: time of the measurement [s].
+        pose: (3,) pose (x, y, yaw) [m, m, rad], in double precision.
+        twist: (3,) velocity (vx, vy, omega) in the frame of the robot.
+    """
+
+    __slots__ = ("pose", "time", "twist")
+
+    def __init__(self, time: float, pose: np.ndarray, twist: np.ndarray) -> None:
+        self.time, self.pose, self.twist = time, pose, twist
+
+
+class PoseHistory:
+    """Recent poses of a robot; poses between them are interpolated.
+
+    Args:
+        max_jump: greatest distance of a pose from where the robot's velocity leads to [m].
+        max_turn: greatest difference of the yaw from the expected one [rad].
+    """
+
+    def __init__(self, max_jump: float = 0.5, max_turn: float = 0.8) -> None:
+        self._max_jump, self._max_turn = max_jump, max_turn
+        self._places: collections.deque[Placed] = collections.deque()
+        self._moved_at = -math.inf
+
+    @property
+    def last(self) -> Placed | None:
+        """The newest pose; None before the first."""
+        return self._places[-1] if self._places else None
+
+    @property
+    def changed_at(self) -> float:
+        """Time of the last pose that differed from the one before it [s]."""
+        return self._moved_at
+
+    def add(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> str | None:
+        """Add a pose; return what is impossible about it, or None.
+
+        After an impossible pose the history begins anew with it. A pose that is older than the
+        newest one is left out.
+
+        Args:
+            time: time of the measurement [s].
+            pose: (3,) pose (x, y, yaw) [m, m, rad].
+            twist: (3,) velocity in the frame of the robot; estimated from the poses when absent.
+        """
+        last = self.last
+        if last is not None and time <= last.time:
+            return None
+        problem = None if last is None else self._jump(last, time, pose)
+        if problem is not None:
+            self._places.clear()
+        if last is None or not np.array_equal(last.pose, pose):
+            self._moved_at = time
+        velocity = self._estimated(time, pose) if twist is None else np.asarray(twist, np.float64)
+        self._places.append(Placed(time, np.asarray(pose, np.float64), velocity))
+        while time - self._places[0].time > KEPT_SECONDS:
+            self._places.popleft()
+        return problem
+
+    def at(self, time: float) -> np.ndarray:
+        """Return the pose (3,) at a time, between two poses by their velocity and beyond the ends
+        by the nearest one's.
+
+        Raises:
+            IndexError: no pose yet.
+        """
+        # Another thread may add a pose meanwhile.
+        places = tuple(self._places)
+        before, after = places[0], places[-1]
+        for place in places:
+            if place.time <= time:
+                before = place
+            else:
+                after = place
+                break
+        span = after.time - before.time
+        if before is after or time <= before.time or time >= after.time or span <= 0.0:
+            nearest = after if time >= after.time else before
+            return moved(nearest.pose, nearest.twist, time - nearest.time)
+        share = (time - before.time) / span
+        turn = wrapped(after.pose[2] - before.pose[2])
+        position = before.pose[:2] + share * (after.pose[:2] - before.pose[:2])
+        return np.append(position, before.pose[2] + share * turn)
+
+    def _jump(self, last: Placed, time: float, pose: np.ndarray) -> str | None:
+        expected = moved(last.pose, last.twist, min(time - last.time, KEPT_SECONDS))
+        away = math.hypot(*(pose[:2] - expected[:2]))
+        turn = abs(wrapped(pose[2] - expected[2]))
+        # NaN fails both comparisons.
+        if away <= self._max_jump and turn <= self._max_turn:
+            return None
+        return f"the pose jumped by {away:.2f} m and {turn:.2f} rad"
+
+    def _estimated(self, time: float, pose: np.ndarray) -> np.ndarray:
+        """Estimate a velocity from the poses of the last tenth of a second."""
+        for place in reversed(self._places):
+            if time - place.time >= DIFFERENCE_SECONDS or place is self._places[0]:
+                span = max(time - place.time, 1e-3)
+                x, y = pose[:2] - place.pose[:2]
+                turn = wrapped(pose[2] - place.pose[2])
+                middle = place.pose[2] + 0.5 * turn
+                cos, sin = math.cos(middle), math.sin(middle)
+                return np.array([cos * x + sin * y, cos * y - sin * x, turn]) / span
+        return np.zeros(3)
+
+
+def moved(pose: np.ndarray, twist: np.ndarray, seconds: float) -> np.ndarray:
+    """Return a pose (3,) after some time at a constant velocity in the frame of the robot.
+
+    The direction of motion is that in the middle of the time, exact to second order.
+    """
+    vx, vy, omega = twist * seconds
+    middle = pose[2] + 0.5 * omega
+    cos, sin = math.cos(middle), math.sin(middle)
+    return np.asarray(pose + np.array([cos * vx - sin * vy, sin * vx + cos * vy, omega]))
+
+
+def wrapped(angle: float) -> float:
+    """Return an angle in [-pi, pi] [rad]."""
+    return math.remainder(angle, math.tau)
+
+
+def robot_state(
+    robot: Dynamics, pose: np.ndarray, twist: np.ndarray, expected: np.ndarray
+) -> np.ndarray:
+    """Return the state (nx,) of a robot from its pose and velocity.
+
+    Components that neither gives, such as a steering angle, keep the expected value.
+
+    Args:
+        robot: model of the robot.
+        pose: (3,) pose (x, y, yaw) [m, m, rad].
+        twist: (3,) velocity (vx, vy, omega) in the frame of the robot.
+        expected: (nx,) state that the model expects.
+    """
+    vx, vy, omega = twist
+    # A model without a heading has its velocities along the axes of the map.
+    if "yaw" not in robot.state_names:
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        vx, vy = cos * vx - sin * vy, sin * vx + cos * vy
+    known = {
+        "x": pose[0],
+        "y": pose[1],
+        "yaw": pose[2],
+        "v": vx,
+        "vx": vx,
+        "vy": vy,
+        "omega": omega,
+    }
+    values = [
+        known.get(name, before) for name, before in zip(robot.state_names, expected, strict=True)
+    ]
+    return np.array(values, np.float32)

@@ -1,0 +1,548 @@
+"""The pilot of a robot: scans and odometry in, checked velocity commands out."""
+
+import dataclasses
+import enum
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import Key
+from jaxplore.control.base import Controller
+from jaxplore.control.validation import StopCheck
+from jaxplore.onboard import steps
+from jaxplore.onboard.log import DriveLog
+from jaxplore.onboard.odometry import PoseHistory, robot_state
+from jaxplore.report.exploration.data import ExplorationFrame
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+
+NUM_SENT = 16
+"""Greatest number of commands on their way that the prediction takes into account."""
+NUM_TRAJECTORIES = 30
+"""Number of rollouts in a frame."""
+NUM_POINTS = 720
+"""Number of directions for each of which the nearest point of a scan is checked."""
+
+
+RETRY_SECONDS = 2.0
+"""Time after which a robot whose pose did not change tries to move again [s]."""
+_FROZEN = {
+    "pose": "the pose does not change although the robot was told to move",
+    "scan": "the scan does not change although the robot moves",
+}
+
+
+class Mode(enum.StrEnum):
+    """What a pilot does."""
+
+    WAITING = "waiting"
+    DRIVING = "driving"
+    BRAKING = "braking"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+    DONE = "done"
+
+
+class Command(NamedTuple):
+    """A velocity command.
+
+    Args:
+        twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
+        mode: what the pilot does.
+        reason: why, in a few words; empty while it drives.
+        scan_time: time of the scan that was mapped for this command; None without a new one [s].
+    """
+
+    twist: np.ndarray
+    mode: Mode
+    reason: str
+    scan_time: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class PilotOptions:
+    """Numbers of a pilot.
+
+    Args:
+        latency: time between a command and its effect [s].
+        max_age: greatest age of a scan or an odometry [s]; the robot brakes beyond it.
+        max_frozen: greatest time in which equal scans or poses arrive although the robot should
+            move [s].
+        max_jump: greatest jump of the pose [m].
+        max_deceleration: deceleration of the commands of a ramp to a stop [m/s^2]; the limits of
+            the robot's base apply as well.
+        max_angular_deceleration: angular deceleration of that ramp [rad/s^2].
+        margin: distance from points of the scan that stopping must keep [m].
+        done_after: time without a reachable place that is worth a visit after which the robot is
+            done [s].
+
+    Raises:
+        ValueError: a time or a rate that is not positive, a negative latency or margin.
+    """
+
+    latency: float = 0.05
+    max_age: float = 0.3
+    max_frozen: float = 0.3
+    max_jump: float = 0.5
+    max_deceleration: float = 10.0
+    max_angular_deceleration: float = 20.0
+    margin: float = 0.03
+    done_after: float = 3.0
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name in ("latency", "margin"):
+                _checks.number(field.name, value, at_least=0.0)
+            else:
+                _checks.number(field.name, value, above=0.0)
+
+
+class _Sent(NamedTuple):
+    """A command on its way: the control, and the time from which it has effect [s]."""
+
+    control: np.ndarray
+    effect: float
+
+
+class _NewScan(NamedTuple):
+    """A scan that was not mapped yet."""
+
+    time: float
+    scan: Scan
+    points: np.ndarray
+
+
+class Pilot:
+    """Drives a robot with the controller of a scenario.
+
+    The pilot keeps the map, calls the controller, and decides whether the robot may move. It reads
+    no clock and knows no middleware: times come with the data, so a recorded drive is repeated
+    exactly. Call its methods from one thread, in this order in each period: `add_odometry` and
+    `add_scan` for what has arrived, `command`, and after the command was sent `update_fields`.
+
+    The state is predicted to the time when the command takes effect, from the commands on their
+    way. Every command is checked against the newest scan (`StopCheck`). Without fresh data, after
+    an impossible pose, or without a finite plan, the command is a ramp to zero, and says why.
+
+    Positions are in double precision in the frame of the odometry. Everything compiled is relative
+    to the first position.
+
+    Args:
+        scenario: robot, sensor, perception and rates. Its world is not read; its arrays are those
+            of the pilot's map, which is centred on the first position.
+        controller: controller of the robot.
+        key: random key of all steps.
+        options: numbers of the pilot; the defaults when absent.
+
+    Raises:
+        ValueError: an argument of another class, a scenario with several sensors.
+    """
+
+    def __init__(
+        self,
+        scenario: ExplorationScenario,
+        controller: Controller,
+        key: Key,
+        options: PilotOptions | None = None,
+    ) -> None:
+        _kinds.instance("scenario", scenario, ExplorationScenario)
+        _kinds.instance("controller", controller, Controller)
+        _kinds.key("key", key)
+        if len(scenario.sensors) != 1:
+            raise ValueError(
+                f"scenario has {len(scenario.sensors)} sensors; accepted: one, the lidar"
+            )
+        self.scenario, self.controller = scenario, controller
+        self.options = PilotOptions() if options is None else options
+        self.sensor, self.robot = scenario.sensors[0], scenario.robot
+        self.period = scenario.period
+        self.check = StopCheck(self.options.margin)
+        self.is_started = True
+        self.log = DriveLog(scenario)
+        self._key = key
+        self._history = PoseHistory(self.options.max_jump)
+        self._offset = np.zeros(2)
+        self._task: ExplorationState = scenario.init(None)[0]
+        self._first_memory: Any = controller.init()
+        self._memory: Any = self._first_memory
+        self._expected = np.asarray(scenario.start)
+        self._sent: list[_Sent] = []
+        self._twist = np.zeros(3)
+        self._command_at = -math.inf
+        self._planned: tuple[float, np.ndarray] | None = None
+        self._new: _NewScan | None = None
+        self._scan: _NewScan | None = None
+        self._points = (np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool))
+        self._mapped_at = self._derived_at = -math.inf
+        self._scan_changed_at = -math.inf
+        self._fault: tuple[float, str] | None = None
+        self._worth_at = -math.inf
+        self._still_at = -math.inf
+        self._frozen: tuple[float, str] | None = None
+        self._number = 0
+        self.num_replaced = 0
+        self._finished = ""
+
+    @property
+    def belief(self) -> Any:
+        """What the robot knows, relative to the first position."""
+        return self._task.belief
+
+    @property
+    def offset(self) -> np.ndarray:
+        """Position (2,) in the frame of the odometry of the origin of the belief [m]."""
+        return self._offset
+
+    @property
+    def pose(self) -> np.ndarray | None:
+        """Newest pose (3,) in the frame of the odometry; None before the first."""
+        last = self._history.last
+        return None if last is None else last.pose
+
+    @property
+    def finished(self) -> str:
+        """Why the robot is done; empty before."""
+        return self._finished
+
+    def prepare(self) -> None:
+        """Compile everything that the loop calls, so that no command waits for it."""
+        scan = Scan(jnp.zeros(self.sensor.num_beams), jnp.zeros(self.sensor.num_beams, bool))
+        pose = jnp.zeros(3)
+        belief, _ = steps.observe(self.scenario.perception, self.belief, scan, pose, jnp.ones(()))
+        belief, _ = steps.derive(self.scenario.perception, belief, pose, jnp.ones(()))
+        planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
+        shown = self.make_frame()
+        jax.block_until_ready((belief, planned, vars(shown)))  # type: ignore[no-untyped-call]
+
+    def add_odometry(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> None:
+        """Take a pose and a velocity.
+
+        Args:
+            time: time of the measurement [s].
+            pose: (3,) pose (x, y, yaw) in a frame that is fixed in the world [m, m, rad].
+            twist: (3,) velocity (vx, vy, omega) in the robot's frame; estimated when absent.
+        """
+        if self._history.last is None:
+            # Whole cells, so that maps of several drives have the same grid lines.
+            cell = self.scenario.cell_size
+            self._offset = cell * np.round(np.asarray(pose[:2], np.float64) / cell)
+        problem = self._history.add(time, pose, twist)
+        if problem is not None:
+            self._fault = (time, problem)
+
+    def add_scan(self, time: float, scan: Scan, points: np.ndarray) -> None:
+        """Take a scan.
+
+        Args:
+            time: time of the scan [s].
+            scan: readings of the beams of the sensor.
+            points: (N, 2) all valid returns in the frame of the robot [m].
+        """
+        if self._scan is not None and time <= self._scan.time:
+            return
+        former = self._scan
+        if former is None or not np.array_equal(former.points, points):
+            self._scan_changed_at = time
+        self._scan = self._new = _NewScan(time, scan, points)
+
+    def command(self, now: float) -> Command:
+        """Compute the command for a time.
+
+        Args:
+            now: present time [s].
+        """
+        elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
+        self._command_at = now
+        problem = self._problem(now)
+        scan_time = None if problem else self._map(now)
+        if self._finished:
+            return self._stopping(now, elapsed, Mode.DONE, self._finished)
+        if not self.is_started:
+            return self._stopping(now, elapsed, Mode.PAUSED, "paused")
+        if problem is not None:
+            mode = (
+                Mode.WAITING if self._history.last is None or self._scan is None else Mode.BRAKING
+            )
+            return self._stopping(now, elapsed, mode, problem)
+        state = self._state(now)
+        # The elapsed time shifts the plan; after a pause it is not shifted out of its horizon.
+        # The plan is shifted by the elapsed time; after a pause, by not more than two periods.
+        planned = self._plan(state, now, min(elapsed, 2.0 * self.period))
+        if not bool(planned.is_finite):
+            return self._stopping(now, elapsed, Mode.BRAKING, "no rollout of the plan is finite")
+        self._memory = planned.memory
+        self._expected = np.asarray(planned.after)
+        controls, twists = np.asarray(planned.controls), np.asarray(planned.twists, np.float64)
+        self._send(controls[0], now)
+        self._twist = twists[0]
+        is_replaced = bool(planned.is_replaced)
+        self.num_replaced += is_replaced
+        self._planned = None if is_replaced else (now, twists)
+        reason = f"too close: {float(planned.gap):.2f} m" if is_replaced else ""
+        self.log.add(
+            now,
+            state,
+            controls[0],
+            float(planned.effective_sample_size),
+            is_finite=True,
+            is_faulty=is_replaced,
+        )
+        return Command(self._twist, Mode.DRIVING, reason, scan_time)
+
+    def next_command(self, now: float) -> Command:
+        """Return the next command of the last plan, where a new one is not ready in time.
+
+        Args:
+            now: present time [s].
+        """
+        if self._planned is not None:
+            began, twists = self._planned
+            index = round((now - began) / self.period)
+            if 0 <= index < len(twists):
+                self._twist = twists[index]
+                return Command(self._twist, Mode.DRIVING, "a plan was late", None)
+        return self._stopping(now, self.period, Mode.BRAKING, "a plan was late")
+
+    def update_fields(self, now: float) -> bool:
+        """Update the information and guidance fields if they are due; return whether they were.
+
+        Args:
+            now: present time [s].
+        """
+        period = float(self.scenario.steps_per_field) * self.period
+        if self._history.last is None or now - self._derived_at < period - 1e-3:
+            return False
+        elapsed = period if not math.isfinite(self._derived_at) else now - self._derived_at
+        pose = self._local(self._history.last.pose)
+        belief, has_worth = steps.derive(
+            self.scenario.perception,
+            self.belief,
+            jnp.asarray(pose, jnp.float32),
+            jnp.asarray(elapsed, jnp.float32),
+        )
+        self._task = self._task._replace(belief=belief)
+        self._derived_at = now
+        # Before the first scans nothing is known, and a map that does not grow is not a reason.
+        if bool(has_worth) or not self.is_started or not math.isfinite(self._worth_at):
+            self._worth_at = now
+        elif now - self._worth_at > self.options.done_after:
+            self._finished = "no place that is worth a visit is reachable"
+        return True
+
+    def finish(self, reason: str) -> None:
+        """End the drive: the robot stops and stays.
+
+        Args:
+            reason: why, in a few words.
+        """
+        self._finished = self._finished or reason
+
+    def make_frame(self) -> ExplorationFrame:
+        """Make a frame of the present moment with its plan, as in the animation."""
+        last = self._history.last
+        state = self._expected if last is None else self._state(last.time)
+        scan = self._scan
+        readings = (
+            Scan(jnp.zeros(self.sensor.num_beams), jnp.zeros(self.sensor.num_beams, bool))
+            if scan is None
+            else scan.scan
+        )
+        arrays = steps.frame(
+            self.scenario,
+            self.controller,
+            self._memory,
+            self._task._replace(robot=jnp.asarray(state)),
+            readings,
+            self._next_key(),
+            NUM_TRAJECTORIES,
+        )
+        made = self.scenario.make_frame(self.log.num_steps, arrays)
+        assert isinstance(made, ExplorationFrame)
+        return made
+
+    def recording(self) -> ExplorationRecording:
+        """Make the recording of the drive; its final map stands for the world."""
+        self.log.frames.add_last(self.make_frame())
+        return self.log.recording(self.belief, is_done=bool(self._finished))
+
+    def _problem(self, now: float) -> str | None:
+        """Return why the robot must not move; None if it may."""
+        last, scan, options = self._history.last, self._scan, self.options
+        if last is None:
+            return "no odometry yet"
+        if scan is None:
+            return "no scan yet"
+        for name, time in (("odometry", last.time), ("scan", scan.time)):
+            if now - time > options.max_age:
+                return f"the {name} is {now - time:.2f} s old"
+        if self._fault is not None:
+            since, problem = self._fault
+            # After a second of poses that fit each other, the robot goes on.
+            if now - since < 1.0:
+                return problem
+            self._fault = None
+        return self._frozen_problem(now)
+
+    def _frozen_problem(self, now: float) -> str | None:
+        """Return which measurement repeats itself although the robot should move; None if none."""
+        last, limit = self._history.last, self.options.max_frozen
+        assert last is not None
+        changed = {"pose": self._history.changed_at, "scan": self._scan_changed_at}
+        if self._frozen is not None:
+            since, name = self._frozen
+            # A robot that stands may have the same pose for ever, so it tries again.
+            is_retried = name == "pose" and now - since > RETRY_SECONDS
+            if changed[name] <= since and not is_retried:
+                return _FROZEN[name]
+            self._frozen, self._still_at = None, now
+        # A robot that stands may measure the same again and again.
+        moving_since = self._moving_since(now)
+        is_moving = abs(last.twist[2]) > 0.1 or math.hypot(*last.twist[:2]) > 0.05
+        for name, is_suspect in (("pose", True), ("scan", is_moving)):
+            if is_suspect and now - max(changed[name], moving_since) > limit:
+                self._frozen = (now, name)
+                return _FROZEN[name]
+        return None
+
+    def _moving_since(self, now: float) -> float:
+        """Return the time since which the commands have been a motion [s]."""
+        is_told = abs(self._twist[2]) > 0.2 or math.hypot(*self._twist[:2]) > 0.1
+        if not is_told:
+            self._still_at = now
+        # A command has no effect before the latency.
+        return self._still_at + self.options.latency
+
+    def _local(self, pose: np.ndarray) -> np.ndarray:
+        """Return a pose relative to the origin of the belief."""
+        return np.asarray(pose - np.append(self._offset, 0.0))
+
+    def _state(self, now: float) -> np.ndarray:
+        """Return the newest measured state (nx,), relative to the origin of the belief."""
+        last = self._history.last
+        assert last is not None
+        return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
+
+    def _map(self, now: float) -> float | None:
+        """Map the newest scan if it is due; return its time if it is new."""
+        new, self._new = self._new, None
+        if new is None:
+            return None
+        pose = self._history.at(new.time)
+        self._points = self._nearest_points(new, pose)
+        period = float(self.scenario.steps_per_scan) * self.period
+        if new.time - self._mapped_at < period - 0.5 * self.period:
+            return new.time
+        elapsed = period if not math.isfinite(self._mapped_at) else new.time - self._mapped_at
+        mapped = steps.observe(
+            self.scenario.perception,
+            self.belief,
+            new.scan,
+            jnp.asarray(self._local(pose), jnp.float32),
+            jnp.asarray(elapsed, jnp.float32),
+        )
+        self._task = self._task._replace(belief=mapped.belief)
+        self.log.add_known(now, np.asarray(mapped.is_free))
+        self._mapped_at = new.time
+        return new.time
+
+    def _nearest_points(self, scan: _NewScan, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest point of a scan in each direction, relative to the belief's origin."""
+        points, is_point = np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool)
+        distance = np.hypot(*scan.points.T)
+        bearing = np.arctan2(scan.points[:, 1], scan.points[:, 0])
+        sector = np.floor((bearing / math.tau + 0.5) * NUM_POINTS).astype(int) % NUM_POINTS
+        # Of several points in a direction the nearest is written last.
+        order = np.argsort(-distance, kind="stable")
+        x, y, yaw = self._local(pose)
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        turned = scan.points @ np.array([[cos, sin], [-sin, cos]]) + np.array([x, y])
+        points[sector[order]] = turned[order]
+        is_point[sector] = True
+        return points, is_point
+
+    def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
+        controls, durations = self._on_the_way(now)
+        points, is_point = self._points
+        return steps.plan(
+            self.controller,
+            self.robot,
+            self.check,
+            self._memory,
+            self.belief,
+            jnp.asarray(state),
+            jnp.asarray(self._expected),
+            jnp.asarray(controls),
+            jnp.asarray(durations),
+            jnp.asarray(points),
+            jnp.asarray(is_point),
+            jnp.asarray(elapsed, jnp.float32),
+            self.scenario.control_period,
+            self._next_key(),
+        )
+
+    def _send(self, control: np.ndarray, now: float) -> None:
+        """Note a command that takes effect after the latency."""
+        self._sent.append(_Sent(control, now + self.options.latency))
+        measured = self._history.last.time if self._history.last else now
+        # The last one that has effect before the measurement is still in effect.
+        while len(self._sent) > NUM_SENT or (
+            len(self._sent) > 1 and self._sent[1].effect <= measured
+        ):
+            self._sent.pop(0)
+
+    def _on_the_way(self, now: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the commands (D, nu) that act between the newest measurement and the effect of a
+        command that is sent now, and for how long each [s]."""
+        controls = np.zeros((NUM_SENT, self.robot.control_size), np.float32)
+        controls[:] = np.asarray(self.robot.default_control)
+        durations = np.zeros(NUM_SENT, np.float32)
+        last = self._history.last
+        if last is None:
+            return controls, durations
+        first, end = last.time, now + self.options.latency
+        for index, each in enumerate(self._sent):
+            until = self._sent[index + 1].effect if index + 1 < len(self._sent) else end
+            controls[index] = each.control
+            durations[index] = max(0.0, min(until, end) - max(each.effect, first))
+        return controls, durations
+
+    def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
+        """Return the next command of a ramp to zero."""
+        options, seconds = self.options, min(elapsed, 2.0 * self.period)
+        speed = math.hypot(*self._twist[:2])
+        slower = max(0.0, speed - options.max_deceleration * seconds)
+        scale = slower / speed if speed > 0.0 else 0.0
+        turn = math.copysign(
+            max(0.0, abs(self._twist[2]) - options.max_angular_deceleration * seconds),
+            self._twist[2],
+        )
+        self._twist = np.append(scale * self._twist[:2], turn)
+        if self._history.last is not None:
+            state = self._state(now)
+            # From here on the robot is expected to be as fast as it is told.
+            pose = self._local(self._history.last.pose)
+            self._expected = robot_state(self.robot, pose, self._twist, state)
+            self.log.add(
+                now,
+                state,
+                np.asarray(self.robot.default_control),
+                0.0,
+                is_finite=False,
+                is_faulty=mode is Mode.BRAKING,
+            )
+        # The controller starts anew from rest: its plan was not executed.
+        self._planned, self._sent = None, []
+        if not self._twist.any():
+            self._memory = self._first_memory
+        return Command(self._twist, mode, reason, None)
+
+    def _next_key(self) -> Key:
+        self._number += 1
+        return jax.random.fold_in(self._key, self._number)

@@ -1,0 +1,365 @@
+"""The node that drives a robot: scans and poses in, velocity commands out."""
+
+import concurrent.futures
+import dataclasses
+import json
+import math
+import threading
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from jaxplore.onboard.pilot import Command, Mode, Pilot
+from jaxplore.parameters import get_parameters, set_parameters
+from jaxplore.ros import messages
+from jaxplore.ros.link import DISCOVERY_SECONDS, Link
+from jaxplore.ros.messages import Mount
+from jaxplore.settings.node import NodeSettings
+
+NODE = "jaxplore"
+"""Name of the node."""
+MAP_SECONDS, STATE_SECONDS, PLAN_SECONDS = 1.0, 0.5, 0.5
+"""Time between two messages of the maps, of the state, and of the plan [s]."""
+STOP_SECONDS = 3.0
+"""Greatest time for which the node sends a ramp to zero at its end [s]."""
+ORDERS = ("start", "pause", "stop")
+"""Orders that the node takes."""
+
+
+@dataclasses.dataclass
+class Latencies:
+    """Times of the loop.
+
+    Args:
+        scan_ms: time from the arrival of a scan to the command that follows from it [ms].
+        num_commands: number of commands.
+        num_late: number of commands that were due before their plan was ready.
+    """
+
+    scan_ms: list[float] = dataclasses.field(default_factory=list)
+    num_commands: int = 0
+    num_late: int = 0
+
+    def percentile(self, share: float) -> float | None:
+        """Return a percentile of the times [ms]; None without a scan."""
+        return float(np.percentile(self.scan_ms, share)) if self.scan_ms else None
+
+
+class ControlNode:
+    """Drives a robot over ROS 2.
+
+    Messages arrive in the thread of the link, which only keeps the newest ones. The loop runs in
+    the thread of the caller: it wakes up for each scan and for each control period. Plans are
+    computed in a third thread. If one is not ready at the deadline, the next command of the last
+    plan is sent and counted.
+
+    Args:
+        link: connection to ROS 2.
+        pilot: pilot of the robot, compiled by `Pilot.prepare`.
+        settings: topics and numbers of the node.
+    """
+
+    def __init__(self, link: Link, pilot: Pilot, settings: NodeSettings) -> None:
+        self.link, self.pilot, self.settings = link, pilot, settings
+        self.latencies = Latencies()
+        ros = link.ros
+        self._mount = Mount(
+            settings.lidar_x,
+            settings.lidar_y,
+            math.radians(settings.lidar_yaw_degrees),
+            settings.is_lidar_inverted,
+        )
+        self._lock = threading.Lock()
+        self._poses: list[messages.Odometry] = []
+        self._scans: list[tuple[float, messages.LaserScan]] = []
+        self._orders: list[str] = []
+        self._parameters: dict[str, float] = {}
+        self._wake = threading.Event()
+        self._worker = concurrent.futures.ThreadPoolExecutor(1, "plan")
+        self._frame_name = settings.world_frame
+        self._last_mode: tuple[Mode, str] | None = None
+        self._due = dict.fromkeys(("map", "state", "plan"), -math.inf)
+        self._has_twist = settings.command_type == "twist_stamped"
+        self._commands = link.publisher(
+            ros.TwistStamped if self._has_twist else ros.Twist, settings.command_topic
+        )
+        self._state = link.publisher(ros.String, "~/state")
+        self._plan = link.publisher(ros.Path, "~/plan")
+        self._belief = link.publisher(ros.OccupancyGrid, "~/belief", is_kept=True)
+        self._information = link.publisher(ros.OccupancyGrid, "~/information", is_kept=True)
+        self._rollouts = None
+        if ros.MarkerArray is not None:
+            self._rollouts = link.publisher(ros.MarkerArray, "~/rollouts")
+        self._subscribe()
+        self._declare_parameters()
+
+    def _subscribe(self) -> None:
+        ros, settings, link = self.link.ros, self.settings, self.link
+        link.subscribe(ros.LaserScan, settings.scan_topic, self._take_scan)
+        if settings.pose_type == "tf":
+            if ros.TFMessage is None:
+                raise ValueError(
+                    "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or "
+                    "pose"
+                )
+            for topic in ("/tf", "/tf_static"):
+                link.subscribe(
+                    ros.TFMessage, topic, self._take_transforms, is_kept=topic == "/tf_static"
+                )
+        else:
+            is_odometry = settings.pose_type == "odometry"
+            kind = ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped
+            link.subscribe(kind, settings.pose_topic, self._take_pose)
+        link.subscribe(ros.String, "~/command", self._take_order)
+        for order in ORDERS:
+            link.service(f"~/{order}", partial(self._order, order))
+
+    def _declare_parameters(self) -> None:
+        """Offer the numbers of the controller as ROS parameters that may change while it drives."""
+        node = self.link.node
+        for path, value in get_parameters(self.pilot.controller).items():
+            if value.ndim == 0:
+                node.declare_parameter(path, float(value))
+        node.add_on_set_parameters_callback(self._take_parameters)
+
+    def _take_parameters(self, changed: Sequence[Any]) -> Any:
+        result = self.link.ros.SetParametersResult
+        values = {each.name: each.value for each in changed}
+        known = {name: each for name, each in values.items() if not name.startswith("use_sim_time")}
+        try:
+            # Tried here, so that the caller gets the reason, and set in the thread of the loop.
+            set_parameters(self.pilot.controller, known)
+        except (ValueError, TypeError) as error:
+            return result(successful=False, reason=" ".join(str(error).split()))
+        with self._lock:
+            self._parameters |= known
+        return result(successful=True)
+
+    def _take_scan(self, message: Any) -> None:
+        arrived = time.monotonic()
+        scan = messages.laser_scan_of(message, self.pilot.sensor, self._mount)
+        stamp = self.link.stamp_of(self.settings.scan_topic, scan.time)
+        with self._lock:
+            self._scans.append((arrived, scan._replace(time=stamp)))
+        self._wake.set()
+
+    def _take_pose(self, message: Any) -> None:
+        pose = messages.odometry_of(message)
+        stamp = self.link.stamp_of(self.settings.pose_topic, pose.time)
+        with self._lock:
+            self._poses.append(pose._replace(time=stamp))
+
+    def _take_transforms(self, message: Any) -> None:
+        settings = self.settings
+        pose = messages.transform_of(message.transforms, settings.world_frame, settings.robot_frame)
+        if pose is not None:
+            with self._lock:
+                self._poses.append(pose._replace(time=self.link.stamp_of("/tf", pose.time)))
+
+    def _take_order(self, message: Any) -> None:
+        if message.data not in ORDERS:
+            given = messages.text_of(repr(message.data))
+            raise ValueError(f"command is {given}; accepted: {', '.join(ORDERS)}")
+        self._order(message.data)
+
+    def _order(self, order: str) -> str:
+        """Take an order; return what happens, for the caller of a service."""
+        with self._lock:
+            self._orders.append(order)
+        self._wake.set()
+        return f"{order} is noted"
+
+    def check_alone(self) -> None:
+        """Check that no other node commands the robot.
+
+        Raises:
+            ValueError: another node of this name, or another publisher of commands.
+        """
+        time.sleep(DISCOVERY_SECONDS)
+        if self.link.has_twin():
+            raise ValueError(
+                f"another node {NODE} is running; accepted: one node for a robot, or another "
+                "ROS_DOMAIN_ID"
+            )
+        others = self.link.other_publishers(self.settings.command_topic)
+        if others:
+            raise ValueError(
+                f"{self.settings.command_topic} has another publisher, "
+                f"{messages.text_of(others[0])}; accepted: one that commands the robot"
+            )
+
+    def run(self, is_stopped: threading.Event) -> None:
+        """Drive until the task is done or the event is set, and then stand.
+
+        Args:
+            is_stopped: ends the drive when it is set.
+        """
+        period, is_over = self.pilot.period, False
+        due = time.monotonic()
+        last = due - period
+        while not is_over:
+            self._wake.wait(max(0.0, due - time.monotonic()))
+            self._wake.clear()
+            now = time.monotonic()
+            arrived = self._take_messages()
+            # A scan is answered at once, but not twice within a quarter of a period.
+            if now < due and (arrived is None or now - last < 0.25 * period):
+                continue
+            last, due = now, max(due + period, now + 0.5 * period)
+            if is_stopped.is_set():
+                self.pilot.finish("stopped")
+            command = self._next_command(now + self.settings.deadline * period)
+            self._publish_command(command)
+            if arrived is not None and command.scan_time is not None:
+                self.latencies.scan_ms.append(1e3 * (time.monotonic() - arrived))
+            self._worker.submit(self._between, command)
+            is_over = command.mode is Mode.DONE and not command.twist.any()
+        self._worker.shutdown()
+        self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+        self._publish_state(command)
+
+    def _take_messages(self) -> float | None:
+        """Give the pilot what has arrived; return when the newest scan did."""
+        with self._lock:
+            poses, self._poses = self._poses, []
+            scans, self._scans = self._scans, []
+            orders, self._orders = self._orders, []
+            parameters, self._parameters = self._parameters, {}
+        pilot = self.pilot
+        for pose in poses:
+            self._frame_name = pose.frame or self._frame_name
+            pilot.add_odometry(pose.time, pose.pose, pose.twist)
+        for _, scan in scans[-1:]:
+            pilot.add_scan(scan.time, scan.scan, scan.points)
+        if parameters:
+            pilot.controller = set_parameters(pilot.controller, parameters)
+        for order in orders:
+            if order == "stop":
+                pilot.finish("stopped by command")
+            pilot.is_started = order == "start"
+        return scans[-1][0] if scans else None
+
+    def _next_command(self, deadline: float) -> Command:
+        """Compute a command, or take the next one of the last plan at the deadline."""
+        self.latencies.num_commands += 1
+        plan = self._worker.submit(self.pilot.command, self.link.now())
+        try:
+            return plan.result(max(0.0, deadline - time.monotonic()))
+        except concurrent.futures.TimeoutError:
+            self.latencies.num_late += 1
+            plan.cancel()
+            return self.pilot.next_command(self.link.now())
+
+    def _publish_command(self, command: Command) -> None:
+        ros = self.link.ros
+        if self._has_twist:
+            message = ros.TwistStamped()
+            messages.fill_header(message.header, self.link.now(), self.settings.robot_frame)
+            messages.fill_twist(message.twist, command.twist)
+        else:
+            message = ros.Twist()
+            messages.fill_twist(message, command.twist)
+        self._commands.publish(message)
+
+    def _between(self, command: Command) -> None:
+        """Do what no command waits for: fields, maps, the plan and the state."""
+        now, pilot = self.link.now(), self.pilot
+        pilot.update_fields(now)
+        pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
+        self._tell(command)
+        if self._is_due("state", now, STATE_SECONDS):
+            self._publish_state(command)
+        if self._is_due("map", now, MAP_SECONDS):
+            self._publish_maps(now)
+        watched = [each for each in (self._plan, self._rollouts) if each is not None]
+        if any(each.get_subscription_count() for each in watched) and self._is_due(
+            "plan", now, PLAN_SECONDS
+        ):
+            self._publish_plan(now)
+
+    def _is_due(self, what: str, now: float, seconds: float) -> bool:
+        if now - self._due[what] < seconds:
+            return False
+        self._due[what] = now
+        return True
+
+    def _tell(self, command: Command) -> None:
+        """Log a change of what the pilot does, with the reason."""
+        told = (command.mode, command.reason)
+        former, self._last_mode = self._last_mode, told
+        if former is None or former[0] is not told[0]:
+            reason = f": {command.reason}" if command.reason else ""
+            self.link.node.get_logger().info(f"{command.mode}{reason}")
+        elif command.reason and command.mode is not Mode.DONE:
+            # A reason has numbers that change, so its kind is what it begins with.
+            self.link.warn(f"{command.mode} {command.reason[:12]}", command.reason)
+
+    def _publish_state(self, command: Command) -> None:
+        pilot, times = self.pilot, self.latencies
+        grid = pilot.belief.grid
+        message = self.link.ros.String()
+        message.data = json.dumps(
+            {
+                "mode": str(command.mode),
+                "reason": command.reason,
+                "explored_m2": round(pilot.log.num_known * grid.resolution**2, 2),
+                "commands": times.num_commands,
+                "late": times.num_late,
+                "replaced": pilot.num_replaced,
+                "scan_to_command_ms_p50": times.percentile(50),
+                "scan_to_command_ms_p99": times.percentile(99),
+                "warnings": sum(self.link.num_warnings.values()),
+            }
+        )
+        self._state.publish(message)
+
+    def _publish_maps(self, now: float) -> None:
+        pilot = self.pilot
+        grid, field = pilot.belief.grid, pilot.belief.information
+        ros, offset = self.link.ros, np.append(pilot.offset, 0.0)
+        if self._belief.get_subscription_count():
+            message = ros.OccupancyGrid()
+            origin = np.asarray(grid.frame.origin, np.float64) + offset
+            probability = grid.cropped(grid.probability)
+            messages.fill_grid(message, probability, grid.resolution, origin, now, self._frame_name)
+            self._belief.publish(message)
+        if self._information.get_subscription_count():
+            message = ros.OccupancyGrid()
+            origin = np.asarray(field.frame.origin, np.float64) + offset
+            values = np.asarray(field.total)
+            scaled = np.clip(values / max(float(np.percentile(values, 99)), 1e-6), 0.0, 1.0)
+            messages.fill_grid(
+                message, scaled, field.frame.resolution, origin, now, self._frame_name
+            )
+            self._information.publish(message)
+
+    def _publish_plan(self, now: float) -> None:
+        pilot, ros = self.pilot, self.link.ros
+        shown = pilot.make_frame()
+        positions = shown.plan + pilot.offset
+        ahead = np.diff(positions, axis=0, append=positions[-1:])
+        headings = np.arctan2(ahead[:, 1], ahead[:, 0])
+        message = ros.Path()
+        poses = np.concatenate([positions, headings[:, None]], axis=1)
+        messages.fill_path(message, ros.PoseStamped, poses, now, self._frame_name)
+        self._plan.publish(message)
+        if self._rollouts is not None and self._rollouts.get_subscription_count():
+            markers = ros.MarkerArray()
+            shares = shown.weights / max(float(shown.weights.max()), 1e-9)
+            # Blue for rollouts without weight, red for the heaviest.
+            colours = np.stack(
+                [shares, 0.2 + 0.0 * shares, 1.0 - shares, 0.15 + 0.85 * shares], axis=-1
+            )
+            messages.fill_rollouts(
+                markers,
+                ros.Marker,
+                ros.Point,
+                shown.samples + pilot.offset,
+                colours,
+                now,
+                self._frame_name,
+            )
+            self._rollouts.publish(markers)

@@ -1,0 +1,181 @@
+"""The connection of a process to ROS 2: a node that spins in a thread of its own."""
+
+import collections
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any
+
+from jaxplore.ros.packages import import_ros
+
+DISCOVERY_SECONDS = 1.0
+"""Time in which other nodes on the network are found [s]."""
+QUIET_SECONDS = 5.0
+"""Least time between two warnings about the same thing [s]."""
+CLOCK_TOLERANCE = 1.0
+"""Greatest difference between a stamp and the clock; beyond it clocks are not synchronised [s]."""
+
+
+class Link:
+    """A ROS 2 node with its publishers, subscriptions and warnings.
+
+    Callbacks of messages run in the thread of the link, so they must be short.
+
+    Args:
+        name: name of the node.
+        ros: packages of ROS, of `import_ros`.
+    """
+
+    def __init__(self, name: str, ros: Any) -> None:
+        self.ros = ros
+        self.node = ros.rclpy.create_node(name)
+        self._executor = ros.rclpy.executors.SingleThreadedExecutor()
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
+        self._warned: dict[str, float] = {}
+        self.num_warnings: collections.Counter[str] = collections.Counter()
+        self._thread.start()
+
+    def _spin(self) -> None:
+        # The executor raises when the context is shut down, which is how it ends.
+        with suppress(self.ros.rclpy.executors.ExternalShutdownException):
+            self._executor.spin()
+
+    def now(self) -> float:
+        """Return the time of the node's clock [s], simulated time if it uses that."""
+        return float(self.node.get_clock().now().nanoseconds) * 1e-9
+
+    def stamp_of(self, name: str, stamped: float) -> float:
+        """Return the time of a message [s]: its stamp, or now where the clocks differ.
+
+        Args:
+            name: name of the topic, for the warning.
+            stamped: time of the stamp [s].
+        """
+        now = self.now()
+        if abs(now - stamped) <= CLOCK_TOLERANCE:
+            return stamped
+        self.warn(
+            f"clock of {name}",
+            f"the stamps of {name} differ by {stamped - now:.1f} s from this clock; the time of "
+            "arrival is used",
+        )
+        return now
+
+    def warn(self, kind: str, message: str) -> None:
+        """Log a warning, at most one of a kind in some seconds."""
+        self.num_warnings[kind] += 1
+        now = time.monotonic()
+        if now - self._warned.get(kind, -QUIET_SECONDS) >= QUIET_SECONDS:
+            self._warned[kind] = now
+            self.node.get_logger().warning(message)
+
+    def subscribe(
+        self, kind: Any, topic: str, handle: Callable[[Any], None], *, is_kept: bool = False
+    ) -> None:
+        """Subscribe to a topic; a message that is malformed gives a warning.
+
+        Args:
+            kind: class of the messages.
+            topic: name of the topic.
+            handle: function that takes a message; a `ValueError` becomes a warning.
+            is_kept: whether the last message is wanted that was published before.
+        """
+
+        def take(message: Any) -> None:
+            try:
+                handle(message)
+            # Whatever another node sends must not end this one.
+            except (ValueError, TypeError, OverflowError, AttributeError) as error:
+                self.warn(f"message of {topic}", f"{topic}: {' '.join(str(error).split())}")
+
+        self.node.create_subscription(kind, topic, take, self._quality(is_kept, is_input=True))
+
+    def publisher(self, kind: Any, topic: str, *, is_kept: bool = False) -> Any:
+        """Return a publisher.
+
+        Args:
+            kind: class of the messages.
+            topic: name of the topic.
+            is_kept: whether late subscribers get the last message.
+        """
+        return self.node.create_publisher(kind, topic, self._quality(is_kept, is_input=False))
+
+    def other_publishers(self, topic: str) -> list[str]:
+        """Return the names of other nodes that publish a topic."""
+        own = self.node.get_name()
+        found = self.node.get_publishers_info_by_topic(topic)
+        return [each.node_name for each in found if each.node_name != own]
+
+    def has_twin(self) -> bool:
+        """Check whether another node has the same name."""
+        return bool(self.node.get_node_names().count(self.node.get_name()) > 1)
+
+    def service(self, name: str, handle: Callable[[], str]) -> None:
+        """Offer a `std_srvs/Trigger`, if that package is there.
+
+        Args:
+            name: name of the service.
+            handle: function that does it and returns a message.
+        """
+        if self.ros.Trigger is None:
+            return
+
+        def serve(_: Any, response: Any) -> Any:
+            response.success, response.message = True, handle()
+            return response
+
+        self.node.create_service(self.ros.Trigger, name, serve)
+
+    def _quality(self, is_kept: bool, *, is_input: bool) -> Any:
+        qos = self.ros.rclpy.qos
+        if is_kept:
+            return qos.QoSProfile(
+                depth=1,
+                reliability=qos.ReliabilityPolicy.RELIABLE,
+                durability=qos.DurabilityPolicy.TRANSIENT_LOCAL,
+            )
+        # Best effort hears reliable publishers as well, and never waits for what is old.
+        reliability = qos.ReliabilityPolicy
+        return qos.QoSProfile(
+            depth=5, reliability=reliability.BEST_EFFORT if is_input else reliability.RELIABLE
+        )
+
+    def close(self) -> None:
+        """Stop spinning, and remove the node from the network."""
+        self._executor.shutdown(timeout_sec=1.0)
+        self._thread.join(timeout=2.0)
+        self.node.destroy_node()
+
+
+@contextmanager
+def connected(name: str) -> Iterator[Link]:
+    """Connect to ROS 2 for the duration of a block.
+
+    Args:
+        name: name of the node.
+
+    Raises:
+        ValueError: ROS 2 is missing, or it cannot be started.
+    """
+    ros = import_ros()
+    # Importing the package does not import these modules.
+    import importlib
+
+    for module in ("rclpy.executors", "rclpy.qos", "rclpy.signals"):
+        importlib.import_module(module)
+    try:
+        # Ctrl-C is this program's, which stops the robot before it leaves the network.
+        ros.rclpy.init(args=[], signal_handler_options=ros.rclpy.signals.SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise ValueError(f"ROS 2 cannot be started: {' '.join(str(error).split())}") from None
+    try:
+        link = Link(name, ros)
+        try:
+            yield link
+        finally:
+            link.close()
+    finally:
+        if ros.rclpy.ok():
+            ros.rclpy.shutdown()

@@ -1,0 +1,426 @@
+"""Conversions between ROS 2 messages and jaxplore, without ROS.
+
+The functions read and fill plain objects with the fields of the messages, whatever made them:
+rclpy, `rosbags`, CycloneDDS or a test. A malformed message gives a `ValueError` of one line.
+Angles and frames are those of REP 103 and REP 105.
+"""
+
+import array
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxplore import _checks
+from jaxplore._types import Vector
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.beams import Beams, Scan
+
+MOST_READINGS = 100_000
+"""Greatest number of readings of a scan."""
+MOST_CELLS = 64_000_000
+"""Greatest number of cells of a map, as of a map that is read from a file."""
+MOST_POSES = 100_000
+"""Greatest number of poses of a path."""
+MOST_LETTERS = 120
+"""Longest text of a message that is repeated."""
+UNKNOWN = -1
+"""Value of an unknown cell of a `nav_msgs/OccupancyGrid`."""
+
+
+class Odometry(NamedTuple):
+    """Pose and velocity of a robot.
+
+    Args:
+        time: time of the measurement [s].
+        frame: name of the frame in which the pose is.
+        pose: (3,) pose (x, y, yaw) [m, m, rad].
+        twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s]; None where
+            the message has none.
+    """
+
+    time: float
+    frame: str
+    pose: np.ndarray
+    twist: np.ndarray | None
+
+
+class LaserScan(NamedTuple):
+    """A scan of a lidar.
+
+    Args:
+        time: time of the first reading [s].
+        frame: name of the frame of the lidar.
+        scan: the readings, one for each beam of the sensor.
+        points: (N, 2) all valid returns in the frame of the robot [m], also of readings that no
+            beam of the sensor has.
+    """
+
+    time: float
+    frame: str
+    scan: Scan
+    points: np.ndarray
+
+
+class Mount(NamedTuple):
+    """Pose of a lidar on a robot.
+
+    Args:
+        x: position ahead of the robot's centre [m].
+        y: position to the left of it [m].
+        yaw: heading of the lidar's x axis relative to the robot's [rad].
+        is_inverted: whether the lidar hangs upside down, so that its angles grow clockwise.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    yaw: float = 0.0
+    is_inverted: bool = False
+
+
+def text_of(value: object) -> str:
+    """Return a text of a message in printable characters, cut to a length that fits a line."""
+    text = "".join(letter if letter.isprintable() else "?" for letter in str(value))
+    return text if len(text) <= MOST_LETTERS else f"{text[:MOST_LETTERS]}..."
+
+
+def time_of(stamp: Any) -> float:
+    """Convert a `builtin_interfaces/Time` to seconds.
+
+    Raises:
+        ValueError: a negative time, or nanoseconds of a second or more.
+    """
+    seconds, nanoseconds = int(stamp.sec), int(stamp.nanosec)
+    if seconds < 0 or not 0 <= nanoseconds < 1_000_000_000:
+        raise ValueError(
+            f"stamp is {seconds} s and {nanoseconds} ns; accepted: at least 0 s, and 0 to "
+            "999999999 ns"
+        )
+    return seconds + 1e-9 * nanoseconds
+
+
+def fill_time(stamp: Any, seconds: float) -> None:
+    """Fill a `builtin_interfaces/Time` with seconds."""
+    whole = math.floor(seconds)
+    nanoseconds = round((seconds - whole) * 1e9)
+    stamp.sec, stamp.nanosec = whole + nanoseconds // 1_000_000_000, nanoseconds % 1_000_000_000
+
+
+def yaw_of(quaternion: Any) -> float:
+    """Return the yaw of a `geometry_msgs/Quaternion` [rad], in [-pi, pi].
+
+    Raises:
+        ValueError: a quaternion that is not finite, or whose norm is not within 0.1 of 1.
+    """
+    x, y, z, w = (float(getattr(quaternion, name)) for name in "xyzw")
+    norm = math.sqrt(x * x + y * y + z * z + w * w)
+    # NaN fails the comparison.
+    if not abs(norm - 1.0) <= 0.1:
+        raise ValueError(f"orientation is ({x}, {y}, {z}, {w}); accepted: a unit quaternion")
+    # Not scaled to norm 1: only the ratio matters.
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def fill_pose(pose: Any, place: Sequence[float] | np.ndarray) -> None:
+    """Fill a `geometry_msgs/Pose` with (x, y, yaw) [m, m, rad]."""
+    x, y, yaw = map(float, place)
+    pose.position.x, pose.position.y, pose.position.z = x, y, 0.0
+    pose.orientation.x = pose.orientation.y = 0.0
+    pose.orientation.z, pose.orientation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+
+
+def pose_of(pose: Any) -> np.ndarray:
+    """Return the pose (x, y, yaw) of a `geometry_msgs/Pose` [m, m, rad].
+
+    Raises:
+        ValueError: a position that is not finite, or an orientation that is no quaternion.
+    """
+    x, y = float(pose.position.x), float(pose.position.y)
+    if not (math.isfinite(x) and math.isfinite(y)):
+        raise ValueError(f"position is ({x}, {y}); accepted: finite numbers")
+    return np.array([x, y, yaw_of(pose.orientation)])
+
+
+def odometry_of(message: Any) -> Odometry:
+    """Convert a `nav_msgs/Odometry`, a `PoseWithCovarianceStamped` or a `PoseStamped`.
+
+    Raises:
+        ValueError: numbers that are not finite, an orientation that is no quaternion.
+    """
+    inner = message.pose
+    pose = pose_of(inner.pose if hasattr(inner, "pose") else inner)
+    twist = twist_of(message.twist.twist) if hasattr(message, "twist") else None
+    header = message.header
+    return Odometry(time_of(header.stamp), text_of(header.frame_id), pose, twist)
+
+
+def fill_odometry(message: Any, odometry: Odometry, child_frame: str) -> None:
+    """Fill a `nav_msgs/Odometry`.
+
+    Args:
+        message: the message.
+        odometry: pose and velocity.
+        child_frame: name of the robot's frame.
+    """
+    fill_header(message.header, odometry.time, odometry.frame)
+    message.child_frame_id = child_frame
+    fill_pose(message.pose.pose, odometry.pose)
+    if odometry.twist is not None:
+        fill_twist(message.twist.twist, odometry.twist)
+
+
+def fill_header(header: Any, seconds: float, frame: str) -> None:
+    """Fill a `std_msgs/Header` with a time [s] and the name of a frame."""
+    fill_time(header.stamp, seconds)
+    header.frame_id = frame
+
+
+def twist_of(message: Any) -> np.ndarray:
+    """Return (vx, vy, omega) of a `geometry_msgs/Twist` [m/s, m/s, rad/s].
+
+    Raises:
+        ValueError: numbers that are not finite.
+    """
+    given = (message.linear.x, message.linear.y, message.angular.z)
+    twist = np.array([float(each) for each in given])
+    if not np.isfinite(twist).all():
+        raise ValueError(f"twist is {tuple(twist.tolist())}; accepted: finite numbers")
+    return twist
+
+
+def fill_twist(message: Any, twist: Sequence[float] | np.ndarray) -> None:
+    """Fill a `geometry_msgs/Twist` with (vx, vy, omega) [m/s, m/s, rad/s]."""
+    vx, vy, omega = map(float, twist)
+    message.linear.x, message.linear.y, message.linear.z = vx, vy, 0.0
+    message.angular.x, message.angular.y, message.angular.z = 0.0, 0.0, omega
+
+
+def laser_scan_of(message: Any, sensor: Beams, mount: Mount | None = None) -> LaserScan:
+    """Convert a `sensor_msgs/LaserScan`.
+
+    The angle of reading k is `angle_min + k angle_increment`; `angle_max`, which drivers round
+    differently, is not read, nor are the intensities. What readings mean is said at
+    `Scan.from_ranges`. The lidar's position on the robot moves the points. The beams of the scan
+    start at the lidar, and `Perception.observe` needs the pose of the lidar.
+
+    Args:
+        message: the message.
+        sensor: sensor that the scan is for.
+        mount: pose of the lidar on the robot; at its centre when absent.
+
+    Raises:
+        ValueError: no readings or too many, angles that are not finite, an increment of 0, a
+            `range_max` that is not above `range_min`.
+    """
+    mount = Mount() if mount is None else mount
+    ranges = np.asarray(message.ranges, np.float64)
+    if ranges.ndim != 1 or not 0 < ranges.size <= MOST_READINGS:
+        raise ValueError(
+            f"ranges has shape {ranges.shape}; accepted: (R,) with 1 <= R <= {MOST_READINGS}"
+        )
+    first = _checks.number("angle_min", float(message.angle_min))
+    step = _checks.number("angle_increment", float(message.angle_increment))
+    if mount.is_inverted:
+        first, step = -first, -step
+    least = max(0.0, _checks.number("range_min", float(message.range_min)))
+    # Some drivers leave the field at 0.
+    most = float(message.range_max) or math.inf
+    scan = Scan.from_ranges(
+        ranges, first + mount.yaw, step, sensor, range_min=least, range_max=most
+    )
+    # NaN fails every comparison.
+    is_return = (ranges > 0.0) & (ranges >= least) & (ranges <= most) & np.isfinite(ranges)
+    angles = (first + mount.yaw + step * np.arange(ranges.size))[is_return]
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    points = np.array([mount.x, mount.y]) + ranges[is_return, None] * directions
+    header = message.header
+    return LaserScan(time_of(header.stamp), text_of(header.frame_id), scan, points)
+
+
+def fill_laser_scan(
+    message: Any, scan: Scan, sensor: Beams, seconds: float, frame: str, *, period: float
+) -> None:
+    """Fill a `sensor_msgs/LaserScan` with a scan; beams that met nothing are infinite (REP 117).
+
+    Args:
+        message: the message.
+        scan: the scan.
+        sensor: sensor of the scan.
+        seconds: time of the scan [s].
+        frame: name of the frame of the lidar.
+        period: time between two scans [s].
+    """
+    fill_header(message.header, seconds, frame)
+    angles = sensor.beam_angles.astype(np.float64)
+    message.angle_min, message.angle_max = float(angles[0]), float(angles[-1])
+    message.angle_increment = float(sensor.beam_spacing)
+    message.time_increment, message.scan_time = 0.0, float(period)
+    message.range_min, message.range_max = 0.0, float(sensor.max_range)
+    ranges = np.where(np.asarray(scan.is_return), np.asarray(scan.ranges), np.inf)
+    message.ranges = array.array("f", ranges.astype(np.float32).tobytes())
+
+
+def grid_of(message: Any) -> OccupancyGrid:
+    """Convert a `nav_msgs/OccupancyGrid`: -1 is a probability of 1/2, and v is v / 100.
+
+    The value 50 becomes the float above 1/2, so that `fill_grid` tells it from -1.
+
+    Raises:
+        ValueError: another number of cells than rows times columns, no cells or too many, a value
+            outside -1 to 100, a resolution that is not positive, an origin that is no pose.
+    """
+    info = message.info
+    rows, columns = int(info.height), int(info.width)
+    if not (rows > 0 and columns > 0 and rows * columns <= MOST_CELLS):
+        raise ValueError(
+            f"map has {rows} rows and {columns} columns; accepted: 1 to {MOST_CELLS} cells"
+        )
+    values = np.asarray(message.data, np.int16)
+    if values.shape != (rows * columns,):
+        raise ValueError(
+            f"data has shape {values.shape}; accepted: ({rows * columns},), {rows} rows of "
+            f"{columns} cells"
+        )
+    if values.min() < UNKNOWN or values.max() > 100:
+        raise ValueError(f"data spans {values.min()} to {values.max()}; accepted: -1, or 0 to 100")
+    # A table is exact, and avoids an array of doubles of the size of the map.
+    table = np.append(np.arange(101) / 100.0, 0.5).astype(np.float32)
+    table[50] = np.nextafter(table[50], np.float32(1.0))
+    # Negative indices count from the end: -1 is the entry of unknown cells.
+    probability = table[values].reshape(rows, columns)
+    resolution = _checks.number("resolution", float(info.resolution), above=0.0)
+    # The field is in single precision: 0.05 comes as 0.05000000074505806.
+    return OccupancyGrid(probability, round(resolution, 7), pose_of(info.origin))
+
+
+def fill_grid(
+    message: Any,
+    probability: np.ndarray,
+    resolution: float,
+    origin: Vector,
+    seconds: float,
+    frame: str,
+) -> None:
+    """Fill a `nav_msgs/OccupancyGrid`; a probability of exactly 1/2 is unknown.
+
+    Args:
+        message: the message.
+        probability: (H, W) probability of each cell, row 0 at the origin.
+        resolution: side of a cell [m].
+        origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
+        seconds: time [s].
+        frame: name of the frame of the origin.
+    """
+    fill_header(message.header, seconds, frame)
+    fill_time(message.info.map_load_time, seconds)
+    message.info.resolution = float(resolution)
+    message.info.height, message.info.width = map(int, probability.shape)
+    fill_pose(message.info.origin, np.asarray(origin, np.float64))
+    values = np.where(probability == 0.5, UNKNOWN, np.round(100.0 * probability))
+    message.data = array.array("b", values.astype(np.int8).tobytes())
+
+
+def path_of(message: Any) -> tuple[str, np.ndarray]:
+    """Return the frame and the poses (N, 3) of a `nav_msgs/Path` [m, m, rad].
+
+    Raises:
+        ValueError: too many poses, numbers that are not finite, an orientation that is no
+            quaternion.
+    """
+    poses = list(message.poses)
+    if len(poses) > MOST_POSES:
+        raise ValueError(f"path has {len(poses)} poses; accepted: at most {MOST_POSES}")
+    places = [pose_of(each.pose) for each in poses]
+    return text_of(message.header.frame_id), np.array(places).reshape(-1, 3)
+
+
+def fill_path(
+    message: Any, make_pose: Callable[[], Any], poses: np.ndarray, seconds: float, frame: str
+) -> None:
+    """Fill a `nav_msgs/Path`.
+
+    Args:
+        message: the message.
+        make_pose: class of a `geometry_msgs/PoseStamped`.
+        poses: (N, 3) poses (x, y, yaw) [m, m, rad].
+        seconds: time [s].
+        frame: name of the frame of the poses.
+    """
+    fill_header(message.header, seconds, frame)
+    message.poses = [make_pose() for _ in poses]
+    for each, pose in zip(message.poses, poses, strict=True):
+        fill_header(each.header, seconds, frame)
+        fill_pose(each.pose, pose)
+
+
+LINE_STRIP, ADD = 4, 0
+"""Values of `visualization_msgs/Marker`."""
+LINE_WIDTH, LIFETIME = 0.015, 0.5
+"""Width of the lines of rollouts [m], and time after which they vanish [s]."""
+
+
+def fill_rollouts(
+    message: Any,
+    make_marker: Callable[[], Any],
+    make_point: Callable[[], Any],
+    lines: np.ndarray,
+    colours: np.ndarray,
+    seconds: float,
+    frame: str,
+) -> None:
+    """Fill a `visualization_msgs/MarkerArray` with the lines of rollouts.
+
+    Args:
+        message: the message.
+        make_marker: class of a `visualization_msgs/Marker`.
+        make_point: class of a `geometry_msgs/Point`.
+        lines: (N, T, 2) positions of N rollouts [m].
+        colours: (N, 4) red, green, blue and opacity of each, from 0 to 1.
+        seconds: time [s].
+        frame: name of the frame of the positions.
+    """
+    message.markers = [make_marker() for _ in lines]
+    for index, (each, line, colour) in enumerate(zip(message.markers, lines, colours, strict=True)):
+        fill_header(each.header, seconds, frame)
+        each.ns, each.id, each.type, each.action = "rollouts", index, LINE_STRIP, ADD
+        fill_pose(each.pose, (0.0, 0.0, 0.0))
+        each.scale.x = LINE_WIDTH
+        each.color.r, each.color.g, each.color.b, each.color.a = map(float, colour)
+        fill_duration(each.lifetime, LIFETIME)
+        each.points = [make_point() for _ in line]
+        for point, (x, y) in zip(each.points, line.tolist(), strict=True):
+            point.x, point.y, point.z = x, y, 0.0
+
+
+def fill_duration(duration: Any, seconds: float) -> None:
+    """Fill a `builtin_interfaces/Duration` with seconds."""
+    fill_time(duration, seconds)
+
+
+def transform_of(messages: Iterable[Any], parent: str, child: str) -> Odometry | None:
+    """Return the newest transform between two frames among `geometry_msgs/TransformStamped`.
+
+    Args:
+        messages: transforms, such as those of a `tf2_msgs/TFMessage`.
+        parent: name of the frame in which the pose is.
+        child: name of the frame of the robot.
+
+    Returns:
+        The pose of the child; None if no message has it.
+
+    Raises:
+        ValueError: numbers that are not finite, an orientation that is no quaternion.
+    """
+    found = None
+    for each in messages:
+        names = str(each.header.frame_id).lstrip("/"), str(each.child_frame_id).lstrip("/")
+        if names != (parent.lstrip("/"), child.lstrip("/")):
+            continue
+        place = each.transform.translation
+        x, y = float(place.x), float(place.y)
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise ValueError(f"translation is ({x}, {y}); accepted: finite numbers")
+        pose = np.array([x, y, yaw_of(each.transform.rotation)])
+        found = Odometry(time_of(each.header.stamp), text_of(each.header.frame_id), pose, None)
+    return found

@@ -1,0 +1,51 @@
+"""Settings of the node that drives a robot, beside those of a run."""
+
+from typing import Literal
+
+from jaxplore.onboard.pilot import PilotOptions
+from jaxplore.settings.defaults import setting
+from jaxplore.settings.sections import NonNegative, Positive, Section
+
+
+class NodeSettings(Section):
+    """The node that drives a robot, in the section `node` of a settings file.
+
+    Args:
+        scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
+        pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
+        pose_type: type of the pose's messages; `tf` looks up `world_frame` to `robot_frame`.
+        command_topic: topic of the commands.
+        command_type: type of the commands.
+        world_frame: name of the fixed frame, for transforms.
+        robot_frame: name of the frame of the robot's centre.
+        map_size: side of the map that the robot makes [m]; it starts in its middle.
+        lidar_x: position of the lidar ahead of the robot's centre [m].
+        lidar_y: position of the lidar to the left of it [m].
+        lidar_yaw_degrees: heading of the lidar relative to the robot's [deg].
+        is_lidar_inverted: whether the lidar hangs upside down.
+        deadline: share of the control period after which the last plan's next command is sent.
+        is_autostarted: whether the robot drives at once, or waits for `start`.
+    """
+
+    scan_topic: str = "/scan"
+    pose_topic: str = "/odom"
+    pose_type: Literal["odometry", "pose", "tf"] = "odometry"
+    command_topic: str = "/cmd_vel"
+    command_type: Literal["twist", "twist_stamped"] = "twist"
+    world_frame: str = "odom"
+    robot_frame: str = "base_link"
+    map_size: Positive = 50.0
+    lidar_x: float = 0.0
+    lidar_y: float = 0.0
+    lidar_yaw_degrees: float = 0.0
+    is_lidar_inverted: bool = False
+    deadline: Positive = 0.9
+    is_autostarted: bool = True
+    latency: NonNegative = setting(PilotOptions, "latency")
+    max_age: Positive = setting(PilotOptions, "max_age")
+    max_frozen: Positive = setting(PilotOptions, "max_frozen")
+    max_jump: Positive = setting(PilotOptions, "max_jump")
+    max_deceleration: Positive = setting(PilotOptions, "max_deceleration")
+    max_angular_deceleration: Positive = setting(PilotOptions, "max_angular_deceleration")
+    margin: NonNegative = setting(PilotOptions, "margin")
+    done_after: Positive = setting(PilotOptions, "done_after")

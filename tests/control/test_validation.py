@@ -1,0 +1,151 @@
+"""The check that the robot can stop after a command."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplore import Ackermann, DifferentialDrive, Unicycle
+from jaxplore.control.validation import StopCheck
+
+ROBOT = DifferentialDrive(max_speed=1.0, max_acceleration=1.0, drag=0.0, radius=0.2)
+CHECK = StopCheck(margin=0.05)
+PERIOD = jnp.array(0.1)
+NUM = 40
+
+
+@eqx.filter_jit
+def checked(check, robot, states, controls, points, is_point):
+    def one(state, control, point, is_it):
+        return check(robot, state, control, PERIOD, point, is_it)
+
+    return jax.vmap(one)(states, controls, points, is_point)
+
+
+def least_gap(state, control, points, turn=0.0) -> float:
+    """Distance of the robot's edge while it executes a control for a period and brakes, float64."""
+    x, y, yaw, v, omega = (float(each) for each in state)
+    gap = np.inf
+    dt = 1e-3
+
+    def look() -> None:
+        nonlocal gap
+        if len(points):
+            gap = min(gap, float(np.hypot(*(points - [x, y]).T).min()) - 0.2)
+
+    look()
+    for k in range(4000):
+        if k * dt < 0.1 - 1e-9:
+            a, alpha = (float(each) for each in control)
+        else:
+            a = -min(1.0, v / dt)
+            alpha = float(np.clip(-omega / dt, -2.0, 2.0))
+        x, y = x + v * np.cos(yaw) * dt, y + v * np.sin(yaw) * dt
+        yaw += omega * dt
+        v = min(max(v + a * dt, 0.0), 1.0)
+        omega = min(max(omega + alpha * dt, -2.0), 2.0)
+        look()
+        if v == 0.0 and omega == 0.0 and k * dt > 0.1:
+            break
+    return gap
+
+
+def cases():
+    rng = np.random.default_rng(4)
+    states = np.stack(
+        [
+            *rng.uniform(-0.2, 0.2, (2, NUM)),
+            rng.uniform(-3, 3, NUM),
+            rng.uniform(0, 1, NUM),
+            rng.uniform(-1.5, 1.5, NUM),
+        ],
+        axis=-1,
+    )
+    controls = rng.uniform([-1, -2], [1, 2], (NUM, 2))
+    angles, away = rng.uniform(-np.pi, np.pi, (NUM, 12)), rng.uniform(0.35, 1.2, (NUM, 12))
+    points = away[..., None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    is_point = rng.random((NUM, 12)) < 0.5
+    return (
+        states.astype(np.float32),
+        controls.astype(np.float32),
+        points.astype(np.float32),
+        is_point,
+    )
+
+
+def test_a_command_is_replaced_exactly_where_the_robot_could_not_stop_in_time() -> None:
+    states, controls, points, is_point = cases()
+    found = checked(CHECK, ROBOT, states, controls, points, is_point)
+    number = 0
+    for k in range(NUM):
+        gap = least_gap(states[k], controls[k], points[k][is_point[k]])
+        # Half a time step of braking from full speed is 2.5 cm.
+        if abs(gap - 0.05) < 0.03:
+            continue
+        number += 1
+        assert bool(found.is_replaced[k]) == (gap < 0.05), k
+        if gap >= 0.05:
+            np.testing.assert_array_equal(found.control[k], controls[k])
+            assert float(found.gap[k]) == pytest.approx(gap, abs=0.06) or gap > 100
+    assert number > 20
+    assert 5 < int(found.is_replaced.sum()) < NUM - 5
+
+
+def test_a_replacement_brakes_and_keeps_at_least_the_distance_of_braking_straight() -> None:
+    states, controls, points, is_point = cases()
+    found = checked(CHECK, ROBOT, states, controls, points, is_point)
+    for k in np.flatnonzero(np.asarray(found.is_replaced)):
+        v = states[k, 3]
+        assert float(found.control[k, 0]) == pytest.approx(-min(1.0, v / 0.1), abs=1e-4)
+        stop = np.array([-min(1.0, v / 0.1), np.clip(-states[k, 4] / 0.1, -2, 2)])
+        straight = least_gap(states[k], stop, points[k][is_point[k]])
+        assert float(found.gap[k]) > straight - 0.04
+
+
+def test_a_wall_ahead_stops_a_fast_robot_at_its_braking_distance() -> None:
+    wall = np.stack([np.full(21, 1.0), np.linspace(-1, 1, 21)], axis=-1).astype(np.float32)
+    points, is_point = np.repeat(wall[None], NUM, 0), np.ones((NUM, 21), bool)
+    x = np.linspace(-0.4, 0.6, NUM)
+    states = np.zeros((NUM, 5), np.float32)
+    states[:, 0], states[:, 3] = x, 1.0
+    controls = np.zeros((NUM, 2), np.float32)
+    found = checked(CHECK, ROBOT, states, controls, points, is_point)
+    # 0.1 m in the period, then v^2 / 2 a = 0.5 m; radius 0.2 m and margin 0.05 m.
+    is_far = x + 0.1 + 0.5 + 0.25 < 1.0
+    is_sure = np.abs(x + 0.85 - 1.0) > 0.04
+    np.testing.assert_array_equal(~np.asarray(found.is_replaced)[is_sure], is_far[is_sure])
+
+
+def test_a_robot_within_the_margin_may_drive_away_but_not_closer() -> None:
+    points, is_point = np.array([[[0.22, 0.0]]] * 2, np.float32), np.ones((2, 1), bool)
+    states = np.zeros((2, 5), np.float32)
+    # Towards the point, and with the back to it.
+    states[1, 2] = np.pi
+    controls = np.array([[0.5, 0.0]] * 2, np.float32)
+    found = checked(CHECK, ROBOT, states, controls, points, is_point)
+    assert np.asarray(found.is_replaced).tolist() == [True, False]
+
+
+def test_a_command_that_is_not_finite_is_replaced_and_other_models_brake() -> None:
+    nothing = np.zeros((1, 1, 2), np.float32), np.zeros((1, 1), bool)
+    for robot, state in (
+        (ROBOT, [0.0, 0.0, 0.0, 0.8, 0.0]),
+        (Unicycle(), [0.0, 0.0, 0.0]),
+        (Ackermann(max_speed=1.0), [0.0, 0.0, 0.0, 0.8, 0.1]),
+    ):
+        given = np.array([state], np.float32)
+        bad = np.full((1, robot.control_size), np.nan, np.float32)
+        found = checked(CHECK, robot, given, bad, *nothing)
+        assert bool(found.is_replaced[0])
+        assert np.isfinite(np.asarray(found.control)).all()
+        after = robot.step(jnp.asarray(given[0]), found.control[0], PERIOD)
+        assert float(robot.speed(after)) <= float(robot.speed(jnp.asarray(given[0])))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("margin", -0.1), ("time_step", 0.0), ("horizon", 0.0), ("num_turns", 0)]
+)
+def test_arguments_that_make_no_sense_are_refused(name, value) -> None:
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        StopCheck(**{name: value})

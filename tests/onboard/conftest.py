@@ -1,0 +1,79 @@
+import jax
+import numpy as np
+import pytest
+
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
+from jaxplore.onboard.pilot import Pilot, PilotOptions
+from jaxplore.onboard.simulated_robot import SimulatedRobot
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+
+SHAPE = (48, 64)
+ROBOT = DifferentialDrive(max_speed=1.0)
+LIDAR = Lidar(num_beams=72, max_range=2.5, range_noise=0.01)
+
+
+def rooms() -> OccupancyGrid:
+    """Two rooms with a door and a pillar, 6.4 x 4.8 m."""
+    world = np.zeros(SHAPE, np.float32)
+    world[0], world[-1], world[:, 0], world[:, -1] = 1.0, 1.0, 1.0, 1.0
+    world[:16, 32] = world[26:, 32] = 1.0
+    world[20:24, 14:18] = 1.0
+    return OccupancyGrid(world, 0.1)
+
+
+def scenario_in(world: OccupancyGrid, start) -> ExplorationScenario:
+    perception = Perception(LIDAR, 0.1, 0.2, num_directions=16, margin=0.05)
+    return ExplorationScenario(
+        world, ROBOT, LIDAR, start, perception=perception, target_coverage=0.97
+    )
+
+
+@pytest.fixture(scope="session")
+def make_robot():
+    """Return a maker of simulated robots, all of one compiled program."""
+
+    def make(start=(1.0, 1.0, 0.3), **options) -> SimulatedRobot:
+        return SimulatedRobot(scenario_in(rooms(), start), jax.random.key(2), **options)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_pilot():
+    """Return a maker of pilots, all of one compiled program."""
+    side = 128
+    blank = OccupancyGrid(np.zeros((side, side), np.float32), 0.1, (-6.4, -6.4, 0.0))
+
+    def make(**options) -> Pilot:
+        controller = explorer(ROBOT, horizon=30, num_samples=128)
+        scenario = scenario_in(blank, (0.0, 0.0, 0.0))
+        return Pilot(scenario, controller, jax.random.key(5), PilotOptions(**options))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def drive():
+    """Return a function that lets a pilot drive a robot, and may change what it is told."""
+
+    def drive(pilot, robot, seconds, change=lambda now, measured: measured, began=0.0):
+        """Return the commands, and the robot's true states after each."""
+        commands, states = [], []
+        angles = LIDAR.beam_angles.astype(np.float64)
+        for _ in range(round(seconds / robot.period)):
+            now = began + robot.time
+            measured = change(now, robot.step())
+            if measured.pose is not None:
+                pilot.add_odometry(now, measured.pose, measured.twist)
+            if measured.scan is not None:
+                ranges = np.asarray(measured.scan.ranges, np.float64)
+                beams = ranges[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+                is_return = np.asarray(measured.scan.is_return)
+                pilot.add_scan(now, measured.scan, beams[is_return])
+            commands.append(pilot.command(now))
+            pilot.update_fields(now)
+            robot.set_velocity(commands[-1].twist)
+            states.append(np.asarray(robot.state.robot))
+        return commands, np.array(states)
+
+    return drive

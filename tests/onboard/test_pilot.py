@@ -1,0 +1,228 @@
+"""The pilot of a robot, with a simulated one in the same process."""
+
+import numpy as np
+import pytest
+
+from jaxplore.onboard import steps
+from jaxplore.onboard.pilot import Mode, PilotOptions
+from jaxplore.sensing.beams import Scan
+
+LATENCY = 0.06
+"""Two periods of delay, and one in which a command waits for the next step."""
+
+
+@pytest.fixture(scope="module")
+def drive_once(make_pilot, make_robot, drive):
+    def run(seconds, change=lambda now, measured: measured, offset=(0.0, 0.0), **options):
+        def moved(now, measured):
+            place = np.array([*offset, 0.0])
+            return change(now, measured._replace(pose=measured.pose + place))
+
+        pilot = make_pilot(latency=LATENCY, **options)
+        robot = make_robot(delay=0.04)
+        commands, states = drive(pilot, robot, seconds, moved)
+        return pilot, robot, commands, states
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def explored(drive_once):
+    return drive_once(24.0)
+
+
+def speeds(commands) -> np.ndarray:
+    return np.array([np.hypot(*each.twist[:2]) for each in commands])
+
+
+def test_the_robot_explores_without_a_contact(explored) -> None:
+    _, robot, commands, _ = explored
+    assert robot.coverage > 0.9
+    assert robot.num_contacts == 0
+    assert commands[0].mode is Mode.DRIVING
+    assert robot.watchdog_stops == 0
+
+
+def test_the_same_data_give_the_same_commands(explored, drive_once) -> None:
+    again = drive_once(5.0)[2]
+    for one, other in zip(again, explored[2], strict=False):
+        np.testing.assert_array_equal(one.twist, other.twist)
+
+
+def test_a_drive_far_from_the_origin_is_the_same_to_within_rounding(explored, drive_once) -> None:
+    offset = (500_000.0, 4_649_776.0)
+    pilot, robot, _, states = drive_once(5.0, offset=offset)
+    np.testing.assert_allclose(states, explored[3][: len(states)], atol=2e-2)
+    np.testing.assert_allclose(pilot.offset, np.array(offset) + 1.0, atol=0.05)
+    assert robot.num_contacts == 0
+
+
+def test_nothing_compiles_while_it_drives(explored, drive_once) -> None:
+    programs = (steps.observe, steps.derive, steps.plan)
+    before = [each._cached._cache_size() for each in programs]
+    drive_once(1.0)
+    assert [each._cached._cache_size() for each in programs] == before
+
+
+def test_the_recording_of_a_drive_is_that_of_an_exploration(explored) -> None:
+    pilot, robot, commands, states = explored
+    recording = pilot.recording()
+    assert recording.num_steps == pytest.approx(len(commands), abs=2)
+    metrics = recording.metrics()
+    truth = robot.recording(is_interrupted=False).metrics()
+    assert metrics.path_length == pytest.approx(truth.path_length, rel=0.05)
+    # The final map stands for the world, so all of it is covered in the end.
+    assert metrics.coverage == pytest.approx(1.0)
+    assert metrics.time_to["50"] is not None
+    coverage = recording.records.coverage
+    assert (np.diff(coverage) >= 0.0).all()
+    assert 0.0 < metrics.minimum_clearance < 1.0
+    # Relative to the first position.
+    np.testing.assert_allclose(
+        recording.positions[-1], states[-1, :2] - np.round(states[0, :2], 1), atol=0.1
+    )
+    assert set(recording.figures()) >= {"map", "coverage"}
+
+
+def freeze(begin, end, what):
+    """Return a change that repeats a part of what was measured, with new times."""
+    kept = {}
+
+    def change(now, measured):
+        if begin <= now < end:
+            if what == "scan" and measured.scan is not None:
+                return measured._replace(scan=kept.get("scan", measured.scan))
+            if what == "pose":
+                return measured._replace(pose=kept["pose"], twist=np.array([0.5, 0.0, 0.0]))
+        else:
+            kept["pose"] = measured.pose
+            kept["scan"] = measured.scan or kept.get("scan")
+        return measured
+
+    return change
+
+
+def drop(begin, end, what):
+    def change(now, measured):
+        if begin <= now < end and what in ("scan", "both"):
+            measured = measured._replace(scan=None)
+        if begin <= now < end and what in ("pose", "both"):
+            measured = measured._replace(pose=None)
+        return measured
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("make", "what", "reason", "within"),
+    [
+        (drop, "scan", "the scan is 0.3", 0.32),
+        (drop, "pose", "the odometry is 0.3", 0.32),
+        (drop, "both", "s old", 0.32),
+        (freeze, "scan", "the scan does not change", 0.32),
+        (freeze, "pose", "the pose does not change", 0.32),
+    ],
+)
+def test_data_that_stop_or_freeze_brake_the_robot_and_say_why(
+    drive_once, make, what, reason, within
+) -> None:
+    begin, end = 3.0, 5.0
+    _, robot, commands, _ = drive_once(6.5, make(begin, end, what))
+    times = robot.period * np.arange(len(commands))
+    braking = np.array([each.mode is Mode.BRAKING for each in commands])
+    assert not braking[times < begin].any()
+    first = np.argmax(braking)
+    assert begin < times[first] <= begin + within
+    assert reason in commands[first].reason
+    # A ramp of 10 m/s^2 from at most 1 m/s.
+    fast = speeds(commands)
+    ramp = np.diff(fast[first - 1 : first + 10])
+    assert (ramp >= -0.2 - 1e-6).all()
+    assert (ramp <= 1e-9).all()
+    # A robot whose pose did not change tries again after two seconds.
+    stands = (times > begin + 0.42) & (times < end - 0.02)
+    assert not fast[stands].any()
+    # It goes on when the data are back.
+    assert fast[times > end + 1.0].max() > 0.1
+    assert robot.num_contacts == 0
+
+
+def test_a_pose_that_jumps_brakes_the_robot_for_a_second(drive_once) -> None:
+    def jump(now, measured):
+        return measured._replace(pose=measured.pose + np.array([2.0 * (now >= 3.0), 0.0, 0.0]))
+
+    _, _, commands, _ = drive_once(5.0, jump)
+    reasons = [each.reason for each in commands]
+    assert reasons[150].startswith("the pose jumped by 2.0")
+    assert commands[150].mode is Mode.BRAKING
+    assert commands[-1].mode is Mode.DRIVING
+
+
+def test_measurements_that_are_not_finite_never_reach_the_robot(drive_once) -> None:
+    def poison(now, measured):
+        if 2.0 <= now < 3.0:
+            bad = measured.pose.copy()
+            bad[0] = np.nan
+            return measured._replace(pose=bad)
+        if 3.5 <= now < 4.0 and measured.scan is not None:
+            nan = np.full_like(np.asarray(measured.scan.ranges), np.nan)
+            return measured._replace(scan=Scan(nan, np.asarray(measured.scan.is_return)))
+        return measured
+
+    _, robot, commands, _ = drive_once(6.0, poison)
+    assert np.isfinite([each.twist for each in commands]).all()
+    assert robot.num_contacts == 0
+
+
+def test_a_paused_pilot_stands_and_goes_on(make_pilot, make_robot, drive) -> None:
+    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
+    drive(pilot, robot, 2.0)
+    pilot.is_started = False
+    commands, _ = drive(pilot, robot, 2.0)
+    assert commands[-1].mode is Mode.PAUSED
+    assert not commands[-1].twist.any()
+    pilot.is_started = True
+    assert speeds(drive(pilot, robot, 2.0)[0]).max() > 0.1
+    pilot.finish("enough")
+    commands, _ = drive(pilot, robot, 2.0)
+    assert (commands[-1].mode, commands[-1].reason) == (Mode.DONE, "enough")
+    assert not commands[-1].twist.any()
+
+
+def test_a_late_plan_is_bridged_by_the_last_one_and_then_by_braking(
+    make_pilot, make_robot, drive
+) -> None:
+    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
+    commands, _ = drive(pilot, robot, 2.0)
+    now = robot.time
+    bridged = [pilot.next_command(now + k * robot.period) for k in range(60)]
+    assert all(each.reason == "a plan was late" for each in bridged)
+    modes = [each.mode for each in bridged]
+    assert modes[0] is Mode.DRIVING
+    assert modes[-1] is Mode.BRAKING
+    assert modes == sorted(modes, reverse=True)
+    assert not bridged[-1].twist.any()
+    # From one command to the next the speed changes by what the robot can do.
+    steps_ = np.diff([commands[-1].twist[0], *(each.twist[0] for each in bridged)])
+    assert np.abs(steps_)[: modes.index(Mode.BRAKING)].max() < 0.021
+    assert np.abs(steps_).max() < 0.2 + 1e-6
+
+
+def test_the_robot_is_done_when_nothing_is_worth_a_visit(make_pilot, make_robot, drive) -> None:
+    pilot, robot = make_pilot(latency=LATENCY, done_after=2.0), make_robot(delay=0.04)
+    for _ in range(4):
+        commands, _ = drive(pilot, robot, 10.0)
+        if pilot.finished:
+            break
+    assert commands[-1].mode is Mode.DONE
+    assert commands[-1].reason == "no place that is worth a visit is reachable"
+    assert robot.coverage > 0.95
+    assert pilot.recording().metrics().is_finished
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("latency", -0.1), ("max_age", 0.0), ("margin", -1.0), ("max_jump", 0)]
+)
+def test_options_that_make_no_sense_are_refused(name, value) -> None:
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        PilotOptions(**{name: value})
