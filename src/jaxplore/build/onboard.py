@@ -3,14 +3,19 @@
 import jax
 import numpy as np
 
+from jaxplore.belief.perception import Perception
 from jaxplore.build.exploration import build_in
-from jaxplore.build.parts import build_robot
+from jaxplore.build.own import own_rule
+from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.pilot import Pilot, PilotOptions
+from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
 from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.own import is_own
 from jaxplore.settings.sections import checked_section
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
@@ -36,6 +41,32 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     # The office stands in for the map: a robot finds its own.
     settings = make_exploration_settings({**given, "map": OFFICE})
     return settings, checked_section(NodeSettings, node)
+
+
+def build_goal_chooser(settings: Settings) -> GoalChooser:
+    """Build the chooser of goals that settings describe.
+
+    Raises:
+        ValueError: settings that a part rejects.
+    """
+    robot = build_robot(settings.robot)
+    perception = Perception(
+        build_sensors(settings),
+        settings.resolution,
+        robot.radius,
+        sensor_model=build_sensor_model(settings.sensor_model),
+        **arguments(settings.fields, Perception),
+    )
+    if is_own(settings.architecture):
+        rule = own_rule(settings.architecture)
+        if rule is None:
+            raise ValueError(
+                f"architecture is {settings.architecture!r}, no rule; accepted: a TargetRule, for "
+                "goals"
+            )
+    else:
+        rule = RULES.get(settings.architecture, DiscountedInformation)()
+    return GoalChooser(perception, rule, max_speed=settings.robot.max_speed)
 
 
 def build_pilot(settings: Settings, node: NodeSettings) -> Pilot:

@@ -12,16 +12,18 @@ import click
 import jax
 
 from jaxplore._exit import INTERRUPTED
-from jaxplore.build.onboard import build_pilot, make_node_settings
+from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_settings
 from jaxplore.build.tasks import build, find_task, make_settings
-from jaxplore.cli._entries import assign_all, folder_name, option_entries
+from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._show import free_name, show_starts
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.report.console import progress_bar
 from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
-from jaxplore.ros import control, robot
+from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connected
+from jaxplore.settings.exploration import Settings
+from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run
@@ -38,7 +40,12 @@ def drive(options: dict[str, Any]) -> None:
     file, overwrite = options["settings_file"], options["overwrite"]
     entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
     assign_all(entries, options["assignments"])
+    if options["mode"] is not None:
+        assign(entries, "node.mode", options["mode"])
     settings, node = make_node_settings(entries)
+    if node.mode == "goal":
+        choose_goals(settings, node)
+        return
     out = options["out"]
     folder = free_name(Path("runs") / "drive") if out is None else out
     check_folder(folder, overwrite=overwrite)
@@ -73,6 +80,28 @@ def drive(options: dict[str, Any]) -> None:
         )
     rows.append(("replaced by braking", str(pilot.num_replaced)))
     print_table(rows, has_header=False)
+    if is_stopped.is_set():
+        sys.exit(INTERRUPTED)
+
+
+def choose_goals(settings: Settings, node: NodeSettings) -> None:
+    """Publish goals until no place is worth a visit, or the user stops it.
+
+    The exit code is 130 if the user stopped it.
+
+    Raises:
+        ValueError: no ROS 2, or settings that a part rejects.
+    """
+    chooser = build_goal_chooser(settings)
+    with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
+        chosen = goal.GoalNode(link, chooser, node, settings.resolution)
+        click.echo(
+            f"Choosing goals: {node.map_topic} and {node.pose_topic} to {node.goal_topic}; Ctrl-C "
+            "ends it.",
+            err=True,
+        )
+        reason = chosen.run(is_stopped)
+    click.echo(f"Done after {chosen.num_goals} goals: {reason}", err=True)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
 

@@ -12,6 +12,11 @@ def node_options(command: Any) -> Any:
     for option in reversed(
         (
             click.option(
+                "--mode",
+                type=click.Choice(["control", "goal"]),
+                help="Drive the robot, or publish goals that nav2 drives to.  [default: control]",
+            ),
+            click.option(
                 "--settings",
                 "settings_file",
                 type=click.Path(path_type=Path),

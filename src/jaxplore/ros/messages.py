@@ -261,10 +261,15 @@ def fill_laser_scan(
     message.ranges = array.array("f", ranges.astype(np.float32).tobytes())
 
 
-def grid_of(message: Any) -> OccupancyGrid:
+def grid_of(message: Any, offset: np.ndarray | None = None) -> OccupancyGrid:
     """Convert a `nav_msgs/OccupancyGrid`: -1 is a probability of 1/2, and v is v / 100.
 
     The value 50 becomes the float above 1/2, so that `fill_grid` tells it from -1.
+
+    Args:
+        message: the message.
+        offset: (2,) position of which the grid's origin is relative [m]; none when absent. Far from
+            the origin, single precision has centimetres only.
 
     Raises:
         ValueError: another number of cells than rows times columns, no cells or too many, a value
@@ -291,7 +296,10 @@ def grid_of(message: Any) -> OccupancyGrid:
     probability = table[values].reshape(rows, columns)
     resolution = _checks.number("resolution", float(info.resolution), above=0.0)
     # The field is in single precision: 0.05 comes as 0.05000000074505806.
-    return OccupancyGrid(probability, round(resolution, 7), pose_of(info.origin))
+    origin = pose_of(info.origin)
+    if offset is not None:
+        origin = origin - np.append(offset, 0.0)
+    return OccupancyGrid(probability, round(resolution, 7), origin)
 
 
 def fill_grid(

@@ -11,6 +11,9 @@ class NodeSettings(Section):
     """The node that drives a robot, in the section `node` of a settings file.
 
     Args:
+        mode: `control` drives the robot; `goal` chooses goals on a map, and nav2 drives.
+        map_topic: topic of the map, for goals.
+        goal_topic: topic of the goals.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
         pose_type: type of the pose's messages; `tf` looks up `world_frame` to `robot_frame`.
@@ -27,6 +30,9 @@ class NodeSettings(Section):
         is_autostarted: whether the robot drives at once, or waits for `start`.
     """
 
+    mode: Literal["control", "goal"] = "control"
+    map_topic: str = "/map"
+    goal_topic: str = "/goal_pose"
     scan_topic: str = "/scan"
     pose_topic: str = "/odom"
     pose_type: Literal["odometry", "pose", "tf"] = "odometry"

@@ -1,0 +1,143 @@
+"""The node that chooses goals on a map, and lets another program drive there."""
+
+import json
+import math
+import threading
+import time
+from typing import Any
+
+import numpy as np
+
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.goals import Goal, GoalChooser
+from jaxplore.ros import messages
+from jaxplore.ros.link import Link
+from jaxplore.settings.node import NodeSettings
+
+CHOICE_SECONDS = 1.0
+"""Time between two looks at the map [s]."""
+MAX_AGE = 5.0
+"""Age of a pose beyond which no goal is chosen [s]; a robot that stands may publish rarely."""
+
+
+class GoalNode:
+    """Publishes goals for nav2 or another program that drives.
+
+    Args:
+        link: connection to ROS 2.
+        chooser: chooser of goals.
+        settings: topics and numbers of the node.
+        resolution: side of a cell of the map that goals are chosen on [m].
+    """
+
+    def __init__(
+        self, link: Link, chooser: GoalChooser, settings: NodeSettings, resolution: float
+    ) -> None:
+        self.link, self.chooser, self.settings = link, chooser, settings
+        self._resolution = resolution
+        self._lock = threading.Lock()
+        self._map: tuple[OccupancyGrid, np.ndarray] | None = None
+        self._pose: messages.Odometry | None = None
+        self._frame = "map"
+        ros = link.ros
+        self._goals = link.publisher(ros.PoseStamped, settings.goal_topic, is_kept=True)
+        self._state = link.publisher(ros.String, "~/state")
+        link.subscribe(ros.OccupancyGrid, settings.map_topic, self._take_map, is_kept=True)
+        if settings.pose_type == "tf":
+            if ros.TFMessage is None:
+                raise ValueError(
+                    "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or "
+                    "pose"
+                )
+            link.subscribe(ros.TFMessage, "/tf", self._take_transforms)
+        else:
+            is_odometry = settings.pose_type == "odometry"
+            kind = ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped
+            link.subscribe(kind, settings.pose_topic, self._take_pose)
+        self.num_goals = 0
+
+    def _take_map(self, message: Any) -> None:
+        # Whole metres are exact, and leave numbers that single precision can hold.
+        place = np.floor(messages.pose_of(message.info.origin)[:2])
+        grid = messages.grid_of(message, offset=place)
+        if grid.resolution < self._resolution * (1.0 - 1e-6):
+            grid = grid.resample(self._resolution)
+        elif grid.resolution > self._resolution * (1.0 + 1e-6):
+            raise ValueError(
+                f"resolution is {grid.resolution:g} m; accepted: at most {self._resolution:g} m, "
+                "the setting resolution"
+            )
+        with self._lock:
+            self._map, self._frame = (grid, place), messages.text_of(message.header.frame_id)
+
+    def _take_pose(self, message: Any) -> None:
+        pose = messages.odometry_of(message)
+        with self._lock:
+            self._pose = pose._replace(time=self.link.stamp_of(self.settings.pose_topic, pose.time))
+
+    def _take_transforms(self, message: Any) -> None:
+        names = self.settings.world_frame, self.settings.robot_frame
+        pose = messages.transform_of(message.transforms, *names)
+        if pose is not None:
+            with self._lock:
+                self._pose = pose._replace(time=self.link.stamp_of("/tf", pose.time))
+
+    def run(self, is_stopped: threading.Event) -> str:
+        """Publish goals until no place is worth a visit; return why it ended.
+
+        Args:
+            is_stopped: ends the run when it is set.
+        """
+        without_goal_since = math.inf
+        shown: Goal | None = None
+        while not is_stopped.wait(CHOICE_SECONDS):
+            now = self.link.now()
+            with self._lock:
+                given, pose, frame = self._map, self._pose, self._frame
+            if given is None or pose is None:
+                self._publish_state("waiting", "no map yet" if given is None else "no pose yet")
+                continue
+            if now - pose.time > MAX_AGE:
+                self.link.warn("pose", f"the pose is {now - pose.time:.1f} s old")
+                self._publish_state("waiting", "the pose is old")
+                continue
+            goal = self.chooser.update(now, *given, pose.pose)
+            if goal is None:
+                without_goal_since = min(without_goal_since, now)
+                if now - without_goal_since >= self.settings.done_after:
+                    reason = "no place that is worth a visit is reachable"
+                    self._publish_state("done", reason)
+                    # The last messages need a moment to leave.
+                    time.sleep(0.2)
+                    return reason
+                continue
+            without_goal_since = math.inf
+            if shown is None or not np.array_equal(goal.pose, shown.pose):
+                shown = goal
+                self.num_goals += 1
+                self._publish_goal(goal, now, frame)
+            self._publish_state("driving", "")
+        return "stopped"
+
+    def _publish_goal(self, goal: Goal, now: float, frame: str) -> None:
+        message = self.link.ros.PoseStamped()
+        messages.fill_header(message.header, now, frame)
+        messages.fill_pose(message.pose, goal.pose)
+        self._goals.publish(message)
+        x, y, _ = goal.pose
+        self.link.node.get_logger().info(
+            f"goal ({x:.2f}, {y:.2f}), {goal.distance:.1f} m away, {goal.information:.0f} nat"
+        )
+
+    def _publish_state(self, mode: str, reason: str) -> None:
+        message = self.link.ros.String()
+        message.data = json.dumps(
+            {
+                "mode": mode,
+                "reason": reason,
+                "goals": self.num_goals,
+                "dropped": self.chooser.num_dropped,
+                "warnings": sum(self.link.num_warnings.values()),
+            }
+        )
+        self._state.publish(message)
