@@ -49,6 +49,8 @@ def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
         "state.npz",
         "map.png",
         "coverage.png",
+        "explored.yaml",
+        "explored.pgm",
         "settings.yaml",
     }
     used = yaml.safe_load(Path("first/settings.yaml").read_text())

@@ -122,6 +122,8 @@ FILES = {
     "arrays.npz",
     "state.npz",
     "coverage.png",
+    "explored.yaml",
+    "explored.pgm",
     "map.png",
     "members.png",
     "metrics.json",

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from jaxplore import maps as maps
     from jaxplore import parameters as parameters
     from jaxplore import planning as planning
+    from jaxplore import recorder as recorder
     from jaxplore import report as report
     from jaxplore import sensing as sensing
     from jaxplore import simulation as simulation
@@ -199,6 +200,7 @@ _PACKAGES = {
         "informative_mppi",
         "mpcc",
     ],
+    "recorder": [],
     "report": ["Metrics", "Recording"],
     "sensing": ["Camera", "InverseSensorModel", "Lidar", "Sensor"],
     "simulation": [

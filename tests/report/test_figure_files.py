@@ -45,7 +45,13 @@ def test_a_folder_has_every_figure_in_every_format(recording, tmp_path):
     save_run(recording, metrics, tmp_path / "run", animation=False, figures="pdf,svg")
     names = {path.name for path in (tmp_path / "run").iterdir()}
     expected = {f"{name}.{kind}" for name in recording.figures() for kind in ("pdf", "svg")}
-    assert names == expected | {"metrics.json", "arrays.npz", "state.npz"}
+    assert names == expected | {
+        "metrics.json",
+        "arrays.npz",
+        "state.npz",
+        "explored.yaml",
+        "explored.pgm",
+    }
     with pytest.raises(ValueError, match="figures is 'gif'; accepted"):
         save_run(recording, metrics, tmp_path / "other", figures="gif")
     assert not (tmp_path / "other").exists()

@@ -7,10 +7,20 @@ import pytest
 import yaml
 from PIL import Image
 
+from jaxplore.maps.files.ros import read_map
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.save import save_run
 
-FILES = ["arrays.npz", "coverage.png", "exploration.gif", "map.png", "metrics.json", "state.npz"]
+FILES = [
+    "arrays.npz",
+    "coverage.png",
+    "exploration.gif",
+    "explored.pgm",
+    "explored.yaml",
+    "map.png",
+    "metrics.json",
+    "state.npz",
+]
 
 
 def names(path) -> list[str]:
@@ -55,6 +65,26 @@ def test_arrays_hold_the_run(recording, tmp_path):
         assert arrays["resolution"] == 0.1
         assert arrays["control_period"] == 0.5
         assert tuple(arrays["state_names"]) == recording.state_names
+
+
+def test_the_explored_map_is_a_ros_map(make_recording, tmp_path):
+    belief = np.linspace(0.0, 1.0, 600, dtype=np.float32).reshape(20, 30)
+    pose, positions = (1.5, -2.0, 0.3), [(0.5, 1.0), (0.7, 1.0)]
+    recording = make_recording(positions, [0.5], origin=pose, belief=belief)
+    save_run(recording, compute_metrics(recording), tmp_path / "run", animation=False)
+    # PyYAML and Pillow alone: what map_server reads.
+    entries = yaml.safe_load((tmp_path / "run" / "explored.yaml").read_text())
+    with Image.open(tmp_path / "run" / entries["image"]) as image:
+        occupancy = 1.0 - np.asarray(image)[::-1] / 255.0
+    assert entries["mode"] == "trinary"
+    np.testing.assert_array_equal(occupancy > entries["occupied_thresh"], belief > 0.65)
+    np.testing.assert_array_equal(occupancy < entries["free_thresh"], belief < 0.25)
+    np.testing.assert_allclose(entries["origin"], pose, rtol=1e-6)
+    found, resolution, origin = read_map(tmp_path / "run" / "explored.yaml")
+    expected = np.where(belief > 0.65, 1.0, np.where(belief < 0.25, 0.0, 0.5))
+    np.testing.assert_array_equal(found, expected)
+    assert resolution == recording.resolution
+    np.testing.assert_array_equal(np.float32(origin), recording.origin)
 
 
 OPTIONAL = ["targets", "idleness", "elevation", "traversable", "mover_radii", "footprint"]

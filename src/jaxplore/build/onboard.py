@@ -69,12 +69,13 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
     return GoalChooser(perception, rule, max_speed=settings.robot.max_speed)
 
 
-def build_pilot(settings: Settings, node: NodeSettings) -> Pilot:
+def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = True) -> Pilot:
     """Build the pilot that settings describe.
 
     Args:
         settings: settings of the robot, its lidar, the controller and the rates.
         node: settings of the node.
+        is_obeyed: whether the robot executes the commands; not in a replay.
 
     Raises:
         ValueError: settings that a part rejects, or a robot that flies.
@@ -97,7 +98,7 @@ def build_pilot(settings: Settings, node: NodeSettings) -> Pilot:
         made.scenario,
         made.controller,
         jax.random.key(settings.seed),
-        PilotOptions(**arguments(node, PilotOptions)),
+        PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed),
     )
     pilot.is_started = node.is_autostarted
     return pilot

@@ -16,7 +16,7 @@ from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
-from jaxplore.cli._node_options import node_options, robot_options
+from jaxplore.cli._node_options import node_options, replay_options, robot_options
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
@@ -44,6 +44,18 @@ def cli() -> None:
 @click.option(
     "--out", type=click.Path(path_type=Path), metavar="DIR", help="Run folder.  [default: runs/MAP]"
 )
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="FILE.mcap",
+    help="Also record the run for Foxglove (needs foxglove-sdk).",
+)
+@click.option(
+    "--resume",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Run folder to continue, with its settings; with --overwrite or another --out.",
+)
 @picture_options("Draw an animation.", video=True)
 def run(out: Path | None, overwrite: bool, **options: Any) -> None:
     """Simulate a robot that explores a map or follows a path.
@@ -62,8 +74,10 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
       jaxplore run path --laps 3 --obstacles 5
       jaxplore run path --path centerline.csv --max-speed 8
       jaxplore run office --fps 30 --film-scale 2 --video office.mp4 --figures pdf,svg
+      jaxplore run office --record office.mcap
+      jaxplore run --resume runs/office --time-limit 1200 --overwrite
 
-    Ctrl-C ends the run and saves it up to then.
+    Ctrl-C ends the run and saves it up to then. --resume continues it.
     """
     from jaxplore.cli._run import run_one
 
@@ -173,6 +187,26 @@ def node(**options: Any) -> None:
     from jaxplore.cli._node import drive
 
     drive(options)
+
+
+@cli.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@replay_options
+@cache_option
+def replay(bag: Path, **options: Any) -> None:
+    """Feed a recorded drive to mapping and controller: what would it have commanded?
+
+    The bag is a rosbag2 folder, or its .db3 or .mcap file, with a LaserScan and an Odometry (or a
+    PoseWithCovarianceStamped). ROS is not needed. Writes a run folder with the map, the commands
+    and an animation:
+
+    \b
+      jaxplore replay bags/office --out runs/office-replay
+      jaxplore replay drive.mcap --scan /base_scan --settings robot.yaml
+    """
+    from jaxplore.cli._node import replay_bag
+
+    replay_bag(bag, options)
 
 
 @cli.command()

@@ -16,17 +16,22 @@ from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_se
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._show import free_name, show_starts
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.report.console import progress_bar
-from jaxplore.report.folder import check_folder
+from jaxplore.report.folder import check_folder, write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connected
+from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run
+
+COMMANDS = "commands.csv"
+"""File of a run folder with the velocity commands of a drive."""
 
 
 def drive(options: dict[str, Any]) -> None:
@@ -37,18 +42,11 @@ def drive(options: dict[str, Any]) -> None:
     Raises:
         ValueError: options that are not accepted, no ROS 2, or another node that drives the robot.
     """
-    file, overwrite = options["settings_file"], options["overwrite"]
-    entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
-    assign_all(entries, options["assignments"])
-    if options["mode"] is not None:
-        assign(entries, "node.mode", options["mode"])
-    settings, node = make_node_settings(entries)
+    settings, node, folder = _drive_settings(options)
+    overwrite = options["overwrite"]
     if node.mode == "goal":
         choose_goals(settings, node)
         return
-    out = options["out"]
-    folder = free_name(Path("runs") / "drive") if out is None else out
-    check_folder(folder, overwrite=overwrite)
     pilot = build_pilot(settings, node)
     click.echo("Compiling, a few seconds ...", err=True)
     pilot.prepare()
@@ -62,13 +60,7 @@ def drive(options: dict[str, Any]) -> None:
         )
         driver.run(is_stopped)
     click.echo(f"Done: {pilot.finished}", err=True)
-    if pilot.log.num_steps:
-        recording = pilot.recording()
-        run = Run(recording, recording.metrics(seed=settings.seed))
-        kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
-        del kept["map"]
-        run.save(folder, overwrite=overwrite, settings=kept, progress=True)
-        print_table(run.metrics.rows(), title=str(folder), has_header=False)
+    _save_drive(pilot, settings, node, folder, overwrite=overwrite)
     times = driver.latencies
     rows = [("commands", str(times.num_commands)), ("late", str(times.num_late))]
     if times.scan_ms:
@@ -82,6 +74,63 @@ def drive(options: dict[str, Any]) -> None:
     print_table(rows, has_header=False)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
+
+
+def replay_bag(bag: Path, options: dict[str, Any]) -> None:
+    """Feed a recorded drive to the pilot, and write a run folder with its commands.
+
+    Raises:
+        ValueError: options that are not accepted, a bag that cannot be read.
+    """
+    settings, node, folder = _drive_settings(options)
+    scan, pose = replay_topics(bag, options["scan_topic"], options["pose_topic"])
+    pilot = build_pilot(settings, node, is_obeyed=False)
+    click.echo("Compiling, a few seconds ...", err=True)
+    pilot.prepare()
+    with progress_bar("replaying", enabled=True) as advance:
+        found = replay(
+            bag,
+            pilot,
+            scan,
+            pose,
+            mount=control.lidar_mount(node),
+            on_progress=lambda seconds: advance(0.0, f"{seconds:.0f} s of {scan} and {pose}"),
+        )
+    if not pilot.log.num_steps:
+        raise ValueError(f"{scan} and {pose} have no pose to start from; accepted: a drive")
+    _save_drive(pilot, settings, node, folder, overwrite=options["overwrite"])
+    click.echo(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
+    if found.num_malformed:
+        click.echo(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
+
+
+def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:
+    """Return the checked settings of a drive, and the folder that it will be written to."""
+    file, out = options["settings_file"], options["out"]
+    entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
+    assign_all(entries, options["assignments"])
+    if options.get("mode") is not None:
+        assign(entries, "node.mode", options["mode"])
+    settings, node = make_node_settings(entries)
+    folder = free_name(Path("runs") / "drive") if out is None else out
+    check_folder(folder, overwrite=options["overwrite"])
+    return settings, node, folder
+
+
+def _save_drive(
+    pilot: Pilot, settings: Settings, node: NodeSettings, folder: Path, *, overwrite: bool
+) -> None:
+    """Write the run folder of a drive, with its commands, and print its metrics."""
+    if not pilot.log.num_steps:
+        return
+    recording = pilot.recording()
+    run = Run(recording, recording.metrics(seed=settings.seed))
+    kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
+    del kept["map"]
+    run.save(folder, overwrite=overwrite, settings=kept, progress=True)
+    table = pilot.log.command_table()
+    write_whole(folder / COMMANDS, lambda file: file.write(table.encode()), "commands")
+    print_table(run.metrics.rows(), title=str(folder), has_header=False)
 
 
 def choose_goals(settings: Settings, node: NodeSettings) -> None:

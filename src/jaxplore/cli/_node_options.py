@@ -6,45 +6,70 @@ from typing import Any
 import click
 
 
+def _drive_options(out: str) -> tuple[Any, ...]:
+    """Return the options of settings and of the run folder.
+
+    Args:
+        out: default of the run folder.
+    """
+    return (
+        click.option(
+            "--settings",
+            "settings_file",
+            type=click.Path(path_type=Path),
+            metavar="FILE",
+            help="Settings file in YAML, as of jaxplore run; topics and safety are in its section "
+            "node.",
+        ),
+        click.option(
+            "--set",
+            "assignments",
+            multiple=True,
+            metavar="NAME=VALUE",
+            help="Any setting, for example --set node.latency=0.1.",
+        ),
+        click.option(
+            "--trust",
+            is_flag=True,
+            help="Import what settings files name as MODULE:NAME, which runs its code.",
+        ),
+        click.option(
+            "--out",
+            type=click.Path(path_type=Path),
+            metavar="DIR",
+            help=f"Run folder, written at the end.  [default: {out}]",
+        ),
+        click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
+    )
+
+
 def node_options(command: Any) -> Any:
     """Add the options of the node that drives a robot."""
+    mode = click.option(
+        "--mode",
+        type=click.Choice(["control", "goal"]),
+        help="Drive the robot, or publish goals that nav2 drives to.  [default: control]",
+    )
     # Click lists options in the reverse order of their addition.
-    for option in reversed(
-        (
-            click.option(
-                "--mode",
-                type=click.Choice(["control", "goal"]),
-                help="Drive the robot, or publish goals that nav2 drives to.  [default: control]",
-            ),
-            click.option(
-                "--settings",
-                "settings_file",
-                type=click.Path(path_type=Path),
-                metavar="FILE",
-                help="Settings file in YAML, as of jaxplore run; topics and safety are in its "
-                "section node.",
-            ),
-            click.option(
-                "--set",
-                "assignments",
-                multiple=True,
-                metavar="NAME=VALUE",
-                help="Any setting, for example --set node.latency=0.1.",
-            ),
-            click.option(
-                "--trust",
-                is_flag=True,
-                help="Import what settings files name as MODULE:NAME, which runs its code.",
-            ),
-            click.option(
-                "--out",
-                type=click.Path(path_type=Path),
-                metavar="DIR",
-                help="Run folder, written at the end.  [default: runs/drive]",
-            ),
-            click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
-        )
-    ):
+    for option in reversed((mode, *_drive_options("runs/drive"))):
+        command = option(command)
+    return command
+
+
+def replay_options(command: Any) -> Any:
+    """Add the options of a replay."""
+    topics = (
+        click.option(
+            "--scan", "scan_topic", metavar="TOPIC", help="Topic of the scan.  [default: the only]"
+        ),
+        click.option(
+            "--pose",
+            "pose_topic",
+            metavar="TOPIC",
+            help="Topic of the pose.  [default: the only odometry, else the only pose]",
+        ),
+    )
+    for option in reversed((*topics, *_drive_options("runs/drive"))):
         command = option(command)
     return command
 

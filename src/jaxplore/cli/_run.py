@@ -1,5 +1,6 @@
 """`jaxplore run`: simulates one run and writes its folder."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +8,15 @@ from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._show import free_name, save, show_starts
+from jaxplore.maps.files.untrusted import printable_path
+from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.report.folder import check_folder
-from jaxplore.simulation.run import NUM_TRAJECTORIES, simulate
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.loop import initial_loop_state
+from jaxplore.simulation.run import NUM_TRAJECTORIES, Run, simulate
+
+SETTINGS = "settings.yaml"
+"""File of the settings in a run folder."""
 
 
 def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> None:
@@ -17,21 +25,86 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     The exit code is 130 if the user stopped it.
 
     Raises:
-        ValueError: options that are not accepted.
+        ValueError: options that are not accepted; a recording that could not be written, after the
+            run folder has been.
     """
     pictures = take_pictures(options, overwrite=overwrite)
+    record, resume = options.pop("record"), options.pop("resume")
+    recorder = None
+    if record is not None:
+        check_recording(record, overwrite=overwrite, name="--record")
+        recorder = McapRecorder(record, overwrite=overwrite)
+    if resume is not None:
+        _take_settings(options, resume)
+        out = resume if out is None else out
     given = option_entries(options)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
     check_folder(folder, overwrite=overwrite)
+    former = None if resume is None else Run.load(resume)
     experiment = build(settings)
+    if former is not None:
+        _check_continues(former, experiment, resume)
     show_starts({"": given}, {"": entries})
-    result = simulate(
-        *experiment[:3],
-        key=experiment.key,
-        progress=True,
-        num_trajectories=NUM_TRAJECTORIES if pictures.animation or pictures.video else 0,
-    )
-    save(result, folder, settings, pictures, overwrite=overwrite)
+    num_trajectories = NUM_TRAJECTORIES if pictures.animation or pictures.video else 0
+    if former is not None:
+        # All frames of a run have as many rollouts.
+        num_trajectories = sum(len(each.samples) for each in former.recording.frames[:1])
+    elif recorder is not None:
+        num_trajectories = NUM_TRAJECTORIES
+    with warnings.catch_warnings():
+        # The same text is the error of the command.
+        warnings.simplefilter("ignore", RecordingWarning)
+        result = simulate(
+            *experiment[:3],
+            key=experiment.key,
+            progress=True,
+            num_trajectories=num_trajectories,
+            resume=former,
+            monitors=() if recorder is None else (recorder,),
+        )
+    try:
+        save(result, folder, settings, pictures, overwrite=overwrite, recording=record)
+    finally:
+        if recorder is not None and recorder.failure is not None:
+            raise ValueError(recorder.failure)
+
+
+def _take_settings(options: dict[str, Any], folder: Path) -> None:
+    """Put the settings file of a run folder among the options.
+
+    Raises:
+        ValueError: another settings file, or a folder without one.
+    """
+    if options["settings_file"] is not None:
+        raise ValueError(
+            f"--settings is {printable_path(options['settings_file'])!r} beside --resume; "
+            "accepted: one of them"
+        )
+    file = folder / SETTINGS
+    if not file.is_file():
+        raise ValueError(
+            f"--resume is {printable_path(folder)!r}, which holds no {SETTINGS}; accepted: a run "
+            "folder that jaxplore run wrote"
+        )
+    options["settings_file"] = file
+
+
+def _check_continues(former: Run, experiment: Experiment, folder: Path) -> None:
+    """Check before the progress bar appears that an experiment continues a run.
+
+    Raises:
+        ValueError: it is another one, or the run is finished or as long already.
+    """
+    recording, (controller, scenario, limit, key) = former.recording, experiment
+    if recording.num_steps >= limit:
+        done, most = (steps * recording.control_period for steps in (recording.num_steps, limit))
+        raise ValueError(
+            f"--resume is {printable_path(folder)!r}, a run of {done:g} s, beside a time limit of "
+            f"{most:g} s; accepted: a greater --time-limit, for a run that is not finished"
+        )
+    if former.checkpoint is not None:
+        former.checkpoint.check(controller, scenario, key, limit)
+        former.checkpoint.state(scenario, initial_loop_state(controller, scenario, key))

@@ -47,10 +47,24 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
 
 
 def save(
-    result: Run, folder: Path, settings: Section, pictures: Pictures, *, overwrite: bool
+    result: Run,
+    folder: Path,
+    settings: Section,
+    pictures: Pictures,
+    *,
+    overwrite: bool,
+    recording: Path | None = None,
 ) -> None:
-    """Write a run folder and a video, and print metrics and files; exit if the run was
-    interrupted."""
+    """Write a run folder and a video, and print metrics and files; exit if the run was interrupted.
+
+    Args:
+        result: the run.
+        folder: the run folder.
+        settings: settings of the run.
+        pictures: what is drawn.
+        overwrite: whether a former run is replaced.
+        recording: file to which the run was recorded; None without one.
+    """
     result.save(
         folder,
         overwrite=overwrite,
@@ -64,11 +78,18 @@ def save(
     if pictures.video is not None:
         film = pictures.film
         result.animate(pictures.video, fps=film.fps, scale=film.scale, progress=True)
-    for pattern in (*(f"*.{kind}" for kind in pictures.figures), "*.gif", "metrics.json"):
+    for pattern in (
+        *(f"*.{kind}" for kind in pictures.figures),
+        "*.gif",
+        "explored.yaml",
+        "metrics.json",
+    ):
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
     if pictures.video is not None:
         click.echo(str(pictures.video))
+    if recording is not None and recording.exists():
+        click.echo(str(recording))
     if result.metrics.is_interrupted:
         click.echo(f"Interrupted: {folder} holds the run up to then.", err=True)
         sys.exit(INTERRUPTED)

@@ -1,5 +1,7 @@
 """The log of a drive, and its recording."""
 
+import csv
+import io
 import math
 from typing import Any, NamedTuple
 
@@ -50,6 +52,7 @@ class DriveLog:
         self._scenario = scenario
         self._rows: list[_Row] = []
         self._known_at = np.full(scenario.map_arrays.world.shape, np.inf, np.float32)
+        self._commands: list[tuple[float, np.ndarray, str, str]] = []
         self.frames = EvenFrames()
 
     @property
@@ -85,6 +88,20 @@ class DriveLog:
             is_faulty: whether the robot brakes for a fault, or the check replaced the command.
         """
         self._rows.append(_Row(time, state, control, effective_sample_size, is_finite, is_faulty))
+
+    def add_command(self, time: float, twist: np.ndarray, mode: str, reason: str) -> None:
+        """Add a velocity command (vx, vy, omega), with what the pilot does and why."""
+        self._commands.append((time, twist, mode, reason))
+
+    def command_table(self) -> str:
+        """Return all commands as CSV: time since the first [s], velocities, mode and reason."""
+        lines = io.StringIO()
+        table = csv.writer(lines)
+        table.writerow(("time", "vx", "vy", "omega", "mode", "reason"))
+        for time, twist, mode, reason in self._commands:
+            since = time - self._commands[0][0]
+            table.writerow((f"{since:.4f}", *(f"{each:.5g}" for each in twist), mode, reason))
+        return lines.getvalue()
 
     def add_known(self, time: float, is_free: np.ndarray) -> None:
         """Note the cells (H, W) that are known to be free at a time [s]."""

@@ -81,6 +81,8 @@ class PilotOptions:
         margin: distance from points of the scan that stopping must keep [m].
         done_after: time without a reachable place that is worth a visit after which the robot is
             done [s].
+        is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
+            every command starts from the measured state.
 
     Raises:
         ValueError: a time or a rate that is not positive, a negative latency or margin.
@@ -94,9 +96,13 @@ class PilotOptions:
     max_angular_deceleration: float = 20.0
     margin: float = 0.03
     done_after: float = 3.0
+    is_obeyed: bool = True
 
     def __post_init__(self) -> None:
+        _kinds.flag("is_obeyed", self.is_obeyed)
         for field in dataclasses.fields(self):
+            if field.name == "is_obeyed":
+                continue
             value = getattr(self, field.name)
             if field.name in ("latency", "margin"):
                 _checks.number(field.name, value, at_least=0.0)
@@ -258,6 +264,11 @@ class Pilot:
         Args:
             now: present time [s].
         """
+        command = self._command(now)
+        self.log.add_command(now, command.twist, str(command.mode), command.reason)
+        return command
+
+    def _command(self, now: float) -> Command:
         elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
         self._command_at = now
         problem = self._problem(now)
@@ -272,6 +283,8 @@ class Pilot:
             )
             return self._stopping(now, elapsed, mode, problem)
         state = self._state(now)
+        if not self.options.is_obeyed:
+            self._expected, self._sent = state, []
         # The elapsed time shifts the plan; after a pause it is not shifted out of its horizon.
         # The plan is shifted by the elapsed time; after a pause, by not more than two periods.
         planned = self._plan(state, now, min(elapsed, 2.0 * self.period))
@@ -388,7 +401,7 @@ class Pilot:
             if now - since < 1.0:
                 return problem
             self._fault = None
-        return self._frozen_problem(now)
+        return self._frozen_problem(now) if options.is_obeyed else None
 
     def _frozen_problem(self, now: float) -> str | None:
         """Return which measurement repeats itself although the robot should move; None if none."""

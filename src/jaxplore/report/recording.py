@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -148,6 +149,13 @@ class Recording(RunData, abc.ABC):
 
     def figures(self) -> Mapping[str, Callable[[], "Figure"]]:
         """Return functions that draw the figures of the run folder, by file name without suffix."""
+        return {}
+
+    def files(self) -> Mapping[str, Callable[[Path], None]]:
+        """Return functions that write more files of the run folder, by file name.
+
+        A function gets the path of its file, and may write others beside it.
+        """
         return {}
 
     def write_animation(

@@ -35,9 +35,9 @@ def save_run(
 ) -> None:
     """Write a run folder, completely or not at all.
 
-    It holds `metrics.json`, `arrays.npz`, `state.npz` for `load_run`, the figures of the recording,
-    its animation, and `settings.yaml` if there are settings. There is no `state.npz` if the
-    recording holds something else than arrays, numbers and texts.
+    It holds `metrics.json`, `arrays.npz`, `state.npz` for `load_run`, the figures and further files
+    of the recording, its animation, and `settings.yaml` if there are settings. There is no
+    `state.npz` if the recording holds something else than arrays, numbers and texts.
 
     Args:
         recording: the run.
@@ -72,6 +72,8 @@ def save_run(
         if state is not None:
             with (folder / STATE).open("wb") as file:
                 np.savez_compressed(file, allow_pickle=False, **state)
+        for name, write in recording.files().items():
+            write(folder / name)
         for name, draw in recording.figures().items():
             write_figure(draw(), folder, name, kinds)
         if animation:

@@ -66,12 +66,7 @@ class ControlNode:
         self.link, self.pilot, self.settings = link, pilot, settings
         self.latencies = Latencies()
         ros = link.ros
-        self._mount = Mount(
-            settings.lidar_x,
-            settings.lidar_y,
-            math.radians(settings.lidar_yaw_degrees),
-            settings.is_lidar_inverted,
-        )
+        self._mount = lidar_mount(settings)
         self._lock = threading.Lock()
         self._poses: list[messages.Odometry] = []
         self._scans: list[tuple[float, messages.LaserScan]] = []
@@ -363,3 +358,13 @@ class ControlNode:
                 self._frame_name,
             )
             self._rollouts.publish(markers)
+
+
+def lidar_mount(settings: NodeSettings) -> Mount:
+    """Return the place of the lidar on the robot."""
+    return Mount(
+        settings.lidar_x,
+        settings.lidar_y,
+        math.radians(settings.lidar_yaw_degrees),
+        settings.is_lidar_inverted,
+    )

@@ -3,11 +3,13 @@
 import dataclasses
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
 
+from jaxplore.maps.files.ros import write_map
 from jaxplore.report.exploration.animation import frame_image, painter, shared_palette
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.idleness import idleness_figure
@@ -21,11 +23,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+EXPLORED = "explored.yaml"
+"""File of the explored map in a run folder."""
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class ExplorationRecording(ExplorationData, Recording):
     """A finished exploration run.
 
-    Its folder has `map.png` and `exploration.gif`; `coverage.png` unless the map was known in
+    Its folder has `map.png`, the explored map for ROS's `map_server` (`explored.yaml` and
+    `explored.pgm`) and `exploration.gif`; `coverage.png` unless the map was known in
     advance; `members.png` if the controller has several members; `idleness.png` if the robot
     patrols and does not search for targets.
     """
@@ -60,6 +67,15 @@ class ExplorationRecording(ExplorationData, Recording):
         if self.idleness is not None and not len(self.targets):
             draw["idleness"] = idleness_figure
         return {name: partial(each, self) for name, each in draw.items()}
+
+    def files(self) -> dict[str, Callable[[Path], None]]:
+        """Return a function that writes the explored map as a ROS map of three values: occupied,
+        free, unknown."""
+        return {EXPLORED: self._write_explored}
+
+    def _write_explored(self, path: Path) -> None:
+        origin = np.asarray(self.origin, np.float64).tolist()
+        write_map(path, self.belief, self.resolution, origin)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.

@@ -1,0 +1,72 @@
+"""Channels of Foxglove, made when they are first written to."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from jaxplore._optional import import_optional
+from jaxplore.recorder.messages import EXTRA
+
+
+class Channels:
+    """Topics of one context of Foxglove's SDK: of a file, or of a server for live views.
+
+    Args:
+        context: context of the SDK.
+        began: time of the start of the run since the epoch [s]; 0 for simulated time.
+    """
+
+    def __init__(self, context: Any, began: float = 0.0) -> None:
+        self._sdk = import_optional("foxglove", EXTRA)
+        self._typed = import_optional("foxglove.channels", EXTRA)
+        self._context, self._began = context, round(1e9 * began)
+        self._channels: dict[str, Any] = {}
+
+    def stamp(self, time: float) -> int:
+        """Return a time since the start of the run [s] in nanoseconds since the epoch."""
+        return self._began + round(1e9 * time)
+
+    def log(self, topic: str, message: Any, time: float) -> None:
+        """Write a message of one of Foxglove's schemas.
+
+        Args:
+            topic: the topic; all its messages are of one schema.
+            message: the message.
+            time: time since the start of the run [s].
+        """
+        if topic not in self._channels:
+            make = getattr(self._typed, f"{type(message).__name__}Channel")
+            self._channels[topic] = make(topic, context=self._context)
+        self._channels[topic].log(message, log_time=self.stamp(time))
+
+    def log_values(self, topic: str, values: Mapping[str, float | str], time: float) -> None:
+        """Write numbers and texts by name, as JSON.
+
+        JSON has no infinity and no NaN: such a value is left out of its message.
+
+        Args:
+            topic: the topic; all its messages have the same names.
+            values: the values.
+            time: time since the start of the run [s].
+        """
+        if topic not in self._channels:
+            kinds = {name: "string" if isinstance(each, str) else "number"
+                     for name, each in values.items()}  # fmt: skip
+            schema = {
+                "title": f"jaxplore{topic.replace('/', '.')}",
+                "type": "object",
+                "properties": {name: {"type": kind} for name, kind in kinds.items()},
+            }
+            self._channels[topic] = self._sdk.Channel(topic, schema=schema, context=self._context)
+        known = {
+            name: each
+            for name, each in values.items()
+            if isinstance(each, str) or math.isfinite(each)
+        }
+        self._channels[topic].log(known, log_time=self.stamp(time))
+
+    def close(self) -> None:
+        """Close all channels."""
+        for each in self._channels.values():
+            each.close()
+        self._channels.clear()

@@ -1,0 +1,255 @@
+"""Read bags of ROS 2 without ROS: rosbag2 folders, `.db3` and `.mcap` files.
+
+A bag from elsewhere is not trusted. Its own definitions of messages are not read, because a reader
+makes code of them: the messages here are the same in all versions of ROS 2 since Humble.
+"""
+
+import functools
+import os
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxplore import _kinds
+from jaxplore._optional import import_optional
+from jaxplore.maps.files.untrusted import error_reason, printable_path, read_yaml, short_repr
+from jaxplore.ros.unpacked import check_chunks
+
+EXTRA = "bags"
+"""Extra that installs the package which reads and writes bags."""
+KINDS = {
+    "LaserScan": "sensor_msgs/msg/LaserScan",
+    "Odometry": "nav_msgs/msg/Odometry",
+    "PoseWithCovarianceStamped": "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "OccupancyGrid": "nav_msgs/msg/OccupancyGrid",
+    "Path": "nav_msgs/msg/Path",
+    "Twist": "geometry_msgs/msg/Twist",
+}
+"""Kinds of messages that are read and written, and their names in ROS."""
+FILES_LIMIT = 1000
+"""Greatest number of files of a bag."""
+SIZE_LIMIT = 2**36
+"""Greatest size of all its files [bytes]."""
+METADATA_LIMIT = 2_000_000
+"""Greatest size of its `metadata.yaml` [bytes]."""
+MESSAGE_LIMIT = 2**26
+"""Greatest size of a message [bytes]."""
+COUNT_LIMIT = 10_000_000
+"""Greatest number of messages that are read."""
+
+_METADATA = "metadata.yaml"
+_SUFFIXES = (".db3", ".mcap")
+
+
+class BagTopic(NamedTuple):
+    """A topic of a bag.
+
+    Args:
+        kind: one of `KINDS`; None for a kind that is not read.
+        type: name of the type in ROS.
+        number: number of messages.
+    """
+
+    kind: str | None
+    type: str
+    number: int
+
+
+class BagMessage(NamedTuple):
+    """A message of a bag.
+
+    Args:
+        time: time at which it was recorded [s].
+        topic: its topic.
+        message: an object with the attributes of the ROS message; arrays are NumPy's.
+    """
+
+    time: float
+    topic: str
+    message: Any
+
+
+def bag_topics(path: str | os.PathLike[str]) -> dict[str, BagTopic]:
+    """Return the topics of a bag by name.
+
+    Args:
+        path: a rosbag2 folder, or its `.db3` or `.mcap` file.
+
+    Raises:
+        ValueError: a bag that is missing, damaged, compressed as a whole, too large or without
+            messages; a missing `rosbags`.
+    """
+    with _opened(path) as reader:
+        return _topics(path, reader)
+
+
+def choose_topic(topics: Mapping[str, BagTopic], kind: str, name: str | None = None) -> str:
+    """Return the topic of a kind in a bag.
+
+    Args:
+        topics: topics of the bag.
+        kind: one of `KINDS`.
+        name: name of the topic; with None there must be exactly one of the kind.
+
+    Raises:
+        ValueError: no topic of that kind, several without a name, a name of none or of another
+            kind.
+    """
+    known = [each for each, topic in topics.items() if topic.kind == kind]
+    if name is None and len(known) == 1:
+        return known[0]
+    if name is not None and name in known:
+        return name
+    accepted = f"one of {', '.join(map(repr, known))}" if known else f"a bag with a {kind}"
+    if name is not None:
+        raise ValueError(f"topic is {short_repr(name)}, not of a {kind}; accepted: {accepted}")
+    number = f"{len(known)} topics" if known else "no topic"
+    raise ValueError(f"bag has {number} of kind {kind}; accepted: {accepted}")
+
+
+def read_bag(path: str | os.PathLike[str], topics: Collection[str]) -> Iterator[BagMessage]:
+    """Read the messages of some topics, in the order of their times.
+
+    Args:
+        path: a rosbag2 folder, or its `.db3` or `.mcap` file.
+        topics: names of the topics.
+
+    Raises:
+        ValueError: as of `bag_topics`; a topic that the bag lacks, one of a kind that is not read,
+            too many messages. While messages are read also one that is damaged or too large.
+    """
+    if isinstance(topics, str) or not topics:
+        raise ValueError(f"topics is {short_repr(topics)}; accepted: names of topics in a list")
+    known, wanted = bag_topics(path), frozenset(topics)
+    for name in sorted(wanted):
+        if name not in known:
+            names = ", ".join(map(repr, sorted(known)))
+            raise ValueError(f"topics has {short_repr(name)}; accepted: of this bag {names}")
+        if known[name].kind is None:
+            raise ValueError(
+                f"topic {short_repr(name)} is of type {short_repr(known[name].type)}; accepted: "
+                f"{', '.join(KINDS)}"
+            )
+    count = sum(known[name].number for name in wanted)
+    if count > COUNT_LIMIT:
+        raise ValueError(f"topics have {count} messages; accepted: at most {COUNT_LIMIT}")
+    return _messages(path, wanted)
+
+
+def _messages(path: str | os.PathLike[str], topics: frozenset[str]) -> Iterator[BagMessage]:
+    store, count = typestore(), 0
+    with _opened(path, is_checked=True) as reader:
+        # By type as well: a damaged bag may have a topic twice.
+        chosen = [
+            each
+            for each in reader.connections
+            if each.topic in topics and each.msgtype in KINDS.values()
+        ]
+        source = reader.messages(connections=chosen)
+        while True:
+            with _readable(path):
+                found = next(source, None)
+                if found is None:
+                    return
+                connection, nanoseconds, data = found
+                count += 1
+                if len(data) > MESSAGE_LIMIT or count > COUNT_LIMIT:
+                    raise ValueError(f"message {count} of {len(data)} bytes is too large or many")
+                message = store.deserialize_cdr(data, connection.msgtype)
+                time = int(nanoseconds) / 10**9
+            yield BagMessage(time, connection.topic, message)
+
+
+def _topics(path: str | os.PathLike[str], reader: Any) -> dict[str, BagTopic]:
+    """Return the topics of an open bag."""
+    names = {name: kind for kind, name in KINDS.items()}
+    found: dict[str, BagTopic] = {}
+    store = typestore()
+    with _readable(path):
+        for each in reader.connections:
+            if each.topic in found and found[each.topic].type != each.msgtype:
+                raise ValueError(f"topic {each.topic!r} is of two types")
+            kind = names.get(each.msgtype)
+            if kind is not None and each.digest and each.digest != store.hash_rihs01(each.msgtype):
+                raise ValueError(f"its {kind} differs from that of ROS 2")
+            before = found[each.topic].number if each.topic in found else 0
+            found[each.topic] = BagTopic(kind, str(each.msgtype), before + int(each.msgcount))
+    if not sum(each.number for each in found.values()):
+        where = printable_path(Path(path))
+        raise ValueError(f"bag {where!r} holds no messages; accepted: a bag with messages")
+    return found
+
+
+@contextmanager
+def _opened(path: str | os.PathLike[str], *, is_checked: bool = False) -> Iterator[Any]:
+    """Yield an open reader of a bag, whose files are checked unless they have been."""
+    module = import_optional("rosbags.rosbag2", EXTRA)
+    _kinds.instance("path", path, str, os.PathLike)
+    if not is_checked:
+        _check_files(Path(path))
+    with ExitStack() as stack:
+        with _readable(path):
+            reader = stack.enter_context(module.Reader(Path(path)))
+        yield reader
+
+
+def _check_files(path: Path) -> None:
+    """Check the files of a bag before any is opened."""
+    where, accepted = printable_path(path), "a rosbag2 folder, or its .db3 or .mcap file"
+    if "\0" in str(path) or not path.exists():
+        raise ValueError(f"bag {where!r} is not there; accepted: {accepted}")
+    files = [path]
+    if path.is_dir():
+        if not (path / _METADATA).is_file():
+            raise ValueError(f"bag {where!r} holds no {_METADATA}; accepted: {accepted}")
+        entries = read_yaml(path / _METADATA, of="bag", limit=METADATA_LIMIT)
+        about = entries.get("rosbag2_bagfile_information")
+        names = about.get("relative_file_paths") if isinstance(about, dict) else None
+        if not isinstance(about, dict) or not isinstance(names, list):
+            raise ValueError(f"{_METADATA} of bag {where!r} names no files; accepted: {accepted}")
+        if about.get("compression_mode") not in (None, "", "none", "NONE"):
+            # The reader would unpack it without a limit.
+            raise ValueError(
+                f"bag {where!r} is compressed by {short_repr(about['compression_mode'])}; "
+                "accepted: one that 'ros2 bag convert' has unpacked"
+            )
+        if len(names) > FILES_LIMIT:
+            raise ValueError(
+                f"bag {where!r} has {len(names)} files; accepted: at most {FILES_LIMIT}"
+            )
+        # The reader looks for them in the folder alone.
+        files = [path / Path(str(name)).name for name in names]
+    for file in files:
+        if not file.is_file() or file.suffix not in _SUFFIXES:
+            raise ValueError(
+                f"file {printable_path(file)!r} of a bag is not there or no .db3 or .mcap file; "
+                f"accepted: {accepted}"
+            )
+    size = sum(file.stat().st_size for file in files)
+    if size > SIZE_LIMIT:
+        raise ValueError(f"bag {where!r} has {size} bytes; accepted: at most {SIZE_LIMIT}")
+    for file in files:
+        if file.suffix == ".mcap":
+            with _readable(path):
+                check_chunks(file)
+
+
+@contextmanager
+def _readable(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Convert the errors of a reader into one line."""
+    try:
+        yield
+    except Exception as error:
+        # Readers of formats and databases raise errors of many kinds for damaged files.
+        raise ValueError(
+            f"bag {printable_path(Path(path))!r} cannot be read ({error_reason(error)}); "
+            "accepted: a rosbag2 folder, or its .db3 or .mcap file"
+        ) from None
+
+
+@functools.cache
+def typestore() -> Any:
+    """Return the definitions of the messages."""
+    typesys = import_optional("rosbags.typesys", EXTRA)
+    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)

@@ -1,0 +1,116 @@
+"""Feed a recorded drive to a pilot: what would it have commanded."""
+
+import os
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from jaxplore.onboard.pilot import Command, Pilot
+from jaxplore.ros import messages
+from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
+from jaxplore.ros.link import CLOCK_TOLERANCE
+from jaxplore.ros.messages import Mount
+
+POSES = ("Odometry", "PoseWithCovarianceStamped")
+"""Kinds of messages that have the pose of the robot, the preferred one first."""
+
+
+class Replayed(NamedTuple):
+    """What came of a replay.
+
+    Args:
+        times: time of each command since the first message [s].
+        commands: the commands.
+        num_messages: number of messages that were fed.
+        num_malformed: number of messages that were left out, and the first reason.
+        reason: why the first of them was left out; empty without any.
+    """
+
+    times: list[float]
+    commands: list[Command]
+    num_messages: int
+    num_malformed: int
+    reason: str
+
+
+def replay_topics(
+    path: str | os.PathLike[str], scan: str | None, pose: str | None
+) -> tuple[str, str]:
+    """Return the topics of the scan and of the pose in a bag.
+
+    Args:
+        path: the bag.
+        scan: name of the topic of the scan; the only one of that kind when absent.
+        pose: name of the topic of the pose; the only odometry when absent, or else the only pose.
+
+    Raises:
+        ValueError: a bag that cannot be read, without such topics, or with several.
+    """
+    topics = bag_topics(path)
+    scan_topic = choose_topic(topics, "LaserScan", scan)
+    if pose is not None:
+        found = topics.get(pose)
+        kind = POSES[0] if found is None or found.kind not in POSES else str(found.kind)
+        return scan_topic, choose_topic(topics, kind, pose)
+    kinds = {each.kind for each in topics.values()}
+    kind = next((each for each in POSES if each in kinds), POSES[0])
+    return scan_topic, choose_topic(topics, kind)
+
+
+def replay(
+    path: str | os.PathLike[str],
+    pilot: Pilot,
+    scan: str,
+    pose: str,
+    *,
+    mount: Mount | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> Replayed:
+    """Feed a bag to a pilot, in the order and at the times of its messages.
+
+    Args:
+        path: the bag.
+        pilot: the pilot; its option `is_obeyed` is false, because the recorded robot did not obey.
+        scan: topic of the scan.
+        pose: topic of the pose.
+        mount: pose of the lidar on the robot.
+        on_progress: called with the recorded time since the first message [s].
+
+    Raises:
+        ValueError: a bag that cannot be read.
+    """
+    began: float | None = None
+    due, number, malformed, reason = 0.0, 0, 0, ""
+    times: list[float] = []
+    commands: list[Command] = []
+    for each in read_bag(path, [scan, pose]):
+        if began is None:
+            began = due = each.time
+        # A gap in the bag is a gap in the data: the pilot brakes in it.
+        while due <= each.time:
+            commands.append(pilot.command(due))
+            times.append(due - began)
+            pilot.update_fields(due)
+            pilot.log.frames.add_when_due(due - began, pilot.make_frame)
+            due += pilot.period
+        on_progress(each.time - began)
+        number += 1
+        try:
+            _feed(pilot, each.topic == scan, each.message, each.time, mount)
+        except (ValueError, TypeError, OverflowError, AttributeError) as error:
+            malformed += 1
+            reason = reason or " ".join(str(error).split())
+    return Replayed(times, commands, number, malformed, reason)
+
+
+def _feed(pilot: Pilot, is_scan: bool, message: Any, time: float, mount: Mount | None) -> None:
+    """Give a message to the pilot, with the time of its stamp unless the clocks differ."""
+
+    def stamp(stamped: float) -> float:
+        return stamped if abs(stamped - time) <= CLOCK_TOLERANCE else time
+
+    if is_scan:
+        scan = messages.laser_scan_of(message, pilot.sensor, mount)
+        pilot.add_scan(stamp(scan.time), scan.scan, scan.points)
+    else:
+        place = messages.odometry_of(message)
+        pilot.add_odometry(stamp(place.time), place.pose, place.twist)

@@ -1,0 +1,106 @@
+"""Bounds of the unpacked size of an MCAP file's chunks, without unpacking them.
+
+A reader unpacks a chunk as a whole, and a few bytes may stand for gigabytes.
+
+Source: MCAP specification (records, chunks); RFC 8878 (zstd frames and blocks); LZ4 frame format.
+"""
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+CHUNK_LIMIT = 2**28
+"""Greatest unpacked size of a chunk [bytes]."""
+_MAGIC = b"\x89MCAP0\r\n"
+_CHUNK = 0x06
+_ZSTD, _SKIPPABLE, _LZ4 = 0xFD2FB528, 0x184D2A5, 0x184D2204
+_ZSTD_BLOCK = 2**17
+"""Greatest unpacked size of a block of zstd [bytes]."""
+
+
+def check_chunks(path: Path, limit: int = CHUNK_LIMIT) -> None:
+    """Check that no chunk of an MCAP file can be unpacked to more than a limit.
+
+    Args:
+        path: the file.
+        limit: the limit [bytes].
+
+    Raises:
+        ValueError: a chunk that may be larger, or is packed in a way that is not known; a file that
+            is no MCAP. A damaged one may raise a `struct.error` or an `IndexError`.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_MAGIC)) != _MAGIC:
+            raise ValueError("it is no MCAP file")
+        end = file.seek(0, 2)
+        file.seek(len(_MAGIC))
+        while file.tell() < end - len(_MAGIC):
+            kind, size = struct.unpack("<BQ", file.read(9))
+            following = file.tell() + size
+            if kind == _CHUNK:
+                _check_chunk(file, limit)
+            file.seek(following)
+
+
+def _check_chunk(file: BinaryIO, limit: int) -> None:
+    declared, name_size = struct.unpack("<16xQ4xI", file.read(32))
+    name = file.read(name_size)
+    (size,) = struct.unpack("<Q", file.read(8))
+    if max(declared, size) > limit:
+        raise ValueError(f"a chunk has {max(declared, size)} bytes, more than {limit}")
+    bounds = {b"": lambda data: len(data), b"zstd": zstd_bound, b"lz4": lz4_bound}
+    if name not in bounds:
+        raise ValueError(f"a chunk is packed by {name!r}")
+    if bounds[name](file.read(size)) > max(limit, 0):
+        raise ValueError(f"a chunk may have more than {limit} bytes unpacked")
+
+
+def zstd_bound(data: bytes) -> int:
+    """Return a bound of the unpacked size of zstd frames [bytes]."""
+    at = total = 0
+    while at < len(data):
+        (magic,) = struct.unpack_from("<I", data, at)
+        if magic >> 4 == _SKIPPABLE:
+            at += 8 + struct.unpack_from("<I", data, at + 4)[0]
+            continue
+        if magic != _ZSTD:
+            raise ValueError("a chunk is no zstd frame")
+        about = data[at + 4]
+        is_single, content = about >> 5 & 1, about >> 6
+        # The sizes of the window's, dictionary's and content's fields.
+        at += 5 + (1 - is_single) + (0, 1, 2, 4)[about & 3] + (is_single, 2, 4, 8)[content]
+        is_last = 0
+        while not is_last:
+            block = int.from_bytes(data[at : at + 3], "little")
+            is_last, kind, size = block & 1, block >> 1 & 3, block >> 3
+            if at + 3 > len(data) or kind == 3:
+                raise ValueError("a zstd frame is damaged")
+            # A block is plain, one byte repeated, or compressed.
+            at += 3 + (size, 1, size)[kind]
+            total += (size, size, _ZSTD_BLOCK)[kind]
+        at += 4 * (about >> 2 & 1)
+    return total
+
+
+def lz4_bound(data: bytes) -> int:
+    """Return a bound of the unpacked size of LZ4 frames [bytes]."""
+    at = total = 0
+    while at < len(data):
+        (magic,) = struct.unpack_from("<I", data, at)
+        if magic >> 4 == _SKIPPABLE:
+            at += 8 + struct.unpack_from("<I", data, at + 4)[0]
+            continue
+        if magic != _LZ4:
+            raise ValueError("a chunk is no LZ4 frame")
+        flags, most = data[at + 4], 1 << 8 + 2 * (data[at + 5] >> 4 & 7)
+        at += 7 + 8 * (flags >> 3 & 1) + 4 * (flags & 1)
+        while True:
+            (block,) = struct.unpack_from("<I", data, at)
+            at += 4
+            if block == 0:
+                break
+            # The highest bit marks a plain block.
+            at += (block & 0x7FFFFFFF) + 4 * (flags >> 4 & 1)
+            total += most
+        at += 4 * (flags >> 2 & 1)
+    return total

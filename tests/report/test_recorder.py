@@ -1,0 +1,374 @@
+"""Recordings as MCAP, read with the reader of the format and the schemas in the file."""
+
+import dataclasses
+import errno
+import io
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from mcap.reader import make_reader
+
+import jaxplore as jx
+from jaxplore.control.mppi import MPPI
+from jaxplore.recorder import McapRecorder
+from jaxplore.recorder.messages import even_angles
+from jaxplore.recorder.recorder import RecordingWarning
+from jaxplore.report.exploration.data import ExplorationRecord
+from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.following.data import PathRecord
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.monitor import Update
+
+COMMON = ["/command", "/metrics", "/objects", "/plan", "/pose", "/rollouts", "/state", "/tf"]
+EXPLORATION = sorted([*COMMON, "/belief", "/cost_terms", "/information", "/scan", "/world"])
+
+
+class Message(NamedTuple):
+    topic: str
+    schema: str
+    time: float
+    content: Any
+
+
+@pytest.fixture(scope="module")
+def controller() -> MPPI:
+    robot = jx.DifferentialDrive()
+    return MPPI(robot, jx.ControlCost(), horizon=2, num_samples=2, noise_std=[1.0, 1.0])
+
+
+def record(recording: Recording, path: Path, controller: MPPI, **given: Any) -> McapRecorder:
+    """Show a recorder a run that is known already: its updates end with each frame but the last."""
+    recorder = McapRecorder(path, **given)
+    first, *others = recording.frames
+    blank = jax.tree.map(lambda rows: rows[:0], recording.records)
+    recorder.begin(dataclasses.replace(recording, records=blank, frames=(first,)), controller)
+    done = first.step
+    for frame in others[:-1]:
+        rows = jax.tree.map(lambda each, a=done, b=frame.step: each[a:b], recording.records)
+        recorder.show(Update(frame, rows, recording.time[done + 1 : frame.step + 1], "50 %"))
+        done = frame.step
+    recorder.end(recording)
+    return recorder
+
+
+def read(path: Path) -> list[Message]:
+    """Decode all messages in the order of the file."""
+    kinds: dict[int, Any] = {}
+    found = []
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert {each.compression for each in summary.chunk_indexes} == {"zstd"}
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            if schema.encoding == "protobuf" and schema.id not in kinds:
+                files = descriptor_pb2.FileDescriptorSet.FromString(schema.data)
+                pool = descriptor_pool.DescriptorPool()
+                for each in files.file:
+                    pool.Add(each)
+                kind = pool.FindMessageTypeByName(schema.name)
+                kinds[schema.id] = message_factory.GetMessageClass(kind)
+            decode = kinds[schema.id].FromString if schema.id in kinds else json.loads
+            content = decode(message.data)
+            found.append(Message(channel.topic, schema.name, message.log_time * 1e-9, content))
+        counted = summary.statistics.channel_message_counts
+    assert sum(counted.values()) == len(found)
+    return found
+
+
+def of(messages: list[Message], topic: str) -> list[Message]:
+    return [each for each in messages if each.topic == topic]
+
+
+def grid_values(grid: Any, name: str, dtype: Any) -> np.ndarray:
+    cells = np.frombuffer(grid.data, np.uint8).reshape(-1, grid.column_count, grid.cell_stride)
+    (offset,) = (field.offset for field in grid.fields if field.name == name)
+    size = np.dtype(dtype).itemsize
+    return np.ascontiguousarray(cells[..., offset : offset + size]).view(dtype)[..., 0]
+
+
+def yaw_of(rotation: Any) -> float:
+    return 2.0 * np.arctan2(rotation.z, rotation.w)
+
+
+def test_an_exploration_is_recorded_as_it_was(vehicle, controller, tmp_path: Path) -> None:
+    recorder = record(vehicle, tmp_path / "run.mcap", controller)
+    assert recorder.failure is None
+    assert [each.name for each in tmp_path.iterdir()] == ["run.mcap"]
+    messages = read(tmp_path / "run.mcap")
+    assert sorted({each.topic for each in messages}) == EXPLORATION
+    times = [each.time for each in messages]
+    assert times == sorted(times)
+    assert (times[0], times[-1]) == (0.0, vehicle.time[-1])
+    counts = {topic: len(of(messages, topic)) for topic in EXPLORATION}
+    steps, frames = vehicle.num_steps, len(vehicle.frames)
+    assert counts["/command"] == counts["/state"] == steps
+    assert counts["/metrics"] == frames - 1
+    assert counts["/world"] == 1
+    # Frames are 1.5 s apart or more: each has its maps.
+    assert counts["/belief"] == counts["/information"] == counts["/tf"] == counts["/scan"] == frames
+
+    for i, each in enumerate(of(messages, "/command")):
+        assert each.time == pytest.approx(vehicle.time[i + 1])
+        assert list(each.content) == ["a", "alpha"]
+        np.testing.assert_array_equal(list(each.content.values()), vehicle.records.control[i])
+    for i, each in enumerate(of(messages, "/state")):
+        assert each.content == dict(
+            zip(vehicle.state_names, vehicle.records.state[i].tolist(), strict=True)
+        )
+    last = of(messages, "/metrics")[-1].content
+    assert np.float32(last["coverage"]) == vehicle.records.coverage[-1]
+    # A flag counts if it was set since the last message.
+    assert last["is_untraversable"] == 1.0
+    assert "text" not in last
+    assert of(messages, "/metrics")[0].content["text"] == "50 %"
+    assert of(messages, "/cost_terms")[0].content == {"ControlCost": 1.0}
+
+    for frame, shown in zip(vehicle.frames, of(messages, "/belief"), strict=True):
+        assert shown.schema == "foxglove.Grid"
+        assert shown.content.timestamp.seconds + 1e-9 * shown.content.timestamp.nanos == frame.time
+        values = grid_values(shown.content, "probability", np.uint8)
+        np.testing.assert_array_equal(values, frame.probability)
+    for frame, shown in zip(vehicle.frames, of(messages, "/information"), strict=True):
+        values = grid_values(shown.content, "information", np.float32)
+        np.testing.assert_array_equal(values, np.float32(frame.information))
+        assert shown.content.cell_size.x == pytest.approx(vehicle.field_resolution)
+    (world,) = of(messages, "/world")
+    values = grid_values(world.content, "probability", np.uint8)
+    np.testing.assert_array_equal(values, np.round(255 * vehicle.world))
+
+    for frame, scan, place in zip(
+        vehicle.frames, of(messages, "/scan"), of(messages, "/tf"), strict=True
+    ):
+        ranges = np.array(scan.content.ranges)
+        here = frame.state[:2].astype(float)
+        np.testing.assert_allclose(ranges, np.hypot(*(frame.scan - here).T), atol=1e-6)
+        assert scan.content.frame_id == place.content.child_frame_id == "base_link"
+        # What Foxglove draws: the ends of the beams in the robot's frame, moved to the map's.
+        angles = np.linspace(scan.content.start_angle, scan.content.end_angle, len(ranges))
+        angles += yaw_of(place.content.rotation)
+        ends = np.stack([np.cos(angles), np.sin(angles)], -1) * ranges[:, None]
+        ends += [place.content.translation.x, place.content.translation.y]
+        np.testing.assert_allclose(ends, frame.scan, atol=1e-4)
+
+    objects = {each.id: each for each in of(messages, "/objects")[-1].content.entities}
+    assert len(objects["robot"].triangles[0].points) == 6
+    frame = vehicle.frames[-1]
+    movers = [
+        (each.pose.position.x, each.pose.position.y, 0.5 * each.size.x)
+        for each in objects["moving obstacles"].cylinders
+    ]
+    np.testing.assert_allclose(movers, np.column_stack([frame.movers, vehicle.mover_radii]))
+    assert len(objects["targets"].cylinders) == len(vehicle.targets)
+    plan = {each.id: each for each in of(messages, "/plan")[-1].content.entities}
+    points = [(point.x, point.y) for point in plan["plan"].lines[0].points]
+    np.testing.assert_array_equal(np.float32(points), frame.plan)
+    (rollouts,) = of(messages, "/rollouts")[-1].content.entities
+    best = rollouts.lines[-1]
+    points = np.float32([(point.x, point.y) for point in best.points])
+    np.testing.assert_array_equal(points, frame.samples[np.argmax(frame.weights)])
+    # The rollouts of great weight are as opaque as in the animation.
+    opacity = sorted(round(255 * line.color.a) for line in rollouts.lines)
+    assert opacity == [70, 70, 70, 235, 235, 235]
+
+
+def test_a_grid_lies_where_the_map_does(make_recording, controller, tmp_path: Path) -> None:
+    run = make_recording([(0.5, 1.0), (0.7, 1.0)], [0.5], origin=(1.0, -2.0, 0.5))
+    record(run, tmp_path / "run.mcap", controller)
+    (belief, *_) = of(read(tmp_path / "run.mcap"), "/belief")
+    pose = belief.content.pose
+    frame = jx.OccupancyGrid(run.belief, run.resolution, run.origin).frame
+    at = np.array([3, 7])
+    # The centre of a cell by the schema of the message: from the corner, x along the columns.
+    cell = (at[::-1] + 0.5) * belief.content.cell_size.x
+    yaw = yaw_of(pose.orientation)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    found = turn @ cell + [pose.position.x, pose.position.y]
+    np.testing.assert_allclose(found, np.asarray(frame.cell_centre(jnp.asarray(at))), atol=1e-5)
+    assert belief.content.row_stride == belief.content.column_count * belief.content.cell_stride
+
+
+def test_colours_are_those_of_the_animation(recording, controller, tmp_path: Path) -> None:
+    record(recording, tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    belief, information = (of(messages, name)[-1].content for name in ("/belief", "/information"))
+    colours = np.stack([grid_values(belief, name, np.uint8) for name in ("red", "green", "blue")])
+    level = recording.frames[-1].probability
+    np.testing.assert_array_equal(colours[:, level == 0].T[0], (252, 252, 250))
+    np.testing.assert_array_equal(colours[:, level == 255].T[0], (43, 48, 58))
+    # Information is shown in free cells only, the more the stronger.
+    alpha = grid_values(information, "alpha", np.uint8)
+    free = level[1::2, 1::2] < 64
+    assert not alpha[~free].any()
+    field = recording.frames[-1].information
+    expected = 0.75 * 255 * np.minimum(field / np.percentile(field, 98), 1.0)
+    np.testing.assert_allclose(alpha[free], expected[free], atol=1.0)
+
+
+def test_a_following_is_recorded_with_its_course(ring, controller, tmp_path: Path) -> None:
+    record(ring, tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    assert sorted({each.topic for each in messages}) == sorted([*COMMON, "/course"])
+    times = [each.time for each in messages]
+    assert times == sorted(times)
+    (course,) = of(messages, "/course")[0].content.entities
+    lines = [[(point.x, point.y) for point in each.points] for each in course.lines]
+    np.testing.assert_array_equal(np.float32(lines), np.stack([ring.centre, *ring.edges]))
+    objects = {each.id: each for each in of(messages, "/objects")[-1].content.entities}
+    drawn = {
+        tuple(np.round([each.pose.position.x, each.pose.position.y, 0.5 * each.size.x], 4).tolist())
+        for each in objects["obstacles"].cylinders
+    }
+    # Polygons have a disc at each of their corners.
+    assert drawn == {
+        tuple(np.round([x, y, radius], 4).tolist())
+        for places, radius in zip(ring.frames[-1].corners, ring.obstacle_radii, strict=True)
+        for x, y in places
+    }
+    last = of(messages, "/metrics")[-1].content
+    assert np.float32(last["progress"]) == ring.records.progress[-1]
+    # The robot of the controller has two controls, that of the recording three.
+    assert list(of(messages, "/command")[0].content) == ["u0", "u1", "u2"]
+
+
+def test_values_that_json_lacks_are_left_out(make_straight, controller, tmp_path: Path) -> None:
+    record(make_straight(), tmp_path / "run.mcap", controller)
+    last = of(read(tmp_path / "run.mcap"), "/metrics")[-1].content
+    assert "progress" in last
+    assert not {"room", "gap"} & set(last)
+
+
+def test_names_are_data(vehicle, controller, tmp_path: Path) -> None:
+    name = 'x"}, <script>\n"/tf'
+    frames = [dataclasses.replace(each, terms={name: 2.0}) for each in vehicle.frames]
+    run = dataclasses.replace(vehicle, frames=tuple(frames))
+    record(run, tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    assert of(messages, "/cost_terms")[0].content == {name: 2.0}
+    assert sorted({each.topic for each in messages}) == EXPLORATION
+
+
+def test_a_robot_in_real_time_has_no_true_world(recording, controller, tmp_path: Path) -> None:
+    real = dataclasses.replace(recording, world=np.full_like(recording.world, 0.5))
+    record(real, tmp_path / "run.mcap", controller, began=1_700_000_000.5)
+    messages = read(tmp_path / "run.mcap")
+    assert not of(messages, "/world")
+    assert messages[0].time == pytest.approx(1_700_000_000.5, abs=1e-6)
+    assert messages[-1].time == pytest.approx(1_700_000_005.5, abs=1e-6)
+
+
+def test_maps_are_half_a_second_apart(make_recording, controller, tmp_path: Path) -> None:
+    positions = [(0.5 + 0.01 * k, 1.0) for k in range(41)]
+    run = make_recording(positions, [0.5] * 40, num_frames=41, control_period=0.1)
+    frames = [dataclasses.replace(each, time=0.1 * each.step) for each in run.frames]
+    record(dataclasses.replace(run, frames=tuple(frames)), tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    assert len(of(messages, "/tf")) == 41
+    np.testing.assert_allclose(
+        [each.time for each in of(messages, "/belief")], 0.5 * np.arange(9), atol=1e-9
+    )
+
+
+def test_a_scan_of_uneven_beams_is_recorded_as_points(
+    recording: ExplorationRecording, controller, tmp_path: Path
+) -> None:
+    frames = [dataclasses.replace(each, scan=each.scan[:5] ** 2) for each in recording.frames]
+    record(dataclasses.replace(recording, frames=tuple(frames)), tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    assert not of(messages, "/scan")
+    points = of(messages, "/points")[-1].content
+    ends = np.frombuffer(points.data, np.float32).reshape(-1, 3)
+    np.testing.assert_array_equal(ends[:, :2], frames[-1].scan)
+
+
+def test_angles_of_a_fan_are_found_from_some_of_its_beams() -> None:
+    bearings = np.linspace(-2.0, 2.0, 9) + 3.0
+    wrapped = np.angle(np.exp(1j * bearings))
+    wrapped[[0, 4]] = np.nan
+    first, last = even_angles(wrapped)
+    assert last - first == pytest.approx(4.0)
+    assert np.exp(1j * first) == pytest.approx(np.exp(1j * bearings[0]))
+    wrapped[2] += 0.1
+    assert even_angles(wrapped) is None
+    assert even_angles(np.array([np.nan, 1.0])) is None
+
+
+def test_a_run_that_fails_leaves_no_file(recording, controller, tmp_path: Path) -> None:
+    recorder = McapRecorder(tmp_path / "run.mcap")
+    recorder.begin(recording, controller)
+    assert len(list(tmp_path.iterdir())) == 1
+    assert not (tmp_path / "run.mcap").exists()
+    recorder.end(None)
+    recorder.end(None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_costs_the_recording_and_not_the_run(
+    recording, controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "open", lambda path, mode: _Small(path, mode.replace("b", "")))
+    with pytest.warns(RecordingWarning, match="cannot be written: No space left") as caught:
+        recorder = record(recording, tmp_path / "run.mcap", controller)
+    assert len(caught) == 1
+    assert recorder.failure is not None
+    assert "\n" not in recorder.failure
+    assert not list(tmp_path.iterdir())
+
+
+class _Small(io.FileIO):
+    """A file on a disk with room for a kilobyte."""
+
+    def write(self, data: Any) -> int:
+        if self.tell() + len(data) > 1000:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(data)
+
+
+def test_what_cannot_be_recorded_to_is_one_line(tmp_path: Path) -> None:
+    for name, reason in (
+        ("run.bag", "accepted: a file that ends in .mcap"),
+        ("there/run.mcap", "accepted: a file in a folder that exists"),
+        ("taken.mcap", "which exists; accepted"),
+        ("folder.mcap", "which exists; accepted"),
+    ):
+        (tmp_path / "taken.mcap").write_text("")
+        (tmp_path / "folder.mcap").mkdir(exist_ok=True)
+        with pytest.raises(ValueError, match=reason) as caught:
+            McapRecorder(tmp_path / name, overwrite=name.startswith("folder"))
+        assert "\n" not in str(caught.value)
+
+
+def test_a_recording_that_is_replaced_stays_until_the_end(
+    recording, controller, tmp_path: Path
+) -> None:
+    (tmp_path / "run.mcap").write_text("former")
+    recorder = McapRecorder(tmp_path / "run.mcap", overwrite=True)
+    recorder.begin(recording, controller)
+    assert (tmp_path / "run.mcap").read_text() == "former"
+    recorder.end(None)
+    assert (tmp_path / "run.mcap").read_text() == "former"
+    record(recording, tmp_path / "run.mcap", controller, overwrite=True)
+    assert of(read(tmp_path / "run.mcap"), "/tf")
+
+
+def test_the_layout_shows_topics_and_values_that_are_recorded() -> None:
+    file = Path(__file__).parents[2] / "docs" / "foxglove_layout.json"
+    panels = json.loads(file.read_text())["configById"]
+    assert set(panels["3D!scene"]["topics"]) <= {*EXPLORATION, "/course", "/points"}
+    robots = (jx.DifferentialDrive, jx.Ackermann)
+    known = {
+        "/metrics": {*ExplorationRecord._fields, *PathRecord._fields},
+        "/state": {name for robot in robots for name in robot.state_names},
+        "/command": {name for robot in robots for name in robot.control_names},
+    }
+    paths = [each["value"] for panel in panels.values() for each in panel.get("paths", [])]
+    assert len(paths) > 5
+    for path in paths:
+        topic, _, name = path.partition(".")
+        assert name in known[topic]

@@ -1,0 +1,411 @@
+"""Bags: ours read by rosbags itself, its own read by us, and what is refused."""
+
+import dataclasses
+import sqlite3
+import struct
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import lz4.frame
+import numpy as np
+import pytest
+import yaml
+import zstandard
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from jaxplore.ros import bag
+from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
+from jaxplore.ros.bag_writer import BagWriter
+from jaxplore.ros.unpacked import check_chunks, lz4_bound, zstd_bound
+
+STORE = get_typestore(Stores.LATEST)
+TYPES = STORE.types
+BEGAN = 1_700_000_000
+
+
+def plain(value: Any) -> Any:
+    """A message-like object without any class of the package."""
+    if not dataclasses.is_dataclass(value):
+        return [plain(each) for each in value] if isinstance(value, list) else value
+    names = [field.name for field in dataclasses.fields(value) if field.name != "__msgtype__"]
+    return SimpleNamespace(**{name: plain(getattr(value, name)) for name in names})
+
+
+def header(index: int, frame: str = "odom") -> Any:
+    stamp = TYPES["builtin_interfaces/msg/Time"](sec=BEGAN, nanosec=index)
+    return TYPES["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+
+def pose(index: int) -> Any:
+    point = TYPES["geometry_msgs/msg/Point"](x=0.1 * index, y=-1.0, z=0.0)
+    turn = TYPES["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.6, w=0.8)
+    return TYPES["geometry_msgs/msg/Pose"](position=point, orientation=turn)
+
+
+def with_covariance(index: int) -> Any:
+    covariance = np.linspace(0.0, 1.0, 36)
+    kind = TYPES["geometry_msgs/msg/PoseWithCovariance"]
+    return kind(pose=pose(index), covariance=covariance)
+
+
+def scan(index: int) -> Any:
+    ranges = np.linspace(0.5, 5.0, 20, dtype=np.float32)
+    ranges[index % 20] = np.inf
+    return TYPES["sensor_msgs/msg/LaserScan"](
+        header=header(index, "läser"),
+        angle_min=-1.0,
+        angle_max=1.0,
+        angle_increment=0.1,
+        time_increment=0.0,
+        scan_time=0.1,
+        range_min=0.05,
+        range_max=10.0,
+        ranges=ranges,
+        intensities=np.zeros(0, np.float32),
+    )
+
+
+def twist(index: int) -> Any:
+    vector = TYPES["geometry_msgs/msg/Vector3"]
+    return TYPES["geometry_msgs/msg/Twist"](
+        linear=vector(x=0.1 * index, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=-0.3)
+    )
+
+
+def odometry(index: int) -> Any:
+    speed = TYPES["geometry_msgs/msg/TwistWithCovariance"](
+        twist=twist(index), covariance=np.zeros(36)
+    )
+    return TYPES["nav_msgs/msg/Odometry"](
+        header=header(index), child_frame_id="base_link", pose=with_covariance(index), twist=speed
+    )
+
+
+def grid(index: int) -> Any:
+    time = TYPES["builtin_interfaces/msg/Time"](sec=1, nanosec=2)
+    info = TYPES["nav_msgs/msg/MapMetaData"](
+        map_load_time=time, resolution=0.05, width=3, height=2, origin=pose(index)
+    )
+    cells = np.array([-1, 0, 100, 50, -1, 7], np.int8)
+    return TYPES["nav_msgs/msg/OccupancyGrid"](header=header(index), info=info, data=cells)
+
+
+def located(index: int) -> Any:
+    kind = TYPES["geometry_msgs/msg/PoseWithCovarianceStamped"]
+    return kind(header=header(index), pose=with_covariance(index))
+
+
+def path(index: int) -> Any:
+    stamped = TYPES["geometry_msgs/msg/PoseStamped"]
+    poses = [stamped(header=header(i), pose=pose(i)) for i in range(index + 1)]
+    return TYPES["nav_msgs/msg/Path"](header=header(index), poses=poses)
+
+
+MAKERS = {
+    "/scan": ("LaserScan", scan),
+    "/odom": ("Odometry", odometry),
+    "/amcl_pose": ("PoseWithCovarianceStamped", located),
+    "/map": ("OccupancyGrid", grid),
+    "/plan": ("Path", path),
+    "/cmd_vel": ("Twist", twist),
+}
+COUNT = 4
+
+
+def messages() -> list[tuple[float, str, str, Any]]:
+    """Time, topic, kind and message of a bag, in the order of time."""
+    return [
+        (BEGAN + 0.25 * i, topic, kind, make(i))
+        for i in range(COUNT)
+        for topic, (kind, make) in MAKERS.items()
+    ]
+
+
+def write_theirs(
+    folder: Path, storage: StoragePlugin, version: int = 9, **compression: Any
+) -> Path:
+    """Write a bag with the package alone."""
+    writer = Writer(folder, version=version, storage_plugin=storage)
+    if compression:
+        writer.set_compression(**compression)
+    with writer:
+        connections = {
+            topic: writer.add_connection(topic, bag.KINDS[kind], typestore=STORE)
+            for topic, (kind, _) in MAKERS.items()
+        }
+        for time, topic, kind, message in messages():
+            writer.write(connections[topic], nanoseconds(time), packed(message, kind))
+    return folder
+
+
+def write_ours(folder: Path, storage: str = "sqlite3") -> Path:
+    with BagWriter(folder, storage=storage) as writer:
+        for time, topic, kind, message in messages():
+            writer.write(topic, kind, plain(message), time)
+    return folder
+
+
+def nanoseconds(time: float) -> int:
+    return BEGAN * 10**9 + round((time - BEGAN) * 1e9)
+
+
+def packed(message: Any, kind: str) -> bytes:
+    return bytes(STORE.serialize_cdr(message, bag.KINDS[kind]))
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_a_bag_of_ours_is_read_by_the_package(tmp_path: Path, storage: str) -> None:
+    folder = write_ours(tmp_path / "drive", storage)
+    assert [each.name for each in tmp_path.iterdir()] == ["drive"]
+    with AnyReader([folder]) as reader:
+        found = [
+            (time, connection.topic, data, reader.deserialize(data, connection.msgtype))
+            for connection, time, data in reader.messages()
+        ]
+    expected = {(nanoseconds(time), topic): each for time, topic, _, each in messages()}
+    assert len(found) == len(expected)
+    for time, topic, data, message in found:
+        kind = MAKERS[topic][0]
+        assert bytes(data) == packed(expected[time, topic], kind)
+        if kind == "LaserScan":
+            assert message.header.frame_id == "läser"
+            np.testing.assert_array_equal(message.ranges, expected[time, topic].ranges)
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("version", [8, 9])
+@pytest.mark.parametrize("is_file", [False, True])
+def test_a_bag_of_the_package_is_read(
+    tmp_path: Path, storage: StoragePlugin, version: int, is_file: bool
+) -> None:
+    place = write_theirs(tmp_path / "drive", storage, version)
+    if is_file:
+        (place,) = (each for each in place.iterdir() if each.suffix != ".yaml")
+    topics = bag_topics(place)
+    assert {name: topic.number for name, topic in topics.items()} == dict.fromkeys(MAKERS, COUNT)
+    assert {name: topic.kind for name, topic in topics.items()} == {
+        name: kind for name, (kind, _) in MAKERS.items()
+    }
+    found = list(read_bag(place, list(MAKERS)))
+    times = [each.time for each in found]
+    assert times == sorted(times)
+    expected = {(time, topic): message for time, topic, _, message in messages()}
+    assert len(found) == len(expected)
+    for time, topic, message in found:
+        kind = MAKERS[topic][0]
+        assert packed(message, kind) == packed(expected[time, topic], kind)
+    # One topic alone.
+    assert {each.topic for each in read_bag(place, ["/odom"])} == {"/odom"}
+
+
+def test_the_only_topic_of_a_kind_is_chosen_and_several_must_be_named() -> None:
+    def topic(kind: str | None) -> bag.BagTopic:
+        return bag.BagTopic(kind, "some/msg/Type", 3)
+
+    topics = {"/front": topic("LaserScan"), "/odom": topic("Odometry"), "/image": topic(None)}
+    assert choose_topic(topics, "LaserScan") == "/front"
+    topics["/rear"] = topic("LaserScan")
+    assert choose_topic(topics, "LaserScan", "/rear") == "/rear"
+    for kind, name, reason in (
+        ("LaserScan", None, "2 topics of kind LaserScan; accepted: one of '/front', '/rear'"),
+        ("LaserScan", "/odom", "'/odom', not of a LaserScan; accepted: one of '/front', '/rear'"),
+        ("Path", None, "no topic of kind Path; accepted: a bag with a Path"),
+        ("Path", "/plan", "'/plan', not of a Path; accepted: a bag with a Path"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            choose_topic(topics, kind, name)
+
+
+def test_topics_that_cannot_be_read_are_refused_before_reading(tmp_path: Path) -> None:
+    folder = tmp_path / "images"
+    with Writer(folder, version=9) as writer:
+        added = writer.add_connection("/note", "std_msgs/msg/String", typestore=STORE)
+        note = TYPES["std_msgs/msg/String"](data="hello")
+        writer.write(added, 5, STORE.serialize_cdr(note, "std_msgs/msg/String"))
+    assert bag_topics(folder)["/note"].kind is None
+    for topics, reason in (
+        (["/note"], "of type 'std_msgs/msg/String'; accepted: LaserScan, Odometry"),
+        (["/gone"], "topics has '/gone'; accepted: of this bag '/note'"),
+        ([], "accepted: names of topics in a list"),
+        ("/note", "accepted: names of topics in a list"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            read_bag(folder, topics)
+
+
+@pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
+def test_damaged_bags_are_one_line(tmp_path: Path, storage: str) -> None:
+    folder = write_ours(tmp_path / "drive", storage)
+    (file,) = (each for each in folder.iterdir() if each.suffix != ".yaml")
+    data, rng = file.read_bytes(), np.random.default_rng(0)
+    damaged = [b"", data[:50], data[: len(data) // 2], data[:-20], bytes(len(data))]
+    for _ in range(30):
+        some = np.frombuffer(data, np.uint8).copy()
+        at = rng.integers(0, len(some), 200)
+        some[at] = rng.integers(0, 256, 200)
+        damaged.append(some.tobytes())
+    reasons = []
+    for each in damaged:
+        file.write_bytes(each)
+        try:
+            # Damage that spares the structure only changes numbers.
+            list(read_bag(folder, ["/scan", "/plan"]))
+        except ValueError as error:
+            reasons.append(str(error))
+    assert len(reasons) > 5
+    assert not [reason for reason in reasons if "\n" in reason or "drive" not in reason]
+
+
+def test_a_message_that_is_cut_is_one_line(tmp_path: Path) -> None:
+    folder = write_ours(tmp_path / "drive")
+    with sqlite3.connect(folder / "drive.db3") as database:
+        database.execute("UPDATE messages SET data = substr(data, 1, 30)")
+    database.close()
+    with pytest.raises(ValueError, match=r"drive' cannot be read \(.*\); accepted: a ros"):
+        list(read_bag(folder, ["/scan"]))
+
+
+def test_what_is_no_bag_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def check(place: Path, reason: str) -> None:
+        with pytest.raises(ValueError, match=reason) as caught:
+            bag_topics(place)
+        assert "\n" not in str(caught.value)
+
+    check(tmp_path / "gone", "is not there; accepted: a rosbag2 folder")
+    check(tmp_path, "holds no metadata.yaml")
+    (tmp_path / "drive.bag").write_text("")
+    check(tmp_path / "drive.bag", r"no \.db3 or \.mcap file")
+    with BagWriter(tmp_path / "empty"):
+        pass
+    check(tmp_path / "empty", "holds no messages; accepted: a bag with messages")
+    packed = {"mode": CompressionMode.FILE, "fmt": CompressionFormat.ZSTD}
+    check(
+        write_theirs(tmp_path / "packed", StoragePlugin.SQLITE3, **packed),
+        "is compressed by 'file'; accepted: one that 'ros2 bag convert' has unpacked",
+    )
+    folder = write_ours(tmp_path / "drive")
+    entries = yaml.safe_load((folder / "metadata.yaml").read_text())
+    about = entries["rosbag2_bagfile_information"]
+    for files, reason in (
+        (["../../etc/passwd"], r"no \.db3 or \.mcap file"),
+        ([f"{i}.db3" for i in range(bag.FILES_LIMIT + 1)], "has 1001 files; accepted: at most"),
+        ("drive.db3", "names no files"),
+    ):
+        changed = {"rosbag2_bagfile_information": {**about, "relative_file_paths": files}}
+        (folder / "metadata.yaml").write_text(yaml.safe_dump(changed))
+        check(folder, reason)
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(entries))
+    assert bag_topics(folder)
+    monkeypatch.setattr(bag, "COUNT_LIMIT", 3)
+    with pytest.raises(ValueError, match="topics have 4 messages; accepted: at most 3"):
+        read_bag(folder, ["/scan"])
+    monkeypatch.setattr(bag, "MESSAGE_LIMIT", 10)
+    monkeypatch.setattr(bag, "COUNT_LIMIT", 10)
+    with pytest.raises(ValueError, match="is too large"):
+        list(read_bag(folder, ["/scan"]))
+    monkeypatch.setattr(bag, "SIZE_LIMIT", 100)
+    check(folder, "bytes; accepted: at most 100")
+
+
+def test_a_bag_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "drive")
+
+    def fail() -> None:
+        with writer:
+            writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
+            assert len(list(tmp_path.iterdir())) == 1
+            assert not (tmp_path / "drive").exists()
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(ValueError, match="is not open"):
+        writer.write("/cmd_vel", "Twist", plain(twist(0)), 1.0)
+    write_ours(tmp_path / "drive")
+    for place, reason in (
+        ("drive", "which exists; accepted: the path of a new folder"),
+        ("there/drive", "accepted: a folder in one that exists"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            BagWriter(tmp_path / place)
+    with pytest.raises(ValueError, match="storage is 'rosbag1'; accepted: sqlite3, mcap"):
+        BagWriter(tmp_path / "other", storage="rosbag1")
+
+
+def test_messages_of_other_types_are_one_line(tmp_path: Path) -> None:
+    bad, far, long, text = (plain(scan(0)) for _ in range(4))
+    del bad.header.stamp.sec
+    far.header.stamp.sec = 2**40
+    long.angle_min = "wide"
+    text.ranges = "all"
+    map_ = plain(grid(0))
+    map_.data = [0, 300]
+    turned = plain(odometry(0))
+    turned.pose.covariance = [0.0] * 35
+    with BagWriter(tmp_path / "drive") as writer:
+        for kind, message, reason in (
+            ("LaserScan", bad, "LaserScan.header.stamp.sec is missing; accepted: all fields"),
+            ("LaserScan", far, "LaserScan cannot be packed"),
+            ("LaserScan", long, "LaserScan cannot be packed"),
+            ("LaserScan", text, "LaserScan.ranges is 'all'; accepted: numbers"),
+            ("OccupancyGrid", map_, r"OccupancyGrid.data is \[0, 300\]; accepted: a list of int8"),
+            ("Odometry", turned, "Odometry.pose.covariance has 35 numbers; accepted: 36"),
+            ("Image", None, "kind is 'Image'; accepted: LaserScan"),
+        ):
+            with pytest.raises(ValueError, match=reason) as caught:
+                writer.write("/it", kind, message, 1.0)
+            assert "\n" not in str(caught.value)
+        writer.write("/it", "Twist", plain(twist(0)), 1.0)
+        with pytest.raises(ValueError, match="kind is 'LaserScan' of topic '/it'"):
+            writer.write("/it", "LaserScan", plain(scan(0)), 1.0)
+    assert {name: each.number for name, each in bag_topics(tmp_path / "drive").items()} == {
+        "/it": 1
+    }
+
+
+def test_a_bound_of_the_unpacked_size_holds_for_every_way_to_pack() -> None:
+    rng = np.random.default_rng(0)
+    for data in (b"", rng.bytes(300_000), bytes(1_000_000), b"abc" * 100_000):
+        for level in (1, 19):
+            for given in ({}, {"write_checksum": True, "write_content_size": False}):
+                packed = zstandard.ZstdCompressor(level=level, **given).compress(data)
+                assert 2 * len(data) <= zstd_bound(2 * packed) <= 2 * len(data) + 2**19
+        for size in (4, 7):
+            for given in ({}, {"content_checksum": True, "block_checksum": True}):
+                packed = lz4.frame.compress(data, block_size=size, store_size=False, **given)
+                assert 2 * len(data) <= lz4_bound(2 * packed) <= 2 * len(data) + 2**23
+
+
+def test_a_few_bytes_that_stand_for_many_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "drive"
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    large = grid(0)
+    large.data = np.zeros(3_000_000, np.int8)
+    with writer:
+        added = writer.add_connection("/map", bag.KINDS["OccupancyGrid"], typestore=STORE)
+        writer.write(added, 5, packed(large, "OccupancyGrid"))
+    file = folder / "drive.mcap"
+    assert file.stat().st_size < 100_000
+    ((_, _, message),) = read_bag(folder, ["/map"])
+    np.testing.assert_array_equal(message.data, large.data)
+    with pytest.raises(ValueError, match="more than 1000000"):
+        check_chunks(file, 1_000_000)
+    # A chunk may say less than it holds.
+    data = bytearray(file.read_bytes())
+    assert data.count(struct.pack("<Q", 5) * 2) > 0
+    at = data.index(struct.pack("<Q", 5) * 2) + 16
+    assert struct.unpack_from("<Q", data, at)[0] > 3_000_000
+    struct.pack_into("<Q", data, at, 10)
+    file.write_bytes(data)
+    with pytest.raises(ValueError, match="more than 1000000 bytes unpacked"):
+        check_chunks(file, 1_000_000)
+    monkeypatch.setattr(bag, "check_chunks", lambda path: check_chunks(path, 1_000_000))
+    with pytest.raises(ValueError, match="a chunk may have more than"):
+        bag_topics(folder)
