@@ -76,12 +76,20 @@ def command(name: str, *arguments: str) -> subprocess.Popen:
 def main(folder: Path) -> dict:
     small = ["--set", "office.width=18", "--set", "office.height=12", "--beams", "90"]
     node = [
+        "--no-animation",
         *("--set", "controller.num_samples=100", "--set", "node.map_size=24"),
         *("--set", "lidar.num_beams=90", "--set", "rates.control=20", "--set", "rates.sensing=10"),
         *("--set", "node.max_age=2", "--set", "node.max_frozen=5", "--set", "node.latency=0.1"),
     ]
     robot = command(
-        "robot", "office", *small, "--out", str(folder / "robot"), "--time-limit", "600"
+        "robot",
+        "office",
+        *small,
+        "--out",
+        str(folder / "robot"),
+        "--time-limit",
+        "600",
+        "--no-animation",
     )
     seen, drivers = {}, []
     try:

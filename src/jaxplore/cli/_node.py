@@ -60,7 +60,7 @@ def drive(options: dict[str, Any]) -> None:
         )
         driver.run(is_stopped)
     click.echo(f"Done: {pilot.finished}", err=True)
-    _save_drive(pilot, settings, node, folder, overwrite=overwrite)
+    _save_drive(pilot, settings, node, folder, overwrite=overwrite, animation=options["animation"])
     times = driver.latencies
     rows = [("commands", str(times.num_commands)), ("late", str(times.num_late))]
     if times.scan_ms:
@@ -98,7 +98,14 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
         )
     if not pilot.log.num_steps:
         raise ValueError(f"{scan} and {pose} have no pose to start from; accepted: a drive")
-    _save_drive(pilot, settings, node, folder, overwrite=options["overwrite"])
+    _save_drive(
+        pilot,
+        settings,
+        node,
+        folder,
+        overwrite=options["overwrite"],
+        animation=options["animation"],
+    )
     click.echo(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
         click.echo(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
@@ -118,7 +125,13 @@ def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Pa
 
 
 def _save_drive(
-    pilot: Pilot, settings: Settings, node: NodeSettings, folder: Path, *, overwrite: bool
+    pilot: Pilot,
+    settings: Settings,
+    node: NodeSettings,
+    folder: Path,
+    *,
+    overwrite: bool,
+    animation: bool,
 ) -> None:
     """Write the run folder of a drive, with its commands, and print its metrics."""
     if not pilot.log.num_steps:
@@ -127,7 +140,7 @@ def _save_drive(
     run = Run(recording, recording.metrics(seed=settings.seed))
     kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
     del kept["map"]
-    run.save(folder, overwrite=overwrite, settings=kept, progress=True)
+    run.save(folder, overwrite=overwrite, animation=animation, settings=kept, progress=True)
     table = pilot.log.command_table()
     write_whole(folder / COMMANDS, lambda file: file.write(table.encode()), "commands")
     print_table(run.metrics.rows(), title=str(folder), has_header=False)
@@ -163,7 +176,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
     Raises:
         ValueError: options that are not accepted, no ROS 2, or another simulated robot.
     """
-    out, overwrite = options.pop("out"), options.pop("overwrite")
+    out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
     own = {name: options.pop(name) for name in ("delay", "drift", "command_type", "has_map")}
     given = option_entries(options)
     entries = find_task(given).with_start(given)
@@ -194,7 +207,13 @@ def simulate_robot(options: dict[str, Any]) -> None:
             is_interrupted = node.run(is_stopped, settings.time_limit, advance)
     recording = simulated.recording(is_interrupted=is_interrupted)
     run = Run(recording, recording.metrics(seed=settings.seed))
-    run.save(folder, overwrite=overwrite, settings=settings.model_dump(mode="json"), progress=True)
+    run.save(
+        folder,
+        overwrite=overwrite,
+        animation=animation,
+        settings=settings.model_dump(mode="json"),
+        progress=True,
+    )
     print_table(run.metrics.rows(), title=str(folder), has_header=False)
     if is_interrupted:
         sys.exit(INTERRUPTED)

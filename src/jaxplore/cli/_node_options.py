@@ -5,6 +5,8 @@ from typing import Any
 
 import click
 
+ANIMATION = click.option("--animation/--no-animation", default=True, help="Draw an animation.")
+
 
 def _drive_options(out: str) -> tuple[Any, ...]:
     """Return the options of settings and of the run folder.
@@ -40,6 +42,7 @@ def _drive_options(out: str) -> tuple[Any, ...]:
             help=f"Run folder, written at the end.  [default: {out}]",
         ),
         click.option("--overwrite", is_flag=True, help="Replace an existing run folder."),
+        ANIMATION,
     )
 
 
@@ -105,6 +108,7 @@ def robot_options(command: Any) -> Any:
                 default=True,
                 help="Publish the map of what the lidar has seen on /map.",
             ),
+            ANIMATION,
         )
     ):
         command = option(command)

@@ -194,7 +194,7 @@ class Pilot:
         self._frozen: tuple[float, str] | None = None
         self._number = 0
         self.num_replaced = 0
-        self._finished = ""
+        self._finished, self._is_explored = "", False
 
     @property
     def belief(self) -> Any:
@@ -347,6 +347,7 @@ class Pilot:
             self._worth_at = now
         elif now - self._worth_at > self.options.done_after:
             self._finished = "no place that is worth a visit is reachable"
+            self._is_explored = True
         return True
 
     def finish(self, reason: str) -> None:
@@ -383,7 +384,7 @@ class Pilot:
     def recording(self) -> ExplorationRecording:
         """Make the recording of the drive; its final map stands for the world."""
         self.log.frames.add_last(self.make_frame())
-        return self.log.recording(self.belief, is_done=bool(self._finished))
+        return self.log.recording(self.belief, is_done=self._is_explored)
 
     def _problem(self, now: float) -> str | None:
         """Return why the robot must not move; None if it may."""
