@@ -24,6 +24,7 @@ from benchmarks import (
     portfolio_step,
     sensitivity,
     tuning,
+    view,
 )
 from benchmarks.tables import table
 from jaxplore import __version__
@@ -153,6 +154,12 @@ def _exploration(arguments: argparse.Namespace, console: Console) -> dict[str, A
     return {"exploration": summary, "runs": rows}
 
 
+def _view(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = view.measure()
+    console.print(table("A live view, in times as long as a run without one", rows))
+    return {"view": rows}
+
+
 def _first_hour(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = first_hour.measure()
     console.print(table("First hour: whole commands in fresh processes", rows))
@@ -169,6 +176,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "tuning": _tuning,
     "exploration": _exploration,
     "first_hour": _first_hour,
+    "view": _view,
 }
 
 

@@ -21,6 +21,7 @@ from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
 from jaxplore.cli._tune_options import tune_options
+from jaxplore.cli._view_options import host_option, view_options
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -57,6 +58,7 @@ def cli() -> None:
     help="Run folder to continue, with its settings; with --overwrite or another --out.",
 )
 @picture_options("Draw an animation.", video=True)
+@view_options
 def run(out: Path | None, overwrite: bool, **options: Any) -> None:
     """Simulate a robot that explores a map or follows a path.
 
@@ -76,6 +78,7 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
       jaxplore run office --fps 30 --film-scale 2 --video office.mp4 --figures pdf,svg
       jaxplore run office --record office.mcap
       jaxplore run --resume runs/office --time-limit 1200 --overwrite
+      jaxplore run office --view
 
     Ctrl-C ends the run and saves it up to then. --resume continues it.
     """
@@ -232,6 +235,25 @@ def robot(**options: Any) -> None:
     from jaxplore.cli._node import simulate_robot
 
     simulate_robot(options)
+
+
+@cli.command()
+@click.argument("folder", type=click.Path(path_type=Path), metavar="RUNFOLDER")
+@click.option("--port", type=int, default=0, help="Port of the page.  [default: a free one]")
+@host_option
+def view(folder: Path, port: int, host: str | None) -> None:
+    """Show a finished run in the browser, with a slider of time.
+
+    The argument is a run folder, as jaxplore run writes it:
+
+    \b
+      jaxplore view runs/office
+
+    Ctrl-C ends it. Needs viser: pip install '.[view]' in a clone of jaxplore.
+    """
+    from jaxplore.cli._view import show_folder
+
+    show_folder(folder, port, host)
 
 
 @cli.command("settings")

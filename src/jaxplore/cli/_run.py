@@ -1,6 +1,7 @@
 """`jaxplore run`: simulates one run and writes its folder."""
 
 import warnings
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,7 @@ from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._show import free_name, save, show_starts
+from jaxplore.cli._view_options import VIEW
 from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.report.folder import check_folder
@@ -37,6 +39,12 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     if resume is not None:
         _take_settings(options, resume)
         out = resume if out is None else out
+    wanted = {name: options.pop(name) for name in VIEW}
+    has_view = any(each is not None for each in wanted.values())
+    if has_view and resume is not None:
+        raise ValueError(
+            f"--resume is {printable_path(resume)!r} beside --view; accepted: one of them"
+        )
     given = option_entries(options)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
@@ -44,6 +52,14 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     # The folder is checked before the run, which may take minutes.
     check_folder(folder, overwrite=overwrite)
     former = None if resume is None else Run.load(resume)
+    if has_view:
+        # viser takes a second to import.
+        from jaxplore.cli._view import open_view, run_viewed
+
+        with closing(open_view(**wanted, label=folder.name)) as view:
+            show_starts({"": given}, {"": entries})
+            run_viewed(view, settings, folder, pictures, recorder, overwrite=overwrite)
+        return
     experiment = build(settings)
     if former is not None:
         _check_continues(former, experiment, resume)

@@ -12,12 +12,12 @@ import numpy as np
 
 from jaxplore._types import ArrayLike
 from jaxplore.control.base import Controller
-from jaxplore.parameters import set_parameters
+from jaxplore.parameters import find_parameter, get_parameters, set_parameters
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import Chunk
 
 WATCHED_SECONDS = 0.1
-"""Longest simulated time of a chunk of a run with monitors [s]."""
+"""Longest simulated time of a chunk of a run with monitors, unless they accept longer ones [s]."""
 PAUSE_SECONDS = 0.02
 """Time between two looks at the requests of a run that waits [s]."""
 
@@ -82,6 +82,16 @@ class Monitor(abc.ABC):
             elapsed: wall-clock time since then [s].
         """
 
+    def longest_chunk(self, pace: float) -> float:
+        """Return the longest simulated time for which the run may go on by itself [s].
+
+        Longer chunks cost less. Parameters act, and updates come, between chunks.
+
+        Args:
+            pace: simulated seconds per second at present; infinite if nobody knows.
+        """
+        return WATCHED_SECONDS
+
     @abc.abstractmethod
     def show(self, update: Update) -> None:
         """Take an update."""
@@ -132,8 +142,9 @@ class Watch[S]:
     Args:
         monitors: the monitors.
         controller: controller at the start.
+        adapt: function that adapts a controller to the control period of the task.
         make_frame: function that makes a frame of a state after a number of steps, with the plan of
-            a controller.
+            an adapted controller.
         period: control period [s].
         total: number of steps that were done before.
     """
@@ -142,12 +153,17 @@ class Watch[S]:
         self,
         monitors: Sequence[Monitor],
         controller: Controller,
+        adapt: Callable[[Controller], Controller],
         make_frame: Callable[[Controller, S, int], Frame],
         period: float,
         total: int,
     ) -> None:
-        self.controller = controller
-        self._make_frame, self._period = make_frame, period
+        self.controller, self.planner = controller, adapt(controller)
+        self.parameters: dict[str, float | list[float]] = {}
+        """Parameters that monitors have set, by full path, with their last values."""
+        self._adapt, self._make_frame, self._period = adapt, make_frame, period
+        # Number of steps that were done, and the time, when the present chunk began.
+        self._began = total, -math.inf
         self._shown = [_Shown(each, total) for each in monitors]
         self._parameters: dict[str, ArrayLike] = {}
         self._single_steps = 0
@@ -174,29 +190,36 @@ class Watch[S]:
         Returns:
             Greatest number of steps of the next chunk; 0 if the run shall stop.
         """
+        steps, seconds = chunk.total - self._began[0], time.monotonic() - self._began[1]
+        pace = steps * self._period / seconds if seconds > 0.0 else math.inf
         frames: list[Frame] = []
 
         def make_frame() -> Frame:
             # One frame serves all monitors that are due.
             if not frames:
-                frames.append(self._make_frame(self.controller, chunk.state, chunk.total))
+                frames.append(self._make_frame(self.planner, chunk.state, chunk.total))
             return frames[0]
 
         for each in self._shown:
             each.add(chunk.records)
             each.show_when_due(make_frame, chunk.total, self._period, text)
-        return self._wait(chunk)
+        length = self._wait(chunk, pace)
+        self._began = chunk.total, time.monotonic()
+        return length
 
-    def _wait(self, chunk: Chunk[S, Any]) -> int:
+    def _wait(self, chunk: Chunk[S, Any], pace: float) -> int:
         while not chunk.is_stop_requested():
             requests = [each.monitor.requests() for each in self._shown]
             self._take_parameters(requests)
             if any(each.is_stopped for each in requests):
                 break
             if not any(each.is_paused for each in requests):
-                self._hold_speed(chunk.total, min(each.speed for each in requests))
+                speed = min(each.speed for each in requests)
+                self._hold_speed(chunk.total, speed)
+                pace = min(pace, speed)
+                longest = min(each.monitor.longest_chunk(pace) for each in self._shown)
                 # Frames of the recording end chunks as well; updates keep their own beat.
-                beat = max(1, round(WATCHED_SECONDS / self._period))
+                beat = max(1, round(longest / self._period))
                 return beat - chunk.total % beat
             # After a pause the speed is held from there on.
             self._pace = None
@@ -233,3 +256,7 @@ class Watch[S]:
                     self.controller = set_parameters(self.controller, {name: value})
                 except ValueError as error:
                     shown.monitor.refuse(str(error))
+                    continue
+                self.planner = self._adapt(self.controller)
+                path = find_parameter(self.controller, name)
+                self.parameters[path] = get_parameters(self.controller)[path].tolist()

@@ -70,11 +70,15 @@ class Run:
         recording: every step, and frames of the run.
         metrics: metrics of the run.
         checkpoint: what `simulate(resume=...)` continues from.
+        parameters: parameters of the controller that monitors set during the run, by path, with
+            their last values; empty for a run that was loaded. `set_parameters(controller,
+            run.parameters)` is the controller at the end.
     """
 
     recording: Recording
     metrics: Metrics
     checkpoint: Checkpoint | None = None
+    parameters: Mapping[str, float | list[float]] = dataclasses.field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"Run({self.recording!r})"
@@ -263,13 +267,13 @@ def simulate(
 
         # With a warm compilation cache the text stands for a second only.
         advance(0.0, "compiling the loop, about 10 s the first time")
-        recording, loop, controller = _closed_loop(
+        recording, loop, watch = _closed_loop(
             controller, scenario, num_steps, key, show, num_trajectories, former, monitors
         )
     # The last word of a key's data is the seed that `jax.random.key` was given.
     seed = int(np.asarray(jax.random.key_data(key)).reshape(-1)[-1])
-    checkpoint = Checkpoint.at_end_of(loop, controller, scenario, key)
-    return Run(recording, recording.metrics(seed=seed), checkpoint)
+    checkpoint = Checkpoint.at_end_of(loop, watch.controller, scenario, key)
+    return Run(recording, recording.metrics(seed=seed), checkpoint, watch.parameters)
 
 
 def _checkpoint_of(run: Run) -> Checkpoint:
@@ -315,8 +319,9 @@ def _closed_loop(
     num_trajectories: int,
     former: Checkpoint | None = None,
     monitors: Sequence[Monitor] = (),
-) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame], Controller]:
-    """Simulate; return the recording, what the loop returned, and the controller at the end."""
+) -> tuple[Recording, ChunkedRun[LoopState, Any, Frame], Watch[LoopState]]:
+    """Simulate; return the recording, what the loop returned, and the watch with the controller at
+    the end."""
     order = "in the order simulate(controller, scenario, num_steps)"
     _kinds.instance("controller", controller, Controller, hint=order)
     _kinds.instance("scenario", scenario, Scenario, hint=order)
@@ -333,15 +338,16 @@ def _closed_loop(
     capacity = max(1, round(CHUNK_SECONDS / period))
     total = 0 if former is None else former.loop.num_steps
 
+    def adapt(given: Controller) -> Controller:
+        return given.at_period(scenario.control_period)
+
     def make_frame(planner: Controller, current: LoopState, step: int) -> Frame:
-        planner = planner.at_period(scenario.control_period)
         return scenario.make_frame(step, frame_arrays(planner, scenario, current, key, rollouts))
 
-    watch = Watch(monitors, controller, make_frame, period, total)
+    watch = Watch(monitors, controller, adapt, make_frame, period, total)
 
     def run(current: LoopState, steps: Count) -> tuple[LoopState, Any, Count]:
-        planner = watch.controller.at_period(scenario.control_period)
-        return run_chunk(planner, scenario, current, key, steps, capacity)
+        return run_chunk(watch.planner, scenario, current, key, steps, capacity)
 
     def report(chunk: Chunk[LoopState, Any]) -> int:
         share, text = scenario.progress(chunk.state.task)
@@ -349,14 +355,14 @@ def _closed_loop(
         return watch.after_chunk(chunk, text) if monitors else capacity
 
     if monitors:
-        frame = make_frame(controller, first, total)
+        frame = make_frame(watch.planner, first, total)
         watch.begin(blank_recording(scenario, controller, first, frame))
     recording = None
     try:
         done = run_in_chunks(
             run,
             lambda current: scenario.is_unfinished(current.task),
-            lambda current, step: make_frame(watch.controller, current, step),
+            lambda current, step: make_frame(watch.planner, current, step),
             first,
             began=began,
             limit=limit,
@@ -369,4 +375,4 @@ def _closed_loop(
     finally:
         # A recorder closes its file, however the run ended.
         watch.end(recording)
-    return recording, done, watch.controller
+    return recording, done, watch

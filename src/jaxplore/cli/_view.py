@@ -1,0 +1,151 @@
+"""Views in the browser, of runs that go on and of finished ones."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from jaxplore.build.tasks import build
+from jaxplore.cli._pictures import Pictures
+from jaxplore.cli._show import free_name, save
+from jaxplore.cli._view_options import HOST
+from jaxplore.parameters import find_parameter, get_parameters, set_parameters
+from jaxplore.recorder.recorder import McapRecorder
+from jaxplore.settings.sections import RunSettings
+from jaxplore.simulation.monitor import Monitor
+from jaxplore.simulation.run import Run, simulate
+from jaxplore.view import LiveView, Replay, is_public
+
+type Values = Mapping[str, float | list[float]]
+"""Values of parameters by path."""
+
+
+def open_view(
+    view: bool | None, view_port: int | None, host: str | None, *, label: str
+) -> LiveView:
+    """Open a live view and print its link.
+
+    Args:
+        view: whether one is wanted.
+        view_port: its port; a free one when absent.
+        host: its address; that of this machine when absent.
+        label: title of the page's panel.
+
+    Raises:
+        ValueError: another option of a view without --view; a view that cannot be opened.
+    """
+    if not view:
+        name, value = ("--host", host) if view_port is None else ("--view-port", view_port)
+        raise ValueError(f"{name} is {value} without --view; accepted: with --view")
+    where = HOST if host is None else host
+    opened = LiveView(host=where, port=0 if view_port is None else view_port, label=label)
+    _tell(opened.link, where, "drive the sliders")
+    return opened
+
+
+def run_viewed(
+    view: LiveView,
+    settings: RunSettings,
+    folder: Path,
+    pictures: Pictures,
+    recorder: McapRecorder | None,
+    *,
+    overwrite: bool,
+) -> None:
+    """Simulate runs until the page of a view asks for no further one.
+
+    A run that ends or is stopped is saved, each one in a folder of its own. One that is started
+    again before its end is not. The first run is recorded, if there is a recorder.
+
+    Raises:
+        ValueError: the recording could not be written; the run was saved.
+    """
+    changed: dict[str, float | list[float]] = {}
+    monitors: list[Monitor] = [view] if recorder is None else [view, recorder]
+    while True:
+        experiment = build(settings)
+        # What the sliders have set holds from the first step of a further run.
+        controller = set_parameters(experiment.controller, changed)
+        run = simulate(
+            controller, *experiment[1:3], key=experiment.key, progress=True, monitors=monitors
+        )
+        monitors = [view]
+        changed.update(run.parameters)
+        seed = view.asked_seed()
+        if seed is None:
+            _show_changes(get_parameters(experiment.controller), changed)
+            kept = _changed(settings, controller, changed)
+            save(run, folder, kept, pictures, overwrite=overwrite)
+            if recorder is not None and recorder.failure is not None:
+                raise ValueError(recorder.failure)
+            seed = _wait(view)
+            if seed is None:
+                return
+            folder, overwrite = free_name(folder), False
+            # The video of the first run is kept.
+            pictures = pictures._replace(video=None)
+        else:
+            click.echo(f"Not saved: the run with seed {settings.seed}, started again.", err=True)
+        settings = settings.model_copy(update={"seed": seed})
+
+
+def show_folder(folder: Path, port: int, host: str | None) -> None:
+    """Show a run folder in the browser until Ctrl-C.
+
+    Raises:
+        ValueError: a folder that holds no run, an address or a port that cannot be used.
+    """
+    where = HOST if host is None else host
+    replay = Replay(Run.load(folder).recording, host=where, port=port, label=folder.resolve().name)
+    _tell(replay.link, where, "look at it")
+    try:
+        replay.serve()
+    except KeyboardInterrupt:
+        # The way to end it.
+        replay.close()
+
+
+def _wait(view: LiveView) -> int | None:
+    if view.num_pages:
+        click.echo("The view stays open until its page is closed, or Ctrl-C.", err=True)
+    try:
+        return view.wait_for_restart()
+    except KeyboardInterrupt:
+        # The run is saved: nothing was interrupted.
+        return None
+
+
+def _changed(settings: RunSettings, controller: Any, changed: Values) -> RunSettings:
+    """Return settings with the parameters that were changed during the run."""
+    # A path may be abbreviated: an old value must not override a new one.
+    others = {
+        path: value
+        for path, value in settings.parameters.items()
+        if find_parameter(controller, path) not in changed
+    }
+    return settings.model_copy(update={"parameters": {**others, **changed}})
+
+
+def _show_changes(before: Mapping[str, Any], after: Values) -> None:
+    for path, value in after.items():
+        old = np.asarray(before[path]).tolist()
+        if not np.array_equal(np.asarray(old, np.float32), np.asarray(value, np.float32)):
+            click.echo(f"Changed during the run: {path} {_text(old)} -> {_text(value)}", err=True)
+
+
+def _text(value: float | list[float]) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(map(_text, value))}]"
+    return f"{value:g}"
+
+
+def _tell(link: str, host: str, act: str) -> None:
+    click.echo(f"View: {link}", err=True)
+    if is_public(host):
+        click.echo(
+            f"jaxplore: warning: --host is {host}: anybody in the network can open the view and "
+            f"{act}",
+            err=True,
+        )

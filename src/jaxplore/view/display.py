@@ -1,0 +1,140 @@
+"""The page of a view: a scene, curves, and a panel whose other parts are added by its owner."""
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.following.data import PathData
+from jaxplore.report.recording import Frame, Recording
+from jaxplore.view.curves import Curves
+from jaxplore.view.exploration import ExplorationScene
+from jaxplore.view.following import PathScene
+from jaxplore.view.history import History, plain
+from jaxplore.view.other import PictureScene
+from jaxplore.view.scene import Scene
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Display:
+    """The page of a view.
+
+    The first tab of its panel tells the time and the progress, and has the curves; `run_tab` is the
+    place for buttons. The last tab shows and hides layers.
+
+    Args:
+        server: server of the view.
+        tabs: titles of further tabs between these two.
+    """
+
+    def __init__(self, server: "viser.ViserServer", *tabs: str) -> None:
+        gui = server.gui
+        self.server = server
+        self.history: History | None = None
+        self._scene: Scene | None = None
+        self._frame: Frame | None = None
+        group = gui.add_tab_group()
+        self.run_tab: Any = group.add_tab("Run")
+        self.tabs: dict[str, Any] = {name: group.add_tab(name) for name in tabs}
+        self._layers_tab: Any = group.add_tab("Layers")
+        with self.run_tab:
+            self._time: Any = gui.add_text("Time", initial_value="", disabled=True)
+            self._progress: Any = gui.add_text("Progress", initial_value="", disabled=True)
+            self.buttons: Any = gui.add_folder("Control")
+            self._curves = Curves(server, gui.add_folder("Curves"))
+        self._layers: list[Any] = []
+
+    def begin(self, recording: Recording) -> None:
+        """Show another run.
+
+        Args:
+            recording: the run, with or without steps.
+        """
+        if self._scene is not None:
+            self._scene.clear()
+        self._curves.clear()
+        self.history = History(recording)
+        self._scene = make_scene(self.server, recording)
+        self._list_layers(self._scene)
+
+    def draw(self, frame: Frame, text: str, trail: np.ndarray | None = None) -> None:
+        """Draw a frame.
+
+        Args:
+            frame: the frame.
+            text: progress in words.
+            trail: positions of the robot so far; those of the history when absent.
+        """
+        assert self._scene is not None
+        assert self.history is not None
+        self._frame = frame
+        # Pages show all of it at once.
+        with self.server.atomic():
+            if isinstance(self._scene, PictureScene):
+                self._scene.recording = self.history.recording_at(frame)
+            self._scene.draw(frame, self.history.trail if trail is None else trail)
+            self._time.value = f"{frame.time:.2f} s"
+            self._progress.value = plain(text)
+
+    def draw_curves(self, *, at_once: bool = False) -> None:
+        """Draw the curves, unless that was a moment ago."""
+        assert self.history is not None
+        if at_once or self._curves.is_due():
+            self._curves.draw(self.history.plots())
+
+    def tell(self, text: str) -> None:
+        """Show a message in place of the progress."""
+        self._progress.value = plain(text)
+
+    def picture(self) -> tuple[str, bytes] | None:
+        """Return a file name and a PNG of the frame that is shown, drawn as in the animation; None
+        before the first frame."""
+        if self._frame is None or self.history is None:
+            return None
+        recording = self.history.recording_at(self._frame)
+        stream = io.BytesIO()
+        recording.frame_image(self._frame, scale=2.0).save(stream, "PNG")
+        return f"jaxplore-{self._frame.time:.2f}s.png", stream.getvalue()
+
+    def add_picture_button(self) -> None:
+        """Add a button that downloads a picture."""
+        with self.buttons:
+            button = self.server.gui.add_button("Save picture", hint="PNG of the frame")
+
+        def save(event: Any) -> None:
+            made = self.picture()
+            if made is not None and event.client is not None:
+                event.client.send_file_download(*made, save_immediately=True)
+
+        button.on_click(save)
+
+    def _list_layers(self, scene: Scene) -> None:
+        """List the layers of the scene; those that were hidden before stay hidden."""
+        known = {each.label: each for each in self._layers}
+        if list(known) != list(scene.layers):
+            for each in self._layers:
+                each.remove()
+            with self._layers_tab:
+                self._layers = [
+                    self.server.gui.add_checkbox(name, initial_value=True) for name in scene.layers
+                ]
+            for box in self._layers:
+                box.on_update(self._show_layer)
+        for box in self._layers:
+            scene.show(box.label, is_shown=box.value)
+
+    def _show_layer(self, event: Any) -> None:
+        if self._scene is not None:
+            self._scene.show(event.target.label, is_shown=event.target.value)
+
+
+def make_scene(server: "viser.ViserServer", recording: Recording) -> Scene:
+    """Make the scene of a recording, by its kind."""
+    if isinstance(recording, ExplorationData):
+        return ExplorationScene(server, recording)
+    if isinstance(recording, PathData):
+        return PathScene(server, recording)
+    return PictureScene(server, recording)
