@@ -145,7 +145,7 @@ def test_the_map_that_is_named_counts_not_that_of_the_settings_file() -> None:
         (["run", "office", "--set", "robot.wings=2"], "unknown setting robot.wings; accepted here"),
         (
             ["run", "office", "--set", "wings=2"],
-            "unknown setting wings; accepted here: start, time_limit, seed, parameters, map",
+            "unknown setting wings; accepted here: start, time_limit, seed, parameters, latency",
         ),
         (["run", "office", "--set", "robot"], "--set is 'robot'; accepted: NAME=VALUE"),
         (["run", "office", "--set", "seed=[1"], "accepted: a value in YAML"),

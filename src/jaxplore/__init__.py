@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from jaxplore.control import HaltonNoise as HaltonNoise
     from jaxplore.control import InjectedProposal as InjectedProposal
     from jaxplore.control import Knots as Knots
+    from jaxplore.control import LatencyCompensation as LatencyCompensation
     from jaxplore.control import RBFKernel as RBFKernel
     from jaxplore.control import Smooth as Smooth
     from jaxplore.control import Softmax as Softmax
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from jaxplore.dynamics import Euler as Euler
     from jaxplore.dynamics import Integrator as Integrator
     from jaxplore.dynamics import KinematicBicycle as KinematicBicycle
+    from jaxplore.dynamics import Omnidirectional as Omnidirectional
     from jaxplore.dynamics import PathParameter as PathParameter
     from jaxplore.dynamics import Pendulum as Pendulum
     from jaxplore.dynamics import PointMass as PointMass
@@ -137,6 +139,7 @@ _PACKAGES = {
         "HaltonNoise",
         "InjectedProposal",
         "Knots",
+        "LatencyCompensation",
         "RBFKernel",
         "Smooth",
         "Softmax",
@@ -168,6 +171,7 @@ _PACKAGES = {
         "Euler",
         "Integrator",
         "KinematicBicycle",
+        "Omnidirectional",
         "PathParameter",
         "Pendulum",
         "PointMass",

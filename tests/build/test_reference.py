@@ -120,6 +120,7 @@ CASES: dict[str, dict[str, Any]] = {
     "flying in a building": {"map": "office", "architecture": "two-layer"},
     "a quadrotor that explores": {"map": "zones", "robot": {"model": "quadrotor"}},
     "a unicycle": {"map": "office", "robot": {"model": "unicycle"}},
+    "an omnidirectional robot": {"map": "office", "robot": {"model": "omnidirectional"}},
     "a line of sight": {"map": "office", "sensor_model": {"kind": "line_of_sight"}},
     "contextual": {"map": "warehouse", "portfolio": {"fusion": "contextual"}},
     "unsafe": {"map": "warehouse", "portfolio": {"fusion": "median", "is_safe": False}},

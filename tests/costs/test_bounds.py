@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore.costs import SpeedLimitCost, StateBoundsCost
+from jaxplore import Ackermann, Omnidirectional, State
+from jaxplore.costs import BackwardsCost, SpeedLimitCost, StateBoundsCost
 
 LOWER = {"x": -1.0, "v": 0.25, "z": -4.0}
 UPPER = {"x": 2.0, "yaw": 0.5, "z": -1.0}
@@ -101,3 +102,14 @@ def test_no_step_and_no_kink_at_the_speed_limit(slope, drone) -> None:
 def test_a_bad_speed_limit_is_named(arguments, culprit: str) -> None:
     with pytest.raises(ValueError, match=culprit):
         SpeedLimitCost(**arguments)
+
+
+@pytest.mark.parametrize(
+    "robot", [Ackermann(min_speed=-1.0), Omnidirectional(min_speed=-1.0)], ids=["car", "omni"]
+)
+@pytest.mark.parametrize(("v", "expected"), [(-0.6, 3.0), (0.0, 0.0), (0.8, 0.0)])
+def test_driving_backwards_costs_its_speed(robot, v: float, expected: float) -> None:
+    state = State(jnp.zeros(robot.state_size).at[3].set(v), robot)
+    cost = BackwardsCost(scale=0.2)
+    paid = cost.stage(state, jnp.zeros(robot.control_size), jnp.zeros(()), None)
+    assert float(paid) == pytest.approx(expected)

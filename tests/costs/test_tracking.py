@@ -94,6 +94,20 @@ def test_the_heading_matters_near_the_waypoint_only(price, drone) -> None:
     assert price(cost, drone(x=20.0, yaw=math.pi)) == price(cost, drone(x=20.0))
 
 
+@given(error=st.floats(-7, 7))
+def test_a_robot_with_two_fronts_may_face_either_way(error: float, price, drone) -> None:
+    cost = WaypointCost([0.0, 0.0], 0.4, heading_weight=2.0, is_symmetric=True)
+    found = price(cost, drone(yaw=0.4 + error))
+    assert found == pytest.approx(2.0 * 0.5 * math.sin(error) ** 2, abs=1e-5)
+    assert found == pytest.approx(price(cost, drone(yaw=0.4 + error + math.pi)), abs=1e-5)
+
+
+def test_near_a_heading_two_fronts_cost_as_one(price, drone) -> None:
+    state = drone(yaw=0.05)
+    both = [WaypointCost([0.0, 0.0], 0.0, is_symmetric=each) for each in (False, True)]
+    assert price(both[1], state) == pytest.approx(price(both[0], state), rel=1e-2)
+
+
 # ReferenceCost
 
 

@@ -13,6 +13,7 @@ from jaxplore import (
     DifferentialDrive,
     Euler,
     KinematicBicycle,
+    Omnidirectional,
     Pendulum,
     PointMass,
     Quadrotor,
@@ -25,16 +26,33 @@ from jaxplore.geometry import Disc
 SPEEDS = {"max_speed": 1.1, "min_speed": -0.3}
 CAR = {**SPEEDS, "max_steering": 0.3, "max_acceleration": 0.7}
 ARGUMENTS = {
-    Ackermann: {**CAR, "wheelbase": 0.8, "max_steering_rate": 0.9, "drag": 0.2},
+    Ackermann: {
+        **CAR,
+        "max_deceleration": 1.4,
+        "wheelbase": 0.8,
+        "max_steering_rate": 0.9,
+        "drag": 0.2,
+    },
     DifferentialDrive: {
         "max_speed": 1.1,
         "max_turn_rate": 0.9,
         "max_acceleration": 0.8,
+        "max_deceleration": 1.4,
         "max_angular_acceleration": 0.7,
         "drag": 0.3,
         "radius": 0.7,
     },
     KinematicBicycle: {**CAR, "radius": 0.7, "front_length": 0.7, "rear_length": 0.6},
+    Omnidirectional: {
+        **SPEEDS,
+        "max_lateral_speed": 0.6,
+        "max_turn_rate": 0.9,
+        "max_acceleration": 0.8,
+        "max_deceleration": 1.4,
+        "max_angular_acceleration": 0.7,
+        "drag": 0.3,
+        "radius": 0.7,
+    },
     Pendulum: {"mass": 2.0, "length": 0.7, "gravity": 9.0, "max_torque": 3.0, "max_rate": 5.0},
     PointMass: {"max_speed": 1.1, "max_acceleration": 0.7, "drag": 0.2, "radius": 0.7},
     Quadrotor: {
@@ -52,6 +70,8 @@ ROBOTS = {
     "DifferentialDrive": DifferentialDrive(),
     "DifferentialDrive RK4": DifferentialDrive(integrator=RK4()),
     "KinematicBicycle": KinematicBicycle(min_speed=-1.0),
+    "Omnidirectional": Omnidirectional(min_speed=-1.0),
+    "Omnidirectional with brakes": Omnidirectional(min_speed=-1.0, max_deceleration=2.0),
     "Pendulum": Pendulum(),
     "PointMass 1": PointMass(1),
     "PointMass 2": PointMass(2, max_speed=1.5),
@@ -97,7 +117,8 @@ def test_sizes_bounds_and_leaves(robot) -> None:
     assert robot.control_min.shape == robot.control_max.shape == (robot.control_size,)
     assert (robot.control_min < robot.control_max).all()
     assert all(leaf.dtype == jnp.float32 for leaf in jax.tree.leaves(robot))
-    assert isinstance(robot.integrator, Euler if robot is ROBOTS["DifferentialDrive"] else RK4)
+    is_coarse = robot is ROBOTS["DifferentialDrive"] or isinstance(robot, Omnidirectional)
+    assert isinstance(robot.integrator, Euler if is_coarse else RK4)
 
 
 @every_robot
@@ -208,7 +229,10 @@ def test_another_parameter_compiles_nothing(model) -> None:
         traces.append("compiled")
         return robot.step(state, control, dt), robot.default_control
 
+    # A bound that may be absent has no place in a program that was compiled without it.
     with_bounds = {"max_speed": 1.0} if model is PointMass else {}
+    if "max_deceleration" in ARGUMENTS[model]:
+        with_bounds = {"max_deceleration": 1.1}
     robots = [model(**with_bounds)] + [
         model(**{**with_bounds, argument: value}) for argument, value in ARGUMENTS[model].items()
     ]

@@ -16,6 +16,7 @@ from jaxplore import (
     Augmented,
     DifferentialDrive,
     KinematicBicycle,
+    Omnidirectional,
     PathParameter,
     Pendulum,
     PointMass,
@@ -32,6 +33,8 @@ ROBOTS = {
     "DifferentialDrive": DifferentialDrive(),
     "DifferentialDrive RK4": DifferentialDrive(max_deceleration=2.5, integrator=RK4()),
     "KinematicBicycle": KinematicBicycle(max_speed=1.5, **BACKWARDS),
+    "Omnidirectional": Omnidirectional(**BACKWARDS),
+    "Omnidirectional with brakes": Omnidirectional(max_deceleration=2.5, **BACKWARDS),
     "PointMass 2": PointMass(2, max_speed=1.5, drag=0.1),
     "PointMass 3": PointMass(3, max_speed=1.5, max_acceleration=[1.0, 0.5, 2.0]),
     "Unicycle": Unicycle(**BACKWARDS),
@@ -41,6 +44,7 @@ DECELERATION = {
     "Ackermann with brakes": 3.5,
     "DifferentialDrive RK4": 2.5,
     "KinematicBicycle": 2.0,
+    "Omnidirectional with brakes": 2.5,
     "PointMass 3": 0.5,
 }
 every_robot = pytest.mark.parametrize("name", ROBOTS)
@@ -152,10 +156,9 @@ def test_it_turns_by_its_share_while_it_moves(name: str) -> None:
     if isinstance(robot, (PointMass, Unicycle)):
         pytest.skip("it has no turning bound, or stands at once")
     start = np.array(robot.at_pose(0.0, 0.0, 0.3))
-    names = list(getattr(robot, "physical", robot).state_names)
-    start[names.index("v")] = 0.9
+    start[3] = 0.9  # v or vx
     backwards = start.copy()
-    backwards[names.index("v")] *= -1.0
+    backwards[3] *= -1.0
     turns = jnp.asarray([-1.0, 0.0, 0.1, 1.0], jnp.float32)
     _, twists = brake(robot, jnp.tile(start, (4, 1)), turns)
     yaw = DT * np.asarray(twists)[..., 2].sum(axis=1)

@@ -7,7 +7,13 @@ import jax
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
-from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
+from jaxplore.build.parts import (
+    build_faults,
+    build_robot,
+    build_sensor_model,
+    build_sensors,
+    with_latency,
+)
 from jaxplore.build.world import RunWorld, build_world, is_ros_map
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
@@ -65,12 +71,13 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
         altitude=settings.altitude,
         targets=world.targets or None,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
+        faults=build_faults(settings.faults),
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     )
     controller = build_controller(settings, world, scenario)
     return Experiment(
-        set_parameters(controller, settings.parameters),
+        with_latency(set_parameters(controller, settings.parameters), settings, scenario),
         scenario,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),

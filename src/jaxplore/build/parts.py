@@ -1,12 +1,16 @@
 """The robot, its sensors and their inverse sensor model, from settings."""
 
 import math
+from typing import Any
 
 from jaxplore.build.own import own_robot
+from jaxplore.control.base import Controller
+from jaxplore.control.latency import LatencyCompensation
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.integrators import Integrator
+from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.footprint import Rectangle
@@ -18,6 +22,9 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.own import is_own
 from jaxplore.settings.robot import RobotSettings, SensorModelSettings
+from jaxplore.settings.sections import FaultSettings, RunSettings
+from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.scenario import Scenario
 
 
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
@@ -25,8 +32,8 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
 
     Args:
         given: settings of the robot.
-        integrator: integrator of a car or a differential drive; the model's default when absent.
-            A model of the user's own has its own.
+        integrator: integrator of a car or of a robot on driven wheels; the model's default when
+            absent. A model of the user's own has its own.
 
     Raises:
         ValueError: a car that is shorter than its wheelbase, a value that the model rejects, or a
@@ -57,16 +64,38 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             min_speed=given.min_speed,
             drag=given.drag,
             integrator=integrator,
+            max_deceleration=given.max_deceleration,
             footprint=Rectangle(given.wheelbase + overhang, overhang, given.width),
         )
-    return DifferentialDrive(
-        max_speed=given.max_speed,
-        max_turn_rate=given.max_turn_rate,
-        max_acceleration=given.max_acceleration,
-        max_angular_acceleration=given.max_angular_acceleration,
-        drag=given.drag,
-        radius=given.radius,
-        integrator=integrator,
+    wheeled: dict[str, Any] = {
+        "max_speed": given.max_speed,
+        "max_turn_rate": given.max_turn_rate,
+        "max_acceleration": given.max_acceleration,
+        "max_deceleration": given.max_deceleration,
+        "max_angular_acceleration": given.max_angular_acceleration,
+        "drag": given.drag,
+        "radius": given.radius,
+        "integrator": integrator,
+    }
+    if given.model == "omnidirectional":
+        return Omnidirectional(
+            **wheeled, min_speed=given.min_speed, max_lateral_speed=given.max_lateral_speed
+        )
+    return DifferentialDrive(**wheeled)
+
+
+def build_faults(given: FaultSettings) -> Faults | None:
+    """Build the injected faults; none at all by default, which leaves them out of the program."""
+    injected = arguments(given, Faults)
+    return None if injected == arguments(FaultSettings(), Faults) else Faults(**injected)
+
+
+def with_latency(controller: Controller, settings: RunSettings, scenario: Scenario) -> Controller:
+    """Return a controller that plans for the time when its command takes effect."""
+    if settings.latency == 0.0:
+        return controller
+    return LatencyCompensation(
+        controller, settings.latency, scenario.robot, scenario.control_period
     )
 
 

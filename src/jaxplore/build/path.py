@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from jaxplore.build.parts import build_robot
+from jaxplore.build.parts import build_faults, build_robot, with_latency
 from jaxplore.control.disturbance import Disturbance, UncertainObstacles
 from jaxplore.control.risk import ConditionalValueAtRisk, Risk
 from jaxplore.costs.base import Cost
@@ -38,11 +38,12 @@ def build_path_following(settings: PathSettings) -> Experiment:
         start=settings.start,
         traffic=traffic,
         standing=standing,
+        faults=build_faults(settings.faults),
         **arguments(settings, PathScenario),
         **arguments(settings.obstacles, PathScenario),
     )
     return Experiment(
-        set_parameters(following.controller, settings.parameters),
+        with_latency(set_parameters(following.controller, settings.parameters), settings, scenario),
         scenario,
         max(1, round(settings.time_limit * settings.control_rate)),
         jax.random.key(settings.seed),

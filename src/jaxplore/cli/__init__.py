@@ -277,6 +277,41 @@ def print_settings(name: str | None) -> None:
     show_settings(name)
 
 
+@cli.command("import-nav2")
+@click.argument("file", type=click.Path(path_type=Path), metavar="NAV2_PARAMS.yaml")
+@click.option(
+    "--out",
+    "-o",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Settings file to write.  [default: standard output]",
+)
+@click.option(
+    "--task",
+    type=click.Choice(["exploration", "path"]),
+    default="exploration",
+    show_default=True,
+    help="Kind of run that the settings are for.",
+)
+@click.option("--controller", metavar="NAME", help="Name of the controller, if there are several.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing settings file.")
+def import_nav2(
+    file: Path, out: Path | None, task: str, controller: str | None, overwrite: bool
+) -> None:
+    """Make settings from the parameters of nav2's MPPI controller.
+
+    Reads the MPPI controller of controller_server and the robot of the costmaps. Names every
+    parameter that has no counterpart, with the reason:
+
+    \b
+      jaxplore import-nav2 nav2_params.yaml -o settings.yaml
+      jaxplore run office --settings settings.yaml
+    """
+    from jaxplore.cli import _import_nav2
+
+    _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line. Bad input gives one line on stderr and exit code 2.
 

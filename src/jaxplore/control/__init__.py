@@ -22,6 +22,8 @@ from jaxplore.control.interpolation import MaternKernel as MaternKernel
 from jaxplore.control.interpolation import RBFKernel as RBFKernel
 from jaxplore.control.interpolation import ZeroOrderHold as ZeroOrderHold
 from jaxplore.control.knots import Knots as Knots
+from jaxplore.control.latency import LatencyCompensation as LatencyCompensation
+from jaxplore.control.latency import LatencyState as LatencyState
 from jaxplore.control.latency import predicted_state as predicted_state
 from jaxplore.control.mixtures import BiasedProposal as BiasedProposal
 from jaxplore.control.mixtures import InjectedProposal as InjectedProposal

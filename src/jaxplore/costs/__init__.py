@@ -3,6 +3,7 @@
 from jaxplore.costs import extract as extract
 from jaxplore.costs.base import Cost as Cost
 from jaxplore.costs.base import NamedCost as NamedCost
+from jaxplore.costs.bounds import BackwardsCost as BackwardsCost
 from jaxplore.costs.bounds import SpeedLimitCost as SpeedLimitCost
 from jaxplore.costs.bounds import StateBoundsCost as StateBoundsCost
 from jaxplore.costs.collision import CollisionCost as CollisionCost

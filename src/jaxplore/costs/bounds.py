@@ -95,3 +95,26 @@ class SpeedLimitCost(Cost):
         """Compute the squared excess speed."""
         excess = jnp.maximum(jnp.abs(state.speed) - self.limit, 0.0) / self.scale
         return excess * excess
+
+
+class BackwardsCost(Cost):
+    """Speed backwards, `(-v)_+ / scale`, for a robot that prefers to drive forwards.
+
+    v is the forward component of the velocity: the state `v`, or `vx` of an `Omnidirectional`.
+
+    Args:
+        scale: speed backwards that costs 1 [m/s].
+
+    Raises:
+        ValueError: a scale that is not positive. When traced, a model with neither state.
+    """
+
+    scale: Scalar
+
+    def __init__(self, scale: ArrayLike = 1.0) -> None:
+        self.scale = _checks.scalar("scale", scale, above=0.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
+        """Compute the speed backwards, in units of the scale."""
+        forward = state["vx" if "vx" in state.dynamics.state_names else "v"]
+        return jnp.maximum(-forward, 0.0) / self.scale

@@ -105,6 +105,9 @@ class WaypointCost(ErrorCost):
         heading_weight: half the cost of facing the opposite way at the waypoint [m^2].
         decay: distance at which the heading counts 1/e as much as at the waypoint [m].
         terminal_weight: factor on the additional cost of the last state.
+        is_symmetric: whether the opposite heading is as good, for a robot with two fronts; static.
+            The heading error is then `(1 - cos(2 (yaw - heading))) / 4`, which grows alike near
+            either heading.
 
     Raises:
         ValueError: a waypoint of the wrong shape, a decay that is not positive, a negative weight.
@@ -116,6 +119,7 @@ class WaypointCost(ErrorCost):
     heading_weight: Scalar
     decay: Scalar
     terminal_weight: Scalar
+    is_symmetric: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -124,7 +128,9 @@ class WaypointCost(ErrorCost):
         heading_weight: ArrayLike = 1.0,
         decay: ArrayLike = 1.0,
         terminal_weight: ArrayLike = 0.0,
+        is_symmetric: bool = False,
     ) -> None:
+        self.is_symmetric = _kinds.flag("is_symmetric", is_symmetric)
         self.waypoint = array("waypoint", waypoint, (2,), (3,))
         self.heading = None if heading is None else _checks.scalar("heading", heading)
         self.heading_weight = _checks.scalar("heading_weight", heading_weight, at_least=0.0)
@@ -137,7 +143,11 @@ class WaypointCost(ErrorCost):
             return square
         nearness = jnp.exp(square * (-1.0 / (self.decay * self.decay)))
         # 1 - cos is smooth and does not jump where angles wrap.
-        turned = 1.0 - sin_cos(state.heading - self.heading)[1]
+        error = state.heading - self.heading
+        if self.is_symmetric:
+            turned = 0.25 * (1.0 - sin_cos(2.0 * error)[1])
+        else:
+            turned = 1.0 - sin_cos(error)[1]
         return square + self.heading_weight * nearness * turned
 
 

@@ -10,6 +10,7 @@ from jaxplore.dynamics.integrators import RK4 as RK4
 from jaxplore.dynamics.integrators import Euler as Euler
 from jaxplore.dynamics.integrators import Integrator as Integrator
 from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle as KinematicBicycle
+from jaxplore.dynamics.omnidirectional import Omnidirectional as Omnidirectional
 from jaxplore.dynamics.path_parameter import PathParameter as PathParameter
 from jaxplore.dynamics.pendulum import Pendulum as Pendulum
 from jaxplore.dynamics.point_mass import PointMass as PointMass

@@ -120,7 +120,7 @@ class ControllerSettings(Section):
     horizon: Count = setting(explorer, "horizon")
     num_samples: Count = setting(explorer, "num_samples")
     temperature: Positive = setting(explorer, "temperature")
-    noise_std: tuple[Positive, Positive] | None = setting(explorer, "noise_std")
+    noise_std: tuple[Positive, ...] | None = setting(explorer, "noise_std")
     dt: Positive = setting(explorer, "dt")
     clearance: Positive = setting(explorer, "clearance")
     obstacle_weight: NonNegative = setting(explorer, "obstacle_weight")

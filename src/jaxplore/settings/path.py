@@ -31,7 +31,9 @@ TRACK = "track"
 """Name of the generated path."""
 
 Point = tuple[float, float]
-PathRobot = Annotated[str, WordsOrOwn(("ackermann", "bicycle", "differential_drive", "unicycle"))]
+PathRobot = Annotated[
+    str, WordsOrOwn(("ackermann", "bicycle", "differential_drive", "omnidirectional", "unicycle"))
+]
 
 
 class TrackSettings(Section):

@@ -96,21 +96,24 @@ def _models(section: type[RobotSettings], *names: str) -> Reader:
 
 def _of_robot(section: type[RobotSettings]) -> dict[str, Reader]:
     """Return the readers of the robot's settings: its model, which has some of them."""
-    cars, differential = ("ackermann", "bicycle"), "differential_drive"
+    cars = ("ackermann", "bicycle")
+    differential, omni = "differential_drive", "omnidirectional"
     models = {
-        "max_speed": (differential, "unicycle", *cars),
-        "max_turn_rate": (differential, "unicycle"),
-        "max_acceleration": (differential, *cars),
-        "max_angular_acceleration": (differential,),
-        "drag": (differential, "ackermann"),
-        "radius": (differential, "unicycle", "bicycle", "quadrotor"),
+        "max_speed": (differential, omni, "unicycle", *cars),
+        "max_turn_rate": (differential, omni, "unicycle"),
+        "max_acceleration": (differential, omni, *cars),
+        "max_deceleration": (differential, omni, "ackermann"),
+        "max_angular_acceleration": (differential, omni),
+        "drag": (differential, omni, "ackermann"),
+        "radius": (differential, omni, "unicycle", "bicycle", "quadrotor"),
         "mass": ("quadrotor",),
         "wheelbase": cars,
         "length": ("ackermann",),
         "width": ("ackermann",),
         "max_steering": cars,
         "max_steering_rate": ("ackermann",),
-        "min_speed": cars,
+        "min_speed": (omni, *cars),
+        "max_lateral_speed": (omni,),
     }
     return {f"robot.{name}": _models(section, *names) for name, names in models.items()}
 

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.differential_drive import DifferentialDrive
+from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -38,11 +39,13 @@ class RobotSettings(Section):
     """
 
     model: Annotated[
-        str, WordsOrOwn(("differential_drive", "unicycle", "ackermann", "quadrotor"))
+        str,
+        WordsOrOwn(("differential_drive", "omnidirectional", "unicycle", "ackermann", "quadrotor")),
     ] = "differential_drive"
     max_speed: Positive = setting(DifferentialDrive, "max_speed")
     max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
     max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")
+    max_deceleration: Positive | None = setting(DifferentialDrive, "max_deceleration")
     max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
     drag: NonNegative = setting(DifferentialDrive, "drag")
     radius: Positive = setting(DifferentialDrive, "radius")
@@ -53,6 +56,7 @@ class RobotSettings(Section):
     max_steering: Steering = setting(Ackermann, "max_steering")
     max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
     min_speed: float = setting(Ackermann, "min_speed")
+    max_lateral_speed: Positive | None = setting(Omnidirectional, "max_lateral_speed")
 
 
 class LidarSettings(Section):

@@ -7,7 +7,9 @@ from typing import Annotated, Any, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
+from jaxplore.simulation.faults import Faults
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -19,6 +21,7 @@ Number = Annotated[int, Field(ge=0)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Steering = Annotated[float, Field(gt=0, lt=1.57)]
+Interval = tuple[NonNegative, NonNegative]
 Parameters = dict[str, float | list[float]]
 """Controller parameters by path; a list for an array."""
 
@@ -29,11 +32,23 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class FaultSettings(Section):
+    """Injected faults: see `jaxplore.Faults`."""
+
+    scan_dropout: Interval = setting(Faults, "scan_dropout")
+    lost_odometry: Interval = setting(Faults, "lost_odometry")
+    frozen_odometry: Interval = setting(Faults, "frozen_odometry")
+    control_delay: Number = setting(Faults, "control_delay")
+
+
 class RunSettings(Section):
     """Settings that all kinds of runs share.
 
     Args:
         start: start pose (x, y, yaw) [m, m, rad]; some maps and worlds define their own.
+        latency: time between an observation and the effect of its command, for which the
+            controller plans: see `jaxplore.LatencyCompensation` [s].
+        faults: injected faults.
         time_limit: simulated time after which the run ends [s].
         seed: seed of all random numbers of the run.
         parameters: controller parameters by path, which override those that follow from the other
@@ -44,6 +59,8 @@ class RunSettings(Section):
     time_limit: Positive
     seed: Seed = 0
     parameters: Parameters = Field(default_factory=dict)
+    latency: NonNegative = 0.0
+    faults: FaultSettings = FaultSettings()
 
 
 def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> dict[str, Any]:

@@ -1,0 +1,52 @@
+"""`jaxplore import-nav2`: settings from the parameter file of nav2's MPPI controller."""
+
+from pathlib import Path
+
+import click
+import yaml
+
+from jaxplore.maps.files.untrusted import printable_path
+from jaxplore.report.folder import write_whole
+from jaxplore.settings.nav2 import Nav2Settings, read_nav2
+
+
+def import_nav2(
+    file: Path, out: Path | None, task: str, controller: str | None, *, overwrite: bool
+) -> None:
+    """Write settings, and name the parameters without a counterpart.
+
+    Args:
+        file: parameter file of nav2.
+        out: settings file to write; standard output when absent.
+        task: kind of run that the settings are for.
+        controller: name of the controller in the file, if there are several.
+        overwrite: whether an existing settings file is replaced.
+
+    Raises:
+        ValueError: a parameter file that is not accepted, or a settings file that exists.
+    """
+    found = read_nav2(file, task, controller)
+    text = _as_yaml(found, file)
+    if out is None:
+        click.echo(text, nl=False)
+        return
+    if out.exists() and not overwrite:
+        raise ValueError(f"{printable_path(out)} exists; accepted: another file, or --overwrite")
+    write_whole(out, lambda stream: stream.write(text.encode()), "settings")
+    click.echo(f"{printable_path(out)}: settings for jaxplore run --settings")
+    for name, reason in found.left_out:
+        click.echo(f"no counterpart: {name}: {reason}")
+
+
+def _as_yaml(found: Nav2Settings, file: Path) -> str:
+    lines = [f"# From {printable_path(Path(file.name))}, parameters of nav2's MPPI controller."]
+    if found.left_out:
+        lines += ["#", "# Without a counterpart:"]
+        lines += [f"# {_plain(name)}: {reason}" for name, reason in found.left_out]
+    body = yaml.safe_dump(found.entries, sort_keys=False, default_flow_style=None)
+    return "\n".join(lines) + "\n\n" + body
+
+
+def _plain(name: str) -> str:
+    # Names come from the file: a line break in one would end the comment.
+    return name if name.isprintable() else repr(name)

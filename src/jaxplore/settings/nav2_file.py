@@ -1,0 +1,117 @@
+"""Read the tree of a parameter file of nav2: its controllers and the robot of its costmaps."""
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from jaxplore.maps.files.untrusted import short_repr
+
+PLUGIN = "MPPIController"
+"""End of the name of nav2's plugin, `nav2_mppi_controller::MPPIController`."""
+MOST_LEVELS = 20
+"""Largest number of dots in the name of a parameter."""
+LARGEST = 1e9
+"""Largest number that is accepted."""
+_MOST_CORNERS = 4000
+"""Longest text of a footprint [characters]."""
+
+type Tree = Mapping[str, Any]
+type Outline = float | list[tuple[float, float]] | None
+"""The radius of a robot, its corners, or neither."""
+
+
+def outline(tree: Tree) -> Outline:
+    """Return the radius or the corners of the robot in the costmaps, or None without either."""
+    for name in ("local_costmap", "global_costmap"):
+        section = costmap(tree, name)
+        corners = section.get("footprint")
+        if isinstance(corners, str) and corners.strip() not in ("", "[]"):
+            corners = _parsed(name, corners)
+        if isinstance(corners, list) and corners:
+            try:
+                return [(number("x", x), number("y", y)) for x, y in corners]
+            except (TypeError, ValueError):
+                given = short_repr(corners)
+                raise ValueError(f"{name}.footprint is {given}; accepted: [x, y] pairs") from None
+        if "robot_radius" in section:
+            return number(f"{name}.robot_radius", section["robot_radius"])
+    return None
+
+
+def _parsed(name: str, text: str) -> Any:
+    try:
+        if len(text) > _MOST_CORNERS:
+            raise ValueError("too long")
+        return json.loads(text)
+    except (ValueError, RecursionError):
+        given = short_repr(text)
+        raise ValueError(f"{name}.footprint is {given}; accepted: [[x, y], ...]") from None
+
+
+def costmap(tree: Tree, name: str) -> Tree:
+    """Return the parameters of a costmap; none if there is no such costmap."""
+    outer = find(tree, lambda key, _: key == name) or {}
+    return find(outer, lambda key, _: key == "ros__parameters") or {}
+
+
+def controllers(tree: Tree) -> dict[str, tuple[Tree, Tree]]:
+    """Return the MPPI controllers by name, each with the parameters of its server."""
+    found: dict[str, tuple[Tree, Tree]] = {}
+    for name, section in tree.items():
+        if not isinstance(section, dict):
+            continue
+        if str(section.get("plugin", "")).endswith(PLUGIN):
+            found[name] = (tree, section)
+        found |= controllers(section)
+    return found
+
+
+def find(tree: Tree, is_it: Callable[[str, Tree], bool]) -> dict[str, Any] | None:
+    """Return the first mapping inside of a tree for which a function of its key and it is true."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            if is_it(key, value):
+                return value
+            inner = find(value, is_it)
+            if inner is not None:
+                return inner
+    return None
+
+
+def as_nested(values: Mapping[Any, Any]) -> dict[str, Any]:
+    """Return mappings whose dotted keys, `FollowPath.vx_max`, have become mappings as well."""
+    nested: dict[str, Any] = {}
+    for key, value in values.items():
+        *outer, last = str(key).split(".")
+        if len(outer) > MOST_LEVELS:
+            raise ValueError(
+                f"parameter {short_repr(key)} has too many dots; accepted: {MOST_LEVELS}"
+            )
+        place = nested
+        for name in outer:
+            place = place.setdefault(name, {})
+            if not isinstance(place, dict):
+                raise ValueError(f"parameter {name} is {short_repr(place)}; accepted: a mapping")
+        inner = as_nested(value) if isinstance(value, dict) else value
+        known = place.get(last)
+        place[last] = (
+            {**known, **inner} if isinstance(known, dict) and isinstance(inner, dict) else inner
+        )
+    return nested
+
+
+def as_flat(section: Tree, prefix: str = "") -> dict[str, Any]:
+    """Return the parameters of a controller by their dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in section.items():
+        inner = as_flat(value, f"{prefix}{name}.") if isinstance(value, dict) else None
+        flat |= {f"{prefix}{name}": value} if inner is None else inner
+    return flat
+
+
+def number(name: str, value: object) -> float:
+    """Return a value as a number, or raise a `ValueError` that names it."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not -LARGEST <= value <= LARGEST:  # type: ignore[operator]
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: a number")
+    return float(value)  # type: ignore[arg-type]
