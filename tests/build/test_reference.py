@@ -91,7 +91,7 @@ def test_a_setting_in_degrees_says_that_its_owner_takes_radians() -> None:
         ("portfolio.members", "exploration", "list of text or null"),
         ("world", "exploration", "mapping or null"),
         ("parameters", "exploration", "mapping of names to number or list of number"),
-        ("controller.noise_std", "exploration", "[number > 0, number > 0] or null"),
+        ("controller.noise_std", "exploration", "list of number > 0 or null"),
         ("obstacles.discs", "path", "list of [number, number, number > 0]"),
         ("controller.risk_level", "path", "number in [0, 1) or null"),
     ],

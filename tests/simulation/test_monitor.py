@@ -1,6 +1,7 @@
 """Monitors: what they are shown of a run, and what they may ask for."""
 
 import itertools
+import math
 
 import jax
 import numpy as np
@@ -142,6 +143,27 @@ def test_a_paused_run_takes_single_steps(run_of, plain, check_equal) -> None:
     check_equal(run_of(notes), plain)
     assert notes.steps[:4] == [2, 4, 5, 6]
     assert next(notes.looks) == 22
+
+
+def test_a_monitor_sets_how_long_the_run_goes_on_by_itself(run_of, plain, check_equal) -> None:
+    paces = []
+
+    class Patient(Notes):
+        def is_due(self, simulated: float, elapsed: float) -> bool:
+            return True
+
+        def longest_chunk(self, pace: float) -> float:
+            paces.append(pace)
+            return 0.4
+
+    alone = Patient()
+    check_equal(run_of(alone), plain)
+    # Frames of the recording, every 0.05 s at first, end chunks as well.
+    assert set(np.diff(alone.steps)) <= {2, 3, 4}
+    assert paces[0] == math.inf or paces[0] > 0.0
+    assert all(pace > 0.0 for pace in paces)
+    # The least patient of several decides.
+    check_equal(run_of(Patient(), Notes()), plain)
 
 
 def test_the_speed_is_held(run_of, monkeypatch) -> None:

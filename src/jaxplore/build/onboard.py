@@ -19,8 +19,11 @@ from jaxplore.settings.own import is_own
 from jaxplore.settings.sections import checked_section
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
-NO_PART = ("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude")
-"""Settings that describe a simulated world, or parts that a pilot does not have."""
+NO_PART = (
+    *("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude"),
+    *("faults", "latency"),
+)
+"""Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
 
 def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettings]:

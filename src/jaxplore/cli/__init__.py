@@ -170,6 +170,13 @@ def tune(out: Path | None, **options: Any) -> None:
 
 @cli.command()
 @node_options
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="FILE.mcap",
+    help="Also record the drive for Foxglove (needs foxglove-sdk).",
+)
+@view_options
 @cache_option
 def node(**options: Any) -> None:
     """Drive a robot that explores, over ROS 2.
@@ -183,6 +190,8 @@ def node(**options: Any) -> None:
       jaxplore node
       jaxplore node --settings robot.yaml --out runs/first
       jaxplore node --set robot.max_speed=0.3 --set node.latency=0.1
+      jaxplore node --view --record drive.mcap
+      jaxplore node --mode goal
 
     Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
     drive as a run folder.

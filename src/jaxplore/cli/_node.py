@@ -3,8 +3,9 @@
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_se
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._show import free_name, show_starts
+from jaxplore.cli._view_options import VIEW
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
+from jaxplore.recorder.recorder import McapRecorder, check_recording
 from jaxplore.report.console import progress_bar
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.folder import check_folder, write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
@@ -28,6 +32,7 @@ from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run
 
 COMMANDS = "commands.csv"
@@ -43,24 +48,33 @@ def drive(options: dict[str, Any]) -> None:
         ValueError: options that are not accepted, no ROS 2, or another node that drives the robot.
     """
     settings, node, folder = _drive_settings(options)
-    overwrite = options["overwrite"]
     if node.mode == "goal":
         choose_goals(settings, node)
         return
-    pilot = build_pilot(settings, node)
-    click.echo("Compiling, a few seconds ...", err=True)
-    pilot.prepare()
-    with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
-        driver = control.ControlNode(link, pilot, node)
-        driver.check_alone()
-        click.echo(
-            f"Driving: {node.scan_topic} and {node.pose_topic} to {node.command_topic}; Ctrl-C "
-            "stops the robot and saves the drive.",
-            err=True,
-        )
-        driver.run(is_stopped)
+    with ExitStack() as stack:
+        monitors = _monitors(options, folder, stack)
+        pilot = build_pilot(settings, node)
+        click.echo("Compiling, a few seconds ...", err=True)
+        pilot.prepare()
+        recording = None
+        with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
+            driver = control.ControlNode(link, pilot, node, monitors)
+            driver.check_alone()
+            click.echo(
+                f"Driving: {node.scan_topic} and {node.pose_topic} to {node.command_topic}; Ctrl-C "
+                "stops the robot and saves the drive.",
+                err=True,
+            )
+            try:
+                driver.run(is_stopped)
+                if pilot.log.num_steps:
+                    recording = pilot.recording()
+            finally:
+                # A recorder closes its file, however the drive ended.
+                driver.watch.end(recording)
     click.echo(f"Done: {pilot.finished}", err=True)
-    _save_drive(pilot, settings, node, folder, overwrite=overwrite, animation=options["animation"])
+    if recording is not None:
+        _save_drive(pilot, recording, settings, node, folder, options)
     times = driver.latencies
     rows = [("commands", str(times.num_commands)), ("late", str(times.num_late))]
     if times.scan_ms:
@@ -98,14 +112,7 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
         )
     if not pilot.log.num_steps:
         raise ValueError(f"{scan} and {pose} have no pose to start from; accepted: a drive")
-    _save_drive(
-        pilot,
-        settings,
-        node,
-        folder,
-        overwrite=options["overwrite"],
-        animation=options["animation"],
-    )
+    _save_drive(pilot, pilot.recording(), settings, node, folder, options)
     click.echo(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
         click.echo(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
@@ -126,24 +133,40 @@ def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Pa
 
 def _save_drive(
     pilot: Pilot,
+    recording: ExplorationRecording,
     settings: Settings,
     node: NodeSettings,
     folder: Path,
-    *,
-    overwrite: bool,
-    animation: bool,
+    options: dict[str, Any],
 ) -> None:
     """Write the run folder of a drive, with its commands, and print its metrics."""
-    if not pilot.log.num_steps:
-        return
-    recording = pilot.recording()
     run = Run(recording, recording.metrics(seed=settings.seed))
     kept = {**settings.model_dump(mode="json"), "node": node.model_dump(mode="json")}
     del kept["map"]
+    animation, overwrite = options["animation"], options["overwrite"]
     run.save(folder, overwrite=overwrite, animation=animation, settings=kept, progress=True)
     table = pilot.log.command_table()
     write_whole(folder / COMMANDS, lambda file: file.write(table.encode()), "commands")
     print_table(run.metrics.rows(), title=str(folder), has_header=False)
+
+
+def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[Monitor]:
+    """Open the live view and the recorder that the options ask for."""
+    monitors: list[Monitor] = []
+    wanted = {name: options[name] for name in VIEW}
+    if any(each is not None for each in wanted.values()):
+        # viser takes a second to import.
+        from jaxplore.cli._view import open_view
+
+        view = open_view(**wanted, label=folder.name)
+        stack.callback(view.close)
+        monitors.append(view)
+    if options["record"] is not None:
+        overwrite = options["overwrite"]
+        check_recording(options["record"], overwrite=overwrite, name="--record")
+        recorder = McapRecorder(options["record"], overwrite=overwrite, began=time.time())
+        monitors.append(recorder)
+    return monitors
 
 
 def choose_goals(settings: Settings, node: NodeSettings) -> None:

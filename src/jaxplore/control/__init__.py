@@ -57,6 +57,8 @@ from jaxplore.control.smooth import SmoothNominal as SmoothNominal
 from jaxplore.control.smoothing import SavitzkyGolay as SavitzkyGolay
 from jaxplore.control.trajectory import Trajectory as Trajectory
 from jaxplore.control.trajectory import rollout as rollout
+from jaxplore.control.validation import StopCheck as StopCheck
+from jaxplore.control.validation import Validated as Validated
 from jaxplore.control.weighting import AdaptiveSoftmax as AdaptiveSoftmax
 from jaxplore.control.weighting import Elite as Elite
 from jaxplore.control.weighting import Softmax as Softmax

@@ -63,6 +63,11 @@ class DriveLog:
         return round((self._rows[-1].time - self._rows[0].time) / self._scenario.period)
 
     @property
+    def num_commands(self) -> int:
+        """Number of commands that were added."""
+        return len(self._rows)
+
+    @property
     def num_known(self) -> int:
         """Number of cells that were ever known to be free."""
         return int(np.isfinite(self._known_at).sum())
@@ -130,34 +135,8 @@ class DriveLog:
         lost = np.cumsum(np.append(0.0, (math.log(2.0) - final_entropy[reachable])[
             np.argsort(known_at[reachable], kind="stable")]))  # fmt: skip
         entropy = math.log(2.0) * count - lost[np.searchsorted(order, times)]
-        states = np.array([row.state for row in rows], np.float32)
-        states = states.reshape(len(rows), scenario.robot.state_size)
-        nothing = np.zeros(len(rows), np.float32)
-        never = np.zeros(len(rows), bool)
-        # Records of a recording are in NumPy, those of the loop on the device.
-        columns: dict[str, Any] = {
-            "state": states,
-            "control": np.array([row.control for row in rows], np.float32).reshape(
-                len(rows), scenario.robot.control_size
-            ),
-            "coverage": coverage.astype(np.float32),
-            "entropy": entropy.astype(np.float32),
-            "unknown": (1.0 - coverage).astype(np.float32),
-            "unknown_map": (1.0 - coverage).astype(np.float32),
-            "mean_idleness": nothing,
-            "worst_idleness": nothing,
-            "clearance": self._clearance(belief, states),
-            "is_collision": never,
-            "is_untraversable": never,
-            "effective_sample_size": np.array(
-                [row.effective_sample_size for row in rows], np.float32
-            ),
-            "is_finite": np.array([row.is_finite for row in rows], bool),
-            "is_faulty": np.array([row.is_faulty for row in rows], bool),
-            "members": None,
-            "targets_seen": np.zeros(len(rows), np.int32),
-        }
-        records = ExplorationRecord(**columns)
+        states = self._states(rows)
+        records = self._records(rows, coverage, entropy, self._clearance(belief, states))
         return ExplorationRecording(
             records=records,
             frames=self.frames.all,
@@ -185,6 +164,54 @@ class DriveLog:
             idleness=None,
             mover_radii=np.zeros(0),
         )
+
+    def newest(self, first: int) -> tuple[ExplorationRecord, np.ndarray]:
+        """Return the records of the commands from one on, and their times [s], for live views.
+
+        Nobody knows yet what can be reached, so their coverage is the share of all cells of the map
+        that are known to be free; entropy and clearance are 0.
+
+        Args:
+            first: number of commands that were returned before.
+        """
+        rows = self._rows[first:]
+        share = np.full(len(rows), self.num_known / self._known_at.size)
+        nothing = np.zeros(len(rows))
+        times = np.array([self._since(row.time) for row in rows])
+        return self._records(rows, share, nothing, nothing), times
+
+    def _states(self, rows: list[_Row]) -> np.ndarray:
+        states = np.array([row.state for row in rows], np.float32)
+        return states.reshape(len(rows), self._scenario.robot.state_size)
+
+    def _records(
+        self, rows: list[_Row], coverage: np.ndarray, entropy: np.ndarray, clearance: np.ndarray
+    ) -> ExplorationRecord:
+        nothing = np.zeros(len(rows), np.float32)
+        never = np.zeros(len(rows), bool)
+        samples = [row.effective_sample_size for row in rows]
+        # Records of a recording are in NumPy, those of the loop on the device.
+        columns: dict[str, Any] = {
+            "state": self._states(rows),
+            "control": np.array([row.control for row in rows], np.float32).reshape(
+                len(rows), self._scenario.robot.control_size
+            ),
+            "coverage": coverage.astype(np.float32),
+            "entropy": entropy.astype(np.float32),
+            "unknown": (1.0 - coverage).astype(np.float32),
+            "unknown_map": (1.0 - coverage).astype(np.float32),
+            "mean_idleness": nothing,
+            "worst_idleness": nothing,
+            "clearance": clearance.astype(np.float32),
+            "is_collision": never,
+            "is_untraversable": never,
+            "effective_sample_size": np.array(samples, np.float32),
+            "is_finite": np.array([row.is_finite for row in rows], bool),
+            "is_faulty": np.array([row.is_faulty for row in rows], bool),
+            "members": None,
+            "targets_seen": np.zeros(len(rows), np.int32),
+        }
+        return ExplorationRecord(**columns)
 
     def _since(self, time: float) -> float:
         return time - self._rows[0].time if self._rows else 0.0

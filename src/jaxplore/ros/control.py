@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 
 from jaxplore.onboard.pilot import Command, Mode, Pilot
+from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import messages
 from jaxplore.ros.link import DISCOVERY_SECONDS, Link
 from jaxplore.ros.messages import Mount
 from jaxplore.settings.node import NodeSettings
+from jaxplore.simulation.monitor import Monitor
 
 NODE = "jaxplore"
 """Name of the node."""
@@ -60,11 +62,19 @@ class ControlNode:
         link: connection to ROS 2.
         pilot: pilot of the robot, compiled by `Pilot.prepare`.
         settings: topics and numbers of the node.
+        monitors: live views and recorders of the drive.
     """
 
-    def __init__(self, link: Link, pilot: Pilot, settings: NodeSettings) -> None:
+    def __init__(
+        self,
+        link: Link,
+        pilot: Pilot,
+        settings: NodeSettings,
+        monitors: Sequence[Monitor] = (),
+    ) -> None:
         self.link, self.pilot, self.settings = link, pilot, settings
         self.latencies = Latencies()
+        self.watch = DriveWatch(pilot, monitors)
         ros = link.ros
         self._mount = lidar_mount(settings)
         self._lock = threading.Lock()
@@ -193,6 +203,7 @@ class ControlNode:
             is_stopped: ends the drive when it is set.
         """
         period, is_over = self.pilot.period, False
+        self.watch.begin()
         due = time.monotonic()
         last = due - period
         while not is_over:
@@ -265,6 +276,7 @@ class ControlNode:
         pilot.update_fields(now)
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
         self._tell(command)
+        self.watch.after(command)
         if self._is_due("state", now, STATE_SECONDS):
             self._publish_state(command)
         if self._is_due("map", now, MAP_SECONDS):

@@ -163,7 +163,7 @@ class Watch[S]:
         """Parameters that monitors have set, by full path, with their last values."""
         self._adapt, self._make_frame, self._period = adapt, make_frame, period
         # Number of steps that were done, and the time, when the present chunk began.
-        self._began = total, -math.inf
+        self._began = total, math.inf
         self._shown = [_Shown(each, total) for each in monitors]
         self._parameters: dict[str, ArrayLike] = {}
         self._single_steps = 0

@@ -119,8 +119,8 @@ class LiveView(Monitor):
         return is_due
 
     def longest_chunk(self, pace: float) -> float:
-        """Return the simulated time that passes between two frames."""
-        return min(max(pace * FRAME_SECONDS, 0.0), CHUNK_SECONDS)
+        """Return half the simulated time between two frames, so that these come about in time."""
+        return min(0.5 * pace * FRAME_SECONDS, CHUNK_SECONDS)
 
     def show(self, update: Update) -> None:
         """Take an update; a frame that was not drawn yet is skipped."""

@@ -1,0 +1,102 @@
+"""Show a drive to monitors, and do what they ask for."""
+
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore._types import ArrayLike
+from jaxplore.onboard.pilot import Command, Pilot
+from jaxplore.parameters import set_parameters
+from jaxplore.report.recording import Recording
+from jaxplore.simulation.monitor import Monitor, Update
+from jaxplore.simulation.scenario import LoopState, blank_recording
+
+
+class DriveWatch:
+    """Shows a drive to live views and recorders.
+
+    They may change parameters of the controller; a pause lets the robot stand, and a stop ends the
+    drive. Speed and single steps have no meaning on a robot.
+
+    Args:
+        pilot: the pilot.
+        monitors: the monitors.
+    """
+
+    def __init__(self, pilot: Pilot, monitors: Sequence[Monitor]) -> None:
+        self._pilot = pilot
+        # Number of commands that each was shown, and when.
+        self._shown: dict[Monitor, tuple[int, float, float]] = dict.fromkeys(
+            monitors, (0, 0.0, -math.inf)
+        )
+        self._parameters: dict[str, ArrayLike] = {}
+        self._is_paused = False
+
+    def begin(self) -> None:
+        """Tell the monitors that the drive begins."""
+        if not self._shown:
+            return
+        pilot = self._pilot
+        scenario = pilot.scenario
+        state: Any = LoopState(
+            scenario.init(None)[0],
+            (),
+            jnp.zeros((), jnp.int32),
+            scenario.start,
+            jnp.zeros((0, pilot.robot.control_size)),
+        )
+        recording = blank_recording(scenario, pilot.controller, state, pilot.make_frame())
+        for each in self._shown:
+            each.begin(recording, pilot.controller)
+
+    def after(self, command: Command) -> None:
+        """Show a command to the monitors that are due, and take their requests.
+
+        Args:
+            command: the newest command.
+        """
+        log, now, frame = self._pilot.log, time.monotonic(), None
+        for each, (number, last, shown_at) in self._shown.items():
+            simulated = log.num_steps * self._pilot.period
+            if log.num_commands > number and each.is_due(simulated - last, now - shown_at):
+                # One frame serves all monitors that are due.
+                frame = self._pilot.make_frame() if frame is None else frame
+                records, times = log.newest(number)
+                why = f", {command.reason}" if command.reason else ""
+                area = log.num_known * self._pilot.scenario.cell_size**2
+                text = f"{command.mode}{why}, explored {area:.1f} m\u00b2"
+                each.show(Update(frame, records, times, text))
+                self._shown[each] = (log.num_commands, simulated, now)
+            self._take(each)
+
+    def end(self, recording: Recording | None) -> None:
+        """Tell the monitors that the drive has ended.
+
+        Args:
+            recording: the whole drive; None if it failed.
+        """
+        for each in self._shown:
+            each.end(recording)
+
+    def _take(self, monitor: Monitor) -> None:
+        asked, pilot = monitor.requests(), self._pilot
+        for name, value in asked.parameters.items():
+            # A value that was refused is not tried again. NaN differs from itself.
+            if name in self._parameters and np.array_equal(
+                np.asarray(self._parameters[name]), np.asarray(value), equal_nan=True
+            ):
+                continue
+            self._parameters[name] = value
+            try:
+                pilot.controller = set_parameters(pilot.controller, {name: value})
+            except ValueError as error:
+                monitor.refuse(str(error))
+        if asked.is_stopped:
+            pilot.finish("stopped in the view")
+        if asked.is_paused != self._is_paused:
+            self._is_paused = asked.is_paused
+            pilot.is_started = not asked.is_paused
