@@ -1,0 +1,190 @@
+"""A recorded drive that is fed to a pilot, and monitors of a drive."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxplore.onboard.pilot import Mode
+from jaxplore.onboard.watch import DriveWatch
+from jaxplore.parameters import get_parameters
+from jaxplore.ros import messages
+from jaxplore.ros.bag_writer import BagWriter
+from jaxplore.ros.replay import replay, replay_topics
+from jaxplore.simulation.monitor import Monitor, Requests
+
+BEGAN, LATENCY = 1_700_000_000.0, 0.06
+WEIGHT = "cost.information.weight"
+
+
+def blank(**fields) -> SimpleNamespace:
+    stamp = SimpleNamespace(sec=0, nanosec=0)
+    return SimpleNamespace(header=SimpleNamespace(stamp=stamp, frame_id=""), **fields)
+
+
+def place() -> SimpleNamespace:
+    return SimpleNamespace(
+        position=SimpleNamespace(x=0.0, y=0.0, z=0.0),
+        orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+    )
+
+
+def odometry(now, measured) -> SimpleNamespace:
+    speeds = (SimpleNamespace(x=0.0, y=0.0, z=0.0) for _ in range(2))
+    twist = SimpleNamespace(**dict(zip(("linear", "angular"), speeds, strict=True)))
+    message = blank(
+        child_frame_id="",
+        pose=SimpleNamespace(pose=place(), covariance=np.zeros(36)),
+        twist=SimpleNamespace(twist=twist, covariance=np.zeros(36)),
+    )
+    given = messages.Odometry(now, "odom", measured.pose, measured.twist)
+    messages.fill_odometry(message, given, "base_link")
+    return message
+
+
+def laser(now, scan, sensor) -> SimpleNamespace:
+    message = blank(intensities=np.zeros(0, np.float32))
+    messages.fill_laser_scan(message, scan, sensor, now, "laser", period=0.1)
+    message.ranges = np.asarray(message.ranges, np.float32)
+    return message
+
+
+@pytest.fixture(scope="module")
+def recorded(make_pilot, make_robot, drive, tmp_path_factory):
+    """Record a drive of ten seconds, with a gap and two bad scans; return it, and its pilot."""
+    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
+    folder = tmp_path_factory.mktemp("bags") / "drive"
+    with BagWriter(folder) as writer:
+
+        def record(now, measured):
+            # In the gap the robot has its data, but the recorder does not.
+            if 6.0 <= now - BEGAN < 7.0:
+                return measured
+            writer.write("/odom", "Odometry", odometry(now, measured), now)
+            if measured.scan is not None:
+                message = laser(now, measured.scan, pilot.sensor)
+                if 4.0 <= now - BEGAN < 4.15:
+                    message.angle_increment = math.nan
+                writer.write("/scan", "LaserScan", message, now)
+            return measured
+
+        drive(pilot, robot, 10.0, record, began=BEGAN)
+    return folder, pilot
+
+
+def test_a_replay_makes_the_same_map_and_commands_from_where_the_robot_was(
+    recorded, make_pilot
+) -> None:
+    folder, driven = recorded
+    assert replay_topics(folder, None, None) == ("/scan", "/odom")
+    pilot = make_pilot(latency=LATENCY, is_obeyed=False)
+    shares = []
+    found = replay(folder, pilot, "/scan", "/odom", on_progress=shares.append)
+    assert found.num_messages == 450 + 90
+    assert found.num_malformed == 2
+    assert "angle_increment is nan" in found.reason
+    assert shares == sorted(shares)
+    known, expected = (np.asarray(each.belief.grid.probability) for each in (pilot, driven))
+    is_known = (known != 0.5) & (expected != 0.5)
+    # Twelve of a hundred scans are missing.
+    assert is_known.sum() > 0.95 * (expected != 0.5).sum()
+    assert (((known > 0.5) == (expected > 0.5))[is_known]).mean() > 0.99
+    modes = {
+        name: [
+            each.mode
+            for time, each in zip(found.times, found.commands, strict=True)
+            if a < time < b
+        ]
+        for name, a, b in (("drive", 1.0, 5.9), ("gap", 6.4, 6.95), ("after", 7.5, 9.9))
+    }
+    assert set(modes["drive"]) == set(modes["after"]) == {Mode.DRIVING}
+    assert set(modes["gap"]) == {Mode.BRAKING}
+    recording = pilot.recording()
+    assert recording.num_steps == pytest.approx(500, abs=3)
+    again = make_pilot(latency=LATENCY, is_obeyed=False)
+    same = replay(folder, again, "/scan", "/odom")
+    for one, other in zip(found.commands, same.commands, strict=True):
+        np.testing.assert_array_equal(one.twist, other.twist)
+
+
+def test_topics_of_other_kinds_are_refused(recorded) -> None:
+    folder, _ = recorded
+    with pytest.raises(ValueError, match="'/odom', not of a LaserScan; accepted: one of '/scan'"):
+        replay_topics(folder, "/odom", None)
+    with pytest.raises(ValueError, match="'/scan', not of a Odometry"):
+        replay_topics(folder, None, "/scan")
+
+
+class Notes(Monitor):
+    """Keeps what it is shown, and asks for what it is told to."""
+
+    def __init__(self) -> None:
+        self.asked, self.updates, self.refused, self.began, self.ended = Requests(), [], [], 0, 0
+
+    def begin(self, recording, controller) -> None:
+        self.began += 1
+        assert recording.num_steps == 0
+        assert WEIGHT in get_parameters(controller)
+
+    def is_due(self, simulated, elapsed) -> bool:
+        return simulated > 0.1 - 1e-6
+
+    def show(self, update) -> None:
+        self.updates.append(update)
+
+    def requests(self) -> Requests:
+        return self.asked
+
+    def refuse(self, message) -> None:
+        self.refused.append(message)
+
+    def end(self, recording) -> None:
+        self.ended += 1
+
+
+def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive) -> None:
+    pilot, robot, notes = make_pilot(latency=LATENCY), make_robot(delay=0.04), Notes()
+    watch = DriveWatch(pilot, [notes])
+    watch.begin()
+    assert notes.began == 1
+
+    def step(seconds):
+        for _ in range(round(seconds / robot.period)):
+            (command,), _ = drive(pilot, robot, robot.period)
+            watch.after(command)
+        return command
+
+    step(1.0)
+    assert len(notes.updates) == pytest.approx(9, abs=1)
+    states = np.concatenate([each.records.state for each in notes.updates])
+    times = np.concatenate([each.time for each in notes.updates])
+    assert len(states) == len(times)
+    np.testing.assert_allclose(np.diff(times), 0.02, atol=1e-6)
+    assert notes.updates[-1].text.startswith("driving, explored ")
+    shown = notes.updates[-1].frame
+    assert shown.plan.shape[0] == 31
+    assert shown.samples.shape[0] == 30
+    notes.asked = Requests({WEIGHT: 7.0, "cost.beauty.weight": 1.0})
+    step(0.2)
+    assert float(get_parameters(pilot.controller)[WEIGHT]) == 7.0
+    assert len(notes.refused) == 1
+    notes.asked = Requests({WEIGHT: 7.0}, is_paused=True)
+    assert step(0.5).mode is Mode.PAUSED
+    notes.asked = Requests({WEIGHT: 7.0})
+    assert step(0.5).mode is Mode.DRIVING
+    notes.asked = Requests(is_stopped=True)
+    last = step(0.5)
+    assert (last.mode, last.reason) == (Mode.DONE, "stopped in the view")
+    watch.end(None)
+    assert notes.ended == 1
+
+
+def test_the_commands_of_a_drive_are_a_table(recorded) -> None:
+    _, pilot = recorded
+    header, *rows = pilot.log.command_table().splitlines()
+    assert header == "time,vx,vy,omega,mode,reason"
+    assert len(rows) == 500
+    assert rows[0].startswith("0.0000,")
+    assert rows[0].split(",")[4] == "driving"
+    assert float(rows[-1].split(",")[0]) == pytest.approx(9.98)
