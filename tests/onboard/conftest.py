@@ -3,7 +3,8 @@ import numpy as np
 import pytest
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
-from jaxplore.onboard.pilot import Pilot, PilotOptions
+from jaxplore.onboard.options import PilotOptions
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxplore.onboard import steps
-from jaxplore.onboard.pilot import Mode, PilotOptions
+from jaxplore.onboard.options import Mode, PilotOptions
 from jaxplore.sensing.beams import Scan
 
 LATENCY = 0.06

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxplore.onboard.pilot import Mode
+from jaxplore.onboard.options import Mode
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters
 from jaxplore.ros import messages

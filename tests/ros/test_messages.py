@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore import Lidar, OccupancyGrid
-from jaxplore.ros import messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.beams import Scan
 
@@ -188,10 +188,10 @@ def test_maps_go_there_and_back_exactly(rows, columns, origin, random) -> None:
     message.info.height, message.info.width, message.info.resolution = rows, columns, 0.05
     messages.fill_pose(message.info.origin, origin)
     message.data = data
-    grid = messages.grid_of(message)
+    grid = map_messages.grid_of(message)
     assert isinstance(grid, OccupancyGrid)
     place = np.asarray(grid.frame.origin, np.float64)
-    messages.fill_grid(other, np.asarray(grid.probability), grid.resolution, place, 1.0, "map")
+    map_messages.fill_grid(other, np.asarray(grid.probability), grid.resolution, place, 1.0, "map")
     assert list(other.data) == data
     assert (other.info.height, other.info.width) == (rows, columns)
     np.testing.assert_allclose(messages.pose_of(other.info.origin), origin, rtol=1e-6, atol=1e-6)
@@ -214,7 +214,7 @@ def test_maps_that_make_no_sense_are_refused(fields, data, message) -> None:
     given_.info = Plain(**{"height": 2, "width": 3, "resolution": 0.1, **fields})
     messages.fill_pose(given_.info.origin, (0.0, 0.0, 0.0))
     with pytest.raises(ValueError, match=message):
-        messages.grid_of(given_)
+        map_messages.grid_of(given_)
 
 
 @MANY
@@ -222,14 +222,14 @@ def test_maps_that_make_no_sense_are_refused(fields, data, message) -> None:
 def test_paths_and_rollouts_go_there(poses) -> None:
     given_ = np.array(poses).reshape(-1, 3)
     message = Plain()
-    messages.fill_path(message, Plain, given_, 2.0, "map")
-    frame, found = messages.path_of(message)
+    map_messages.fill_path(message, Plain, given_, 2.0, "map")
+    frame, found = map_messages.path_of(message)
     assert frame == "map"
     np.testing.assert_allclose(found, given_, atol=1e-12)
     markers = Plain()
     lines = np.stack([given_[:, :2], -given_[:, :2]])
     colours = np.full((2, 4), 0.25)
-    messages.fill_rollouts(markers, Plain, Plain, lines, colours, 2.0, "map")
+    map_messages.fill_rollouts(markers, Plain, Plain, lines, colours, 2.0, "map")
     assert [each.id for each in markers.markers] == [0, 1]
     drawn = [[(point.x, point.y) for point in each.points] for each in markers.markers]
     np.testing.assert_array_equal(np.array(drawn).reshape(lines.shape), lines)

@@ -10,7 +10,8 @@ from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.goals import GoalChooser
-from jaxplore.onboard.pilot import Pilot, PilotOptions
+from jaxplore.onboard.options import PilotOptions
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings

@@ -1,8 +1,8 @@
 """The loop on a real robot: from scans and odometry to checked commands, without any middleware."""
 
 from jaxplore.onboard.goals import GoalChooser as GoalChooser
-from jaxplore.onboard.pilot import Command as Command
-from jaxplore.onboard.pilot import Mode as Mode
+from jaxplore.onboard.options import Command as Command
+from jaxplore.onboard.options import Mode as Mode
+from jaxplore.onboard.options import PilotOptions as PilotOptions
 from jaxplore.onboard.pilot import Pilot as Pilot
-from jaxplore.onboard.pilot import PilotOptions as PilotOptions
 from jaxplore.onboard.simulated_robot import SimulatedRobot as SimulatedRobot

@@ -1,7 +1,5 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
-import dataclasses
-import enum
 import math
 from typing import Any, NamedTuple
 
@@ -9,112 +7,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore import _checks, _kinds
+from jaxplore import _kinds
 from jaxplore._types import Key
 from jaxplore.control.base import Controller
 from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
+from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.odometry import PoseHistory, robot_state
+from jaxplore.onboard.options import Command, Mode, PilotOptions
+from jaxplore.onboard.sent import SentCommands
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 
-NUM_SENT = 16
-"""Greatest number of commands on their way that the prediction takes into account."""
 NUM_TRAJECTORIES = 30
 """Number of rollouts in a frame."""
 NUM_POINTS = 720
 """Number of directions for each of which the nearest point of a scan is checked."""
-
-
-RETRY_SECONDS = 2.0
-"""Time after which a robot whose pose did not change tries to move again [s]."""
-_FROZEN = {
-    "pose": "the pose does not change although the robot was told to move",
-    "scan": "the scan does not change although the robot moves",
-}
-
-
-class Mode(enum.StrEnum):
-    """What a pilot does."""
-
-    WAITING = "waiting"
-    DRIVING = "driving"
-    BRAKING = "braking"
-    PAUSED = "paused"
-    STOPPED = "stopped"
-    DONE = "done"
-
-
-class Command(NamedTuple):
-    """A velocity command.
-
-    Args:
-        twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
-        mode: what the pilot does.
-        reason: why, in a few words; empty while it drives.
-        scan_time: time of the scan that was mapped for this command; None without a new one [s].
-    """
-
-    twist: np.ndarray
-    mode: Mode
-    reason: str
-    scan_time: float | None
-
-
-@dataclasses.dataclass(frozen=True)
-class PilotOptions:
-    """Numbers of a pilot.
-
-    Args:
-        latency: time between a command and its effect [s].
-        max_age: greatest age of a scan or an odometry [s]; the robot brakes beyond it.
-        max_frozen: greatest time in which equal scans or poses arrive although the robot should
-            move [s].
-        max_jump: greatest jump of the pose [m].
-        max_deceleration: deceleration of the commands of a ramp to a stop [m/s^2]; the limits of
-            the robot's base apply as well.
-        max_angular_deceleration: angular deceleration of that ramp [rad/s^2].
-        margin: distance from points of the scan that stopping must keep [m].
-        done_after: time without a reachable place that is worth a visit after which the robot is
-            done [s].
-        is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
-            every command starts from the measured state.
-
-    Raises:
-        ValueError: a time or a rate that is not positive, a negative latency or margin.
-    """
-
-    latency: float = 0.05
-    max_age: float = 0.3
-    max_frozen: float = 0.3
-    max_jump: float = 0.5
-    max_deceleration: float = 10.0
-    max_angular_deceleration: float = 20.0
-    margin: float = 0.03
-    done_after: float = 3.0
-    is_obeyed: bool = True
-
-    def __post_init__(self) -> None:
-        _kinds.flag("is_obeyed", self.is_obeyed)
-        for field in dataclasses.fields(self):
-            if field.name == "is_obeyed":
-                continue
-            value = getattr(self, field.name)
-            if field.name in ("latency", "margin"):
-                _checks.number(field.name, value, at_least=0.0)
-            else:
-                _checks.number(field.name, value, above=0.0)
-
-
-class _Sent(NamedTuple):
-    """A command on its way: the control, and the time from which it has effect [s]."""
-
-    control: np.ndarray
-    effect: float
 
 
 class _NewScan(NamedTuple):
@@ -179,7 +91,7 @@ class Pilot:
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
         self._expected = np.asarray(scenario.start)
-        self._sent: list[_Sent] = []
+        self._sent = SentCommands(self.robot, self.options.latency)
         self._twist = np.zeros(3)
         self._command_at = -math.inf
         self._planned: tuple[float, np.ndarray] | None = None
@@ -187,11 +99,8 @@ class Pilot:
         self._scan: _NewScan | None = None
         self._points = (np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool))
         self._mapped_at = self._derived_at = -math.inf
-        self._scan_changed_at = -math.inf
-        self._fault: tuple[float, str] | None = None
+        self._data = DataCheck(self.options, self._history)
         self._worth_at = -math.inf
-        self._still_at = -math.inf
-        self._frozen: tuple[float, str] | None = None
         self._number = 0
         self.num_replaced = 0
         self._finished, self._is_explored = "", False
@@ -241,7 +150,7 @@ class Pilot:
             self._offset = cell * np.round(np.asarray(pose[:2], np.float64) / cell)
         problem = self._history.add(time, pose, twist)
         if problem is not None:
-            self._fault = (time, problem)
+            self._data.add_jump(time, problem)
 
     def add_scan(self, time: float, scan: Scan, points: np.ndarray) -> None:
         """Take a scan.
@@ -254,8 +163,8 @@ class Pilot:
         if self._scan is not None and time <= self._scan.time:
             return
         former = self._scan
-        if former is None or not np.array_equal(former.points, points):
-            self._scan_changed_at = time
+        is_changed = former is None or not np.array_equal(former.points, points)
+        self._data.add_scan(time, is_changed=is_changed)
         self._scan = self._new = _NewScan(time, scan, points)
 
     def command(self, now: float) -> Command:
@@ -271,7 +180,7 @@ class Pilot:
     def _command(self, now: float) -> Command:
         elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
         self._command_at = now
-        problem = self._problem(now)
+        problem = self._data.problem(now, self._twist)
         scan_time = None if problem else self._map(now)
         if self._finished:
             return self._stopping(now, elapsed, Mode.DONE, self._finished)
@@ -284,7 +193,8 @@ class Pilot:
             return self._stopping(now, elapsed, mode, problem)
         state = self._state(now)
         if not self.options.is_obeyed:
-            self._expected, self._sent = state, []
+            self._expected = state
+            self._sent.clear()
         # The elapsed time shifts the plan; after a pause it is not shifted out of its horizon.
         # The plan is shifted by the elapsed time; after a pause, by not more than two periods.
         planned = self._plan(state, now, min(elapsed, 2.0 * self.period))
@@ -293,7 +203,8 @@ class Pilot:
         self._memory = planned.memory
         self._expected = np.asarray(planned.after)
         controls, twists = np.asarray(planned.controls), np.asarray(planned.twists, np.float64)
-        self._send(controls[0], now)
+        assert self._history.last is not None
+        self._sent.add(controls[0], now, self._history.last.time)
         self._twist = twists[0]
         is_replaced = bool(planned.is_replaced)
         self.num_replaced += is_replaced
@@ -386,53 +297,6 @@ class Pilot:
         self.log.frames.add_last(self.make_frame())
         return self.log.recording(self.belief, is_done=self._is_explored)
 
-    def _problem(self, now: float) -> str | None:
-        """Return why the robot must not move; None if it may."""
-        last, scan, options = self._history.last, self._scan, self.options
-        if last is None:
-            return "no odometry yet"
-        if scan is None:
-            return "no scan yet"
-        for name, time in (("odometry", last.time), ("scan", scan.time)):
-            if now - time > options.max_age:
-                return f"the {name} is {now - time:.2f} s old"
-        if self._fault is not None:
-            since, problem = self._fault
-            # After a second of poses that fit each other, the robot goes on.
-            if now - since < 1.0:
-                return problem
-            self._fault = None
-        return self._frozen_problem(now) if options.is_obeyed else None
-
-    def _frozen_problem(self, now: float) -> str | None:
-        """Return which measurement repeats itself although the robot should move; None if none."""
-        last, limit = self._history.last, self.options.max_frozen
-        assert last is not None
-        changed = {"pose": self._history.changed_at, "scan": self._scan_changed_at}
-        if self._frozen is not None:
-            since, name = self._frozen
-            # A robot that stands may have the same pose for ever, so it tries again.
-            is_retried = name == "pose" and now - since > RETRY_SECONDS
-            if changed[name] <= since and not is_retried:
-                return _FROZEN[name]
-            self._frozen, self._still_at = None, now
-        # A robot that stands may measure the same again and again.
-        moving_since = self._moving_since(now)
-        is_moving = abs(last.twist[2]) > 0.1 or math.hypot(*last.twist[:2]) > 0.05
-        for name, is_suspect in (("pose", True), ("scan", is_moving)):
-            if is_suspect and now - max(changed[name], moving_since) > limit:
-                self._frozen = (now, name)
-                return _FROZEN[name]
-        return None
-
-    def _moving_since(self, now: float) -> float:
-        """Return the time since which the commands have been a motion [s]."""
-        is_told = abs(self._twist[2]) > 0.2 or math.hypot(*self._twist[:2]) > 0.1
-        if not is_told:
-            self._still_at = now
-        # A command has no effect before the latency.
-        return self._still_at + self.options.latency
-
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose relative to the origin of the belief."""
         return np.asarray(pose - np.append(self._offset, 0.0))
@@ -482,7 +346,8 @@ class Pilot:
         return points, is_point
 
     def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
-        controls, durations = self._on_the_way(now)
+        last = self._history.last
+        controls, durations = self._sent.between(now if last is None else last.time, now)
         points, is_point = self._points
         return steps.plan(
             self.controller,
@@ -500,32 +365,6 @@ class Pilot:
             self.scenario.control_period,
             self._next_key(),
         )
-
-    def _send(self, control: np.ndarray, now: float) -> None:
-        """Note a command that takes effect after the latency."""
-        self._sent.append(_Sent(control, now + self.options.latency))
-        measured = self._history.last.time if self._history.last else now
-        # The last one that has effect before the measurement is still in effect.
-        while len(self._sent) > NUM_SENT or (
-            len(self._sent) > 1 and self._sent[1].effect <= measured
-        ):
-            self._sent.pop(0)
-
-    def _on_the_way(self, now: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the commands (D, nu) that act between the newest measurement and the effect of a
-        command that is sent now, and for how long each [s]."""
-        controls = np.zeros((NUM_SENT, self.robot.control_size), np.float32)
-        controls[:] = np.asarray(self.robot.default_control)
-        durations = np.zeros(NUM_SENT, np.float32)
-        last = self._history.last
-        if last is None:
-            return controls, durations
-        first, end = last.time, now + self.options.latency
-        for index, each in enumerate(self._sent):
-            until = self._sent[index + 1].effect if index + 1 < len(self._sent) else end
-            controls[index] = each.control
-            durations[index] = max(0.0, min(until, end) - max(each.effect, first))
-        return controls, durations
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""
@@ -552,7 +391,8 @@ class Pilot:
                 is_faulty=mode is Mode.BRAKING,
             )
         # The controller starts anew from rest: its plan was not executed.
-        self._planned, self._sent = None, []
+        self._planned = None
+        self._sent.clear()
         if not self._twist.any():
             self._memory = self._first_memory
         return Command(self._twist, mode, reason, None)

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxplore._types import ArrayLike
-from jaxplore.onboard.pilot import Command, Pilot
+from jaxplore.onboard.options import Command
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
 from jaxplore.report.recording import Recording
 from jaxplore.simulation.monitor import Monitor, Update

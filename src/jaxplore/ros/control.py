@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore.onboard.pilot import Command, Mode, Pilot
+from jaxplore.onboard.options import Command, Mode
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
-from jaxplore.ros import messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.link import DISCOVERY_SECONDS, Link
 from jaxplore.ros.messages import Mount
 from jaxplore.settings.node import NodeSettings
@@ -84,6 +85,7 @@ class ControlNode:
         self._parameters: dict[str, float] = {}
         self._wake = threading.Event()
         self._worker = concurrent.futures.ThreadPoolExecutor(1, "plan")
+        self._background: concurrent.futures.Future[None] | None = None
         self._frame_name = settings.world_frame
         self._last_mode: tuple[Mode, str] | None = None
         self._due = dict.fromkeys(("map", "state", "plan"), -math.inf)
@@ -202,30 +204,47 @@ class ControlNode:
         Args:
             is_stopped: ends the drive when it is set.
         """
-        period, is_over = self.pilot.period, False
         self.watch.begin()
+        try:
+            command = self._drive(is_stopped)
+        finally:
+            # Whatever happened, the robot is told to stand.
+            self._worker.shutdown(cancel_futures=True)
+            self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
+        self._publish_state(command)
+
+    def _drive(self, is_stopped: threading.Event) -> Command:
+        """Send commands until the robot stands at the end; return the last one."""
+        period = self.pilot.period
         due = time.monotonic()
-        last = due - period
-        while not is_over:
+        last, arrived = due - period, None
+        while True:
             self._wake.wait(max(0.0, due - time.monotonic()))
             self._wake.clear()
             now = time.monotonic()
-            arrived = self._take_messages()
+            newest = self._take_messages()
+            arrived = arrived if newest is None else newest
             # A scan is answered at once, but not twice within a quarter of a period.
             if now < due and (arrived is None or now - last < 0.25 * period):
                 continue
-            last, due = now, max(due + period, now + 0.5 * period)
+            last, due = now, now + period
             if is_stopped.is_set():
                 self.pilot.finish("stopped")
             command = self._next_command(now + self.settings.deadline * period)
             self._publish_command(command)
             if arrived is not None and command.scan_time is not None:
                 self.latencies.scan_ms.append(1e3 * (time.monotonic() - arrived))
-            self._worker.submit(self._between, command)
-            is_over = command.mode is Mode.DONE and not command.twist.any()
-        self._worker.shutdown()
-        self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
-        self._publish_state(command)
+            arrived = None
+            self._submit_between(command)
+            if command.mode is Mode.DONE and not command.twist.any():
+                return command
+
+    def _submit_between(self, command: Command) -> None:
+        """Do in the worker what no command waits for; an error of it ends the drive."""
+        former = self._background
+        if former is not None and former.done():
+            former.result()
+        self._background = self._worker.submit(self._between, command)
 
     def _take_messages(self) -> float | None:
         """Give the pilot what has arrived; return when the newest scan did."""
@@ -331,14 +350,16 @@ class ControlNode:
             message = ros.OccupancyGrid()
             origin = np.asarray(grid.frame.origin, np.float64) + offset
             probability = grid.cropped(grid.probability)
-            messages.fill_grid(message, probability, grid.resolution, origin, now, self._frame_name)
+            map_messages.fill_grid(
+                message, probability, grid.resolution, origin, now, self._frame_name
+            )
             self._belief.publish(message)
         if self._information.get_subscription_count():
             message = ros.OccupancyGrid()
             origin = np.asarray(field.frame.origin, np.float64) + offset
             values = np.asarray(field.total)
             scaled = np.clip(values / max(float(np.percentile(values, 99)), 1e-6), 0.0, 1.0)
-            messages.fill_grid(
+            map_messages.fill_grid(
                 message, scaled, field.frame.resolution, origin, now, self._frame_name
             )
             self._information.publish(message)
@@ -351,7 +372,7 @@ class ControlNode:
         headings = np.arctan2(ahead[:, 1], ahead[:, 0])
         message = ros.Path()
         poses = np.concatenate([positions, headings[:, None]], axis=1)
-        messages.fill_path(message, ros.PoseStamped, poses, now, self._frame_name)
+        map_messages.fill_path(message, ros.PoseStamped, poses, now, self._frame_name)
         self._plan.publish(message)
         if self._rollouts is not None and self._rollouts.get_subscription_count():
             markers = ros.MarkerArray()
@@ -360,7 +381,7 @@ class ControlNode:
             colours = np.stack(
                 [shares, 0.2 + 0.0 * shares, 1.0 - shares, 0.15 + 0.85 * shares], axis=-1
             )
-            messages.fill_rollouts(
+            map_messages.fill_rollouts(
                 markers,
                 ros.Marker,
                 ros.Point,

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.goals import Goal, GoalChooser
-from jaxplore.ros import messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.link import Link
 from jaxplore.settings.node import NodeSettings
 
@@ -59,7 +59,7 @@ class GoalNode:
     def _take_map(self, message: Any) -> None:
         # Whole metres are exact, and leave numbers that single precision can hold.
         place = np.floor(messages.pose_of(message.info.origin)[:2])
-        grid = messages.grid_of(message, offset=place)
+        grid = map_messages.grid_of(message, offset=place)
         if grid.resolution < self._resolution * (1.0 - 1e-6):
             grid = grid.resample(self._resolution)
         elif grid.resolution > self._resolution * (1.0 + 1e-6):

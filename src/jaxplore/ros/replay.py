@@ -4,7 +4,8 @@ import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from jaxplore.onboard.pilot import Command, Pilot
+from jaxplore.onboard.options import Command
+from jaxplore.onboard.pilot import Pilot
 from jaxplore.ros import messages
 from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
 from jaxplore.ros.link import CLOCK_TOLERANCE

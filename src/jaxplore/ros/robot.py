@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore.onboard.simulated_robot import RobotMeasurement, SimulatedRobot
-from jaxplore.ros import messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.link import Link
 
 NODE = "jaxplore_robot"
@@ -136,7 +136,7 @@ class RobotNode:
             return
         grid = self.robot.state.belief.grid
         message = self.link.ros.OccupancyGrid()
-        messages.fill_grid(
+        map_messages.fill_grid(
             message,
             grid.cropped(grid.probability),
             grid.resolution,

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from jaxplore.onboard.pilot import PilotOptions
+from jaxplore.onboard.options import PilotOptions
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.sections import NonNegative, Positive, Section
 

@@ -1,0 +1,81 @@
+"""What a pilot returns, and its numbers."""
+
+import dataclasses
+import enum
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxplore import _checks, _kinds
+
+
+class Mode(enum.StrEnum):
+    """What a pilot does."""
+
+    WAITING = "waiting"
+    DRIVING = "driving"
+    BRAKING = "braking"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+    DONE = "done"
+
+
+class Command(NamedTuple):
+    """A velocity command.
+
+    Args:
+        twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
+        mode: what the pilot does.
+        reason: why, in a few words; empty while it drives.
+        scan_time: time of the scan that was mapped for this command; None without a new one [s].
+    """
+
+    twist: np.ndarray
+    mode: Mode
+    reason: str
+    scan_time: float | None
+
+
+@dataclasses.dataclass(frozen=True)
+class PilotOptions:
+    """Numbers of a pilot.
+
+    Args:
+        latency: time between a command and its effect [s].
+        max_age: greatest age of a scan or an odometry [s]; the robot brakes beyond it.
+        max_frozen: greatest time in which equal scans or poses arrive although the robot should
+            move [s].
+        max_jump: greatest jump of the pose [m].
+        max_deceleration: deceleration of the commands of a ramp to a stop [m/s^2]; the limits of
+            the robot's base apply as well.
+        max_angular_deceleration: angular deceleration of that ramp [rad/s^2].
+        margin: distance from points of the scan that stopping must keep [m].
+        done_after: time without a reachable place that is worth a visit after which the robot is
+            done [s].
+        is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
+            every command starts from the measured state.
+
+    Raises:
+        ValueError: a time or a rate that is not positive, a negative latency or margin.
+    """
+
+    latency: float = 0.05
+    max_age: float = 0.3
+    max_frozen: float = 0.3
+    max_jump: float = 0.5
+    max_deceleration: float = 10.0
+    max_angular_deceleration: float = 20.0
+    margin: float = 0.03
+    done_after: float = 3.0
+    is_obeyed: bool = True
+
+    def __post_init__(self) -> None:
+        _kinds.flag("is_obeyed", self.is_obeyed)
+        for field in dataclasses.fields(self):
+            if field.name == "is_obeyed":
+                continue
+            value = getattr(self, field.name)
+            if field.name in ("latency", "margin"):
+                _checks.number(field.name, value, at_least=0.0)
+            else:
+                _checks.number(field.name, value, above=0.0)
