@@ -556,7 +556,7 @@ def architecture() -> Figure:
         "costs": (32.0, 20.5, 20.0, ORANGE, "stage, terminal, sequence", "cost"),
         "dynamics": (61.0, 20.5, 21.0, GREEN, "model of the robot", "model"),
         "report": (87.0, 28.0, 12.0, VERMILION, "recording", ""),
-        "gym": (3.0, 2.0, 20.0, VERMILION, "environments", ""),
+        "gym, view": (3.0, 2.0, 20.0, VERMILION, "environments, browser", ""),
         "study": (32.0, 2.0, 20.0, VERMILION, "compare, tune, workers", ""),
         "cli": (61.0, 2.0, 21.0, VERMILION, "jaxplore run, compare, tune", ""),
     }

@@ -17,6 +17,8 @@ from jaxplore.view.sliders import Sliders
 
 FRAME_SECONDS, IDLE_SECONDS = 0.1, 1.0
 """Least time between two frames while a page is open, and without one [s]."""
+EARLY = 0.8
+"""Share of the time between two frames after which one may come."""
 FRAME_SHARE = 0.08
 """Greatest share of the wall-clock time that the loop spends on frames: slow frames come less
 often."""
@@ -112,15 +114,16 @@ class LiveView(Monitor):
 
     def is_due(self, simulated: float, elapsed: float) -> bool:
         """Check whether a frame is due; every one is in a pause, so that the page is exact."""
-        least = FRAME_SECONDS if self.num_pages else IDLE_SECONDS
+        # A chunk that ends a little early must not wait for the next one.
+        least = EARLY * FRAME_SECONDS if self.num_pages else IDLE_SECONDS
         is_due = elapsed >= max(least, self._cost / FRAME_SHARE) or self._is_paused
         if is_due:
             self._told = time.monotonic()
         return is_due
 
     def longest_chunk(self, pace: float) -> float:
-        """Return half the simulated time between two frames, so that these come about in time."""
-        return min(0.5 * pace * FRAME_SECONDS, CHUNK_SECONDS)
+        """Return the simulated time between two frames; without a page nobody waits for any."""
+        return min(pace * FRAME_SECONDS, CHUNK_SECONDS) if self.num_pages else CHUNK_SECONDS
 
     def show(self, update: Update) -> None:
         """Take an update; a frame that was not drawn yet is skipped."""

@@ -7,7 +7,7 @@ from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT
 from jaxplore.report.drawing.picture import to_frame
 
-SHARP_SIDE = 800
+SHARP_SIDE = 600
 """Longest side up to which cells are repeated, so that they stay sharp [pixels]."""
 LARGEST_SIDE = 1600
 """Longest side above which cells are left out [pixels]."""
@@ -69,7 +69,10 @@ class Ground:
             heat = np.asarray(HEAT, np.float32)
             colours[is_free] += MAX_HEAT * share * (heat - colours[is_free])
         drawn = np.round(colours).astype(np.uint8)
-        return np.asarray(drawn.repeat(self._times, axis=0).repeat(self._times, axis=1))
+        columns, rows = self._size
+        larger = (columns * self._times, rows * self._times)
+        # Pillow repeats cells three times as fast as NumPy.
+        return np.asarray(Image.fromarray(drawn).resize(larger, Image.Resampling.NEAREST))
 
     def _share(self, information: np.ndarray, is_free: np.ndarray) -> np.ndarray:
         """Return the information at the cells as a share of the brightest."""
