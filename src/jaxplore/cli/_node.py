@@ -158,7 +158,7 @@ def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[M
         # viser takes a second to import.
         from jaxplore.cli._view import open_view
 
-        view = open_view(**wanted, label=folder.name)
+        view = open_view(**wanted, label=folder.name, is_simulation=False)
         stack.callback(view.close)
         monitors.append(view)
     if options["record"] is not None:

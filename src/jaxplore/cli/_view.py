@@ -23,7 +23,12 @@ type Values = Mapping[str, float | list[float]]
 
 
 def open_view(
-    view: bool | None, view_port: int | None, host: str | None, *, label: str
+    view: bool | None,
+    view_port: int | None,
+    host: str | None,
+    *,
+    label: str,
+    is_simulation: bool = True,
 ) -> LiveView:
     """Open a live view and print its link.
 
@@ -32,6 +37,7 @@ def open_view(
         view_port: its port; a free one when absent.
         host: its address; that of this machine when absent.
         label: title of the page's panel.
+        is_simulation: whether it shows a simulation, which has a speed and can be started again.
 
     Raises:
         ValueError: another option of a view without --view; a view that cannot be opened.
@@ -40,7 +46,12 @@ def open_view(
         name, value = ("--host", host) if view_port is None else ("--view-port", view_port)
         raise ValueError(f"{name} is {value} without --view; accepted: with --view")
     where = HOST if host is None else host
-    opened = LiveView(host=where, port=0 if view_port is None else view_port, label=label)
+    opened = LiveView(
+        host=where,
+        port=0 if view_port is None else view_port,
+        label=label,
+        is_simulation=is_simulation,
+    )
     _tell(opened.link, where, "drive the sliders")
     return opened
 
