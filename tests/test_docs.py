@@ -35,7 +35,7 @@ def test_the_api_page_lists_every_public_name_once() -> None:
             module = name
         else:
             listed[name if name.startswith("jaxplore.") else f"{module}.{name}"] += 1
-    packages = [*jaxplore._PACKAGES, "gym"]
+    packages = [*jaxplore._PACKAGES, "gym", "onboard", "view"]
     public = {f"jaxplore.{each}.{name}" for each in packages for name in public_names(each)}
     further = {"jaxplore.report.compute.Compute"}  # what a field of Metrics holds
     assert set(listed) == public | further

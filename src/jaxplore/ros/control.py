@@ -17,7 +17,7 @@ from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
-from jaxplore.ros.link import DISCOVERY_SECONDS, Link
+from jaxplore.ros.link import DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS, Link
 from jaxplore.ros.messages import Mount
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
@@ -185,6 +185,13 @@ class ControlNode:
         Raises:
             ValueError: another node of this name, or another publisher of commands.
         """
+        # Nodes are found at different times on a busy machine: first the one that scans.
+        began = time.monotonic()
+        while (
+            not self.link.other_publishers(self.settings.scan_topic)
+            and time.monotonic() - began < MOST_DISCOVERY_SECONDS
+        ):
+            time.sleep(0.1)
         time.sleep(DISCOVERY_SECONDS)
         if self.link.has_twin():
             raise ValueError(

@@ -9,8 +9,8 @@ from typing import Any
 
 from jaxplore.ros.packages import import_ros
 
-DISCOVERY_SECONDS = 1.0
-"""Time in which other nodes on the network are found [s]."""
+DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS = 1.5, 10.0
+"""Time in which nodes on the network are found once one of them is, and until that one is [s]."""
 QUIET_SECONDS = 5.0
 """Least time between two warnings about the same thing [s]."""
 CLOCK_TOLERANCE = 1.0
