@@ -125,6 +125,7 @@ class Notes(Monitor):
     def begin(self, recording, controller) -> None:
         self.began += 1
         assert recording.num_steps == 0
+        assert (recording.world == 0.5).all()
         assert WEIGHT in get_parameters(controller)
 
     def is_due(self, simulated, elapsed) -> bool:

@@ -1,5 +1,6 @@
 """Show a drive to monitors, and do what they ask for."""
 
+import dataclasses
 import math
 import time
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from jaxplore._types import ArrayLike
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.parameters import set_parameters
+from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Recording
 from jaxplore.simulation.monitor import Monitor, Update
 from jaxplore.simulation.scenario import LoopState, blank_recording
@@ -51,6 +53,10 @@ class DriveWatch:
             jnp.zeros((0, pilot.robot.control_size)),
         )
         recording = blank_recording(scenario, pilot.controller, state, pilot.make_frame())
+        assert isinstance(recording, ExplorationRecording)
+        # The scenario's world is free, for its checks; nobody knows the true one.
+        unknown = np.full_like(recording.world, 0.5)
+        recording = dataclasses.replace(recording, world=unknown)
         for each in self._shown:
             each.begin(recording, pilot.controller)
 
