@@ -150,11 +150,13 @@ def test_it_comes_to_rest_as_fast_as_its_brakes_allow_and_stays(name: str) -> No
         assert (steps * DT >= 0.8 * needed - 2.0 * DT).all()
 
 
-@every_robot
+# A point mass has no turning bound, and a unicycle stands at once.
+TURNING = [name for name, each in ROBOTS.items() if not isinstance(each, (PointMass, Unicycle))]
+
+
+@pytest.mark.parametrize("name", TURNING)
 def test_it_turns_by_its_share_while_it_moves(name: str) -> None:
     robot = ROBOTS[name]
-    if isinstance(robot, (PointMass, Unicycle)):
-        pytest.skip("it has no turning bound, or stands at once")
     start = np.array(robot.at_pose(0.0, 0.0, 0.3))
     start[3] = 0.9  # v or vx
     backwards = start.copy()
