@@ -220,6 +220,25 @@ def test_the_robot_is_done_when_nothing_is_worth_a_visit(make_pilot, make_robot,
     assert pilot.recording().metrics().is_finished
 
 
+def test_beams_start_at_the_lidar_and_not_at_the_robots_centre(make_pilot, make_robot) -> None:
+    scan = make_robot().step().scan
+    yaw, ahead, left = 0.4, 0.22, -0.13
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    x, y = turn @ np.array([ahead, left])
+    mounted, centred = make_pilot(lidar_x=ahead, lidar_y=left), make_pilot()
+    for time, place in ((0.0, (0.0, 0.0)), (0.1, (0.0, 0.0))):
+        mounted.add_odometry(time, np.array([*place, yaw]), np.zeros(3))
+    # The same map is made by a robot whose centre is where that lidar is.
+    for time, place in ((0.0, (0.0, 0.0)), (0.1, (x, y))):
+        centred.add_odometry(time, np.array([*place, yaw]), np.zeros(3))
+    for each in (mounted, centred):
+        each.add_scan(0.1, scan, np.zeros((0, 2)))
+        each.command(0.1)
+    seen = np.asarray(mounted.belief.grid.log_odds)
+    assert np.count_nonzero(seen) > 100
+    np.testing.assert_allclose(seen, np.asarray(centred.belief.grid.log_odds), atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("name", "value"), [("latency", -0.1), ("max_age", 0.0), ("margin", -1.0), ("max_jump", 0)]
 )

@@ -54,10 +54,12 @@ def drive(options: dict[str, Any]) -> None:
     with ExitStack() as stack:
         monitors = _monitors(options, folder, stack)
         pilot = build_pilot(settings, node)
+        recording = None
+        # Connected first, so that other nodes are found while it compiles.
+        link = stack.enter_context(connected(control.NODE))
         click.echo("Compiling, a few seconds ...", err=True)
         pilot.prepare()
-        recording = None
-        with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
+        with _stopped_by_signals() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()
             click.echo(
@@ -86,6 +88,8 @@ def drive(options: dict[str, Any]) -> None:
         )
     rows.append(("replaced by braking", str(pilot.num_replaced)))
     print_table(rows, has_header=False)
+    if driver.gave_way:
+        raise ValueError(driver.gave_way)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
 
@@ -214,19 +218,18 @@ def simulate_robot(options: dict[str, Any]) -> None:
     simulated = SimulatedRobot(
         scenario, jax.random.key(settings.seed), delay=own["delay"], drift=own["drift"]
     )
-    click.echo("Compiling, a few seconds ...", err=True)
-    simulated.prepare()
-    with connected(robot.NODE) as link, _stopped_by_signals() as is_stopped:
-        if link.has_twin():
-            raise ValueError(
-                f"another node {robot.NODE} is running; accepted: one simulated robot, or another "
-                "ROS_DOMAIN_ID"
-            )
+    with connected(robot.NODE) as link:
+        click.echo("Compiling, a few seconds ...", err=True)
+        simulated.prepare()
         node = robot.RobotNode(
             link, simulated, command_type=own["command_type"], has_map=own["has_map"]
         )
+        node.check_alone()
         click.echo("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
-        with progress_bar("simulating", enabled=True) as advance:
+        with (
+            _stopped_by_signals() as is_stopped,
+            progress_bar("simulating", enabled=True) as advance,
+        ):
             is_interrupted = node.run(is_stopped, settings.time_limit, advance)
     recording = simulated.recording(is_interrupted=is_interrupted)
     run = Run(recording, recording.metrics(seed=settings.seed))

@@ -52,11 +52,14 @@ class PilotOptions:
         margin: distance from points of the scan that stopping must keep [m].
         done_after: time without a reachable place that is worth a visit after which the robot is
             done [s].
+        lidar_x: position of the lidar ahead of the robot's centre [m].
+        lidar_y: position of the lidar to the left of it [m].
         is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
             every command starts from the measured state.
 
     Raises:
-        ValueError: a time or a rate that is not positive, a negative latency or margin.
+        ValueError: a time or a rate that is not positive, a negative latency or margin, a position
+            that is not finite.
     """
 
     latency: float = 0.05
@@ -67,15 +70,16 @@ class PilotOptions:
     max_angular_deceleration: float = 20.0
     margin: float = 0.03
     done_after: float = 3.0
+    lidar_x: float = 0.0
+    lidar_y: float = 0.0
     is_obeyed: bool = True
 
     def __post_init__(self) -> None:
         _kinds.flag("is_obeyed", self.is_obeyed)
-        for field in dataclasses.fields(self):
-            if field.name == "is_obeyed":
-                continue
-            value = getattr(self, field.name)
-            if field.name in ("latency", "margin"):
-                _checks.number(field.name, value, at_least=0.0)
-            else:
-                _checks.number(field.name, value, above=0.0)
+        for name, value in dataclasses.asdict(self).items():
+            if name in ("lidar_x", "lidar_y"):
+                _checks.number(name, value)
+            elif name in ("latency", "margin"):
+                _checks.number(name, value, at_least=0.0)
+            elif name != "is_obeyed":
+                _checks.number(name, value, above=0.0)

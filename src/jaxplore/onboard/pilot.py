@@ -16,6 +16,7 @@ from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
+from jaxplore.onboard.scan_points import nearest_points, no_points
 from jaxplore.onboard.sent import SentCommands
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -25,8 +26,6 @@ from jaxplore.simulation.exploration.state import ExplorationState
 
 NUM_TRAJECTORIES = 30
 """Number of rollouts in a frame."""
-NUM_POINTS = 720
-"""Number of directions for each of which the nearest point of a scan is checked."""
 
 
 class _NewScan(NamedTuple):
@@ -97,7 +96,7 @@ class Pilot:
         self._planned: tuple[float, np.ndarray] | None = None
         self._new: _NewScan | None = None
         self._scan: _NewScan | None = None
-        self._points = (np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool))
+        self._points = no_points()
         self._mapped_at = self._derived_at = -math.inf
         self._data = DataCheck(self.options, self._history)
         self._worth_at = -math.inf
@@ -195,7 +194,6 @@ class Pilot:
         if not self.options.is_obeyed:
             self._expected = state
             self._sent.clear()
-        # The elapsed time shifts the plan; after a pause it is not shifted out of its horizon.
         # The plan is shifted by the elapsed time; after a pause, by not more than two periods.
         planned = self._plan(state, now, min(elapsed, 2.0 * self.period))
         if not bool(planned.is_finite):
@@ -301,6 +299,12 @@ class Pilot:
         """Return a pose relative to the origin of the belief."""
         return np.asarray(pose - np.append(self._offset, 0.0))
 
+    def _lidar_pose(self, pose: np.ndarray) -> np.ndarray:
+        """Return the pose of the lidar, where the beams start; its turn is in their angles."""
+        x, y = self.options.lidar_x, self.options.lidar_y
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        return np.asarray(pose + np.array([cos * x - sin * y, sin * x + cos * y, 0.0]))
+
     def _state(self, now: float) -> np.ndarray:
         """Return the newest measured state (nx,), relative to the origin of the belief."""
         last = self._history.last
@@ -312,8 +316,8 @@ class Pilot:
         new, self._new = self._new, None
         if new is None:
             return None
-        pose = self._history.at(new.time)
-        self._points = self._nearest_points(new, pose)
+        pose = self._local(self._history.at(new.time))
+        self._points = nearest_points(new.points, pose)
         period = float(self.scenario.steps_per_scan) * self.period
         if new.time - self._mapped_at < period - 0.5 * self.period:
             return new.time
@@ -322,28 +326,13 @@ class Pilot:
             self.scenario.perception,
             self.belief,
             new.scan,
-            jnp.asarray(self._local(pose), jnp.float32),
+            jnp.asarray(self._lidar_pose(pose), jnp.float32),
             jnp.asarray(elapsed, jnp.float32),
         )
         self._task = self._task._replace(belief=mapped.belief)
         self.log.add_known(now, np.asarray(mapped.is_free))
         self._mapped_at = new.time
         return new.time
-
-    def _nearest_points(self, scan: _NewScan, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest point of a scan in each direction, relative to the belief's origin."""
-        points, is_point = np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool)
-        distance = np.hypot(*scan.points.T)
-        bearing = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-        sector = np.floor((bearing / math.tau + 0.5) * NUM_POINTS).astype(int) % NUM_POINTS
-        # Of several points in a direction the nearest is written last.
-        order = np.argsort(-distance, kind="stable")
-        x, y, yaw = self._local(pose)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        turned = scan.points @ np.array([[cos, sin], [-sin, cos]]) + np.array([x, y])
-        points[sector[order]] = turned[order]
-        is_point[sector] = True
-        return points, is_point
 
     def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
         last = self._history.last

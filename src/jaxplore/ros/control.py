@@ -16,18 +16,18 @@ from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
-from jaxplore.ros import map_messages, messages
-from jaxplore.ros.link import DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS, Link
+from jaxplore.ros import messages
+from jaxplore.ros.drive_publisher import DrivePublisher
+from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
+from jaxplore.ros.link import Link
 from jaxplore.ros.messages import Mount
 from jaxplore.settings.node import NodeSettings
 from jaxplore.simulation.monitor import Monitor
 
 NODE = "jaxplore"
 """Name of the node."""
-MAP_SECONDS, STATE_SECONDS, PLAN_SECONDS = 1.0, 0.5, 0.5
-"""Time between two messages of the maps, of the state, and of the plan [s]."""
-STOP_SECONDS = 3.0
-"""Greatest time for which the node sends a ramp to zero at its end [s]."""
+MOST_STATE = 10_000
+"""Greatest length of the state of another node that is read."""
 ORDERS = ("start", "pause", "stop")
 """Orders that the node takes."""
 
@@ -64,6 +64,9 @@ class ControlNode:
         pilot: pilot of the robot, compiled by `Pilot.prepare`.
         settings: topics and numbers of the node.
         monitors: live views and recorders of the drive.
+
+    Attributes:
+        gave_way: why the drive ended in favour of another node; empty otherwise.
     """
 
     def __init__(
@@ -75,9 +78,9 @@ class ControlNode:
     ) -> None:
         self.link, self.pilot, self.settings = link, pilot, settings
         self.latencies = Latencies()
+        self.gave_way = ""
         self.watch = DriveWatch(pilot, monitors)
         ros = link.ros
-        self._mount = lidar_mount(settings)
         self._lock = threading.Lock()
         self._poses: list[messages.Odometry] = []
         self._scans: list[tuple[float, messages.LaserScan]] = []
@@ -88,41 +91,19 @@ class ControlNode:
         self._background: concurrent.futures.Future[None] | None = None
         self._frame_name = settings.world_frame
         self._last_mode: tuple[Mode, str] | None = None
-        self._due = dict.fromkeys(("map", "state", "plan"), -math.inf)
         self._has_twist = settings.command_type == "twist_stamped"
         self._commands = link.publisher(
             ros.TwistStamped if self._has_twist else ros.Twist, settings.command_topic
         )
-        self._state = link.publisher(ros.String, "~/state")
-        self._plan = link.publisher(ros.Path, "~/plan")
-        self._belief = link.publisher(ros.OccupancyGrid, "~/belief", is_kept=True)
-        self._information = link.publisher(ros.OccupancyGrid, "~/information", is_kept=True)
-        self._rollouts = None
-        if ros.MarkerArray is not None:
-            self._rollouts = link.publisher(ros.MarkerArray, "~/rollouts")
-        self._subscribe()
-        self._declare_parameters()
-
-    def _subscribe(self) -> None:
-        ros, settings, link = self.link.ros, self.settings, self.link
-        link.subscribe(ros.LaserScan, settings.scan_topic, self._take_scan)
-        if settings.pose_type == "tf":
-            if ros.TFMessage is None:
-                raise ValueError(
-                    "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or "
-                    "pose"
-                )
-            for topic in ("/tf", "/tf_static"):
-                link.subscribe(
-                    ros.TFMessage, topic, self._take_transforms, is_kept=topic == "/tf_static"
-                )
-        else:
-            is_odometry = settings.pose_type == "odometry"
-            kind = ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped
-            link.subscribe(kind, settings.pose_topic, self._take_pose)
+        self._publisher = DrivePublisher(link, pilot)
+        self._began = math.inf
+        subscribe_scan(link, settings, pilot.sensor, lidar_mount(settings), self._take_scan)
+        subscribe_pose(link, settings, self._take_pose)
         link.subscribe(ros.String, "~/command", self._take_order)
+        link.subscribe(ros.String, "~/state", self._take_state)
         for order in ORDERS:
             link.service(f"~/{order}", partial(self._order, order))
+        self._declare_parameters()
 
     def _declare_parameters(self) -> None:
         """Offer the numbers of the controller as ROS parameters that may change while it drives."""
@@ -145,26 +126,14 @@ class ControlNode:
             self._parameters |= known
         return result(successful=True)
 
-    def _take_scan(self, message: Any) -> None:
-        arrived = time.monotonic()
-        scan = messages.laser_scan_of(message, self.pilot.sensor, self._mount)
-        stamp = self.link.stamp_of(self.settings.scan_topic, scan.time)
+    def _take_scan(self, scan: messages.LaserScan, arrived: float) -> None:
         with self._lock:
-            self._scans.append((arrived, scan._replace(time=stamp)))
+            self._scans.append((arrived, scan))
         self._wake.set()
 
-    def _take_pose(self, message: Any) -> None:
-        pose = messages.odometry_of(message)
-        stamp = self.link.stamp_of(self.settings.pose_topic, pose.time)
+    def _take_pose(self, pose: messages.Odometry) -> None:
         with self._lock:
-            self._poses.append(pose._replace(time=stamp))
-
-    def _take_transforms(self, message: Any) -> None:
-        settings = self.settings
-        pose = messages.transform_of(message.transforms, settings.world_frame, settings.robot_frame)
-        if pose is not None:
-            with self._lock:
-                self._poses.append(pose._replace(time=self.link.stamp_of("/tf", pose.time)))
+            self._poses.append(pose)
 
     def _take_order(self, message: Any) -> None:
         if message.data not in ORDERS:
@@ -180,30 +149,35 @@ class ControlNode:
         return f"{order} is noted"
 
     def check_alone(self) -> None:
-        """Check that no other node commands the robot.
+        """Check that nothing else commands the robot.
 
         Raises:
-            ValueError: another node of this name, or another publisher of commands.
+            ValueError: the topic of the commands has another publisher.
         """
-        # Nodes are found at different times on a busy machine: first the one that scans.
-        began = time.monotonic()
-        while (
-            not self.link.other_publishers(self.settings.scan_topic)
-            and time.monotonic() - began < MOST_DISCOVERY_SECONDS
-        ):
-            time.sleep(0.1)
-        time.sleep(DISCOVERY_SECONDS)
-        if self.link.has_twin():
-            raise ValueError(
-                f"another node {NODE} is running; accepted: one node for a robot, or another "
-                "ROS_DOMAIN_ID"
-            )
+        # What publishes scans has been there for longer, so others are found at about that time.
+        self.link.wait_for(self.settings.scan_topic)
         others = self.link.other_publishers(self.settings.command_topic)
         if others:
-            raise ValueError(
-                f"{self.settings.command_topic} has another publisher, "
-                f"{messages.text_of(others[0])}; accepted: one that commands the robot"
-            )
+            raise ValueError(self._shared(others[0]))
+
+    def _shared(self, other: str) -> str:
+        return (
+            f"{self.settings.command_topic} has another publisher, {messages.text_of(other)}; "
+            "accepted: one node that commands the robot, or another ROS_DOMAIN_ID"
+        )
+
+    def _take_state(self, message: Any) -> None:
+        """Give way to a node of this name that drove first; on a busy machine it is found late."""
+        began = json.loads(message.data[:MOST_STATE]).get("began")
+        # Its own messages are heard as well, and have its own time.
+        if isinstance(began, float) and began < self._began:
+            self.gave_way = self._shared(NODE)
+            self.pilot.finish(self.gave_way)
+
+    def _warn_of_others(self) -> None:
+        """Warn of other publishers of commands that came after this one."""
+        for other in self.link.other_publishers(self.settings.command_topic):
+            self.link.warn("other publisher", self._shared(other))
 
     def run(self, is_stopped: threading.Event) -> None:
         """Drive until the task is done or the event is set, and then stand.
@@ -212,6 +186,7 @@ class ControlNode:
             is_stopped: ends the drive when it is set.
         """
         self.watch.begin()
+        self._began = time.time()
         try:
             command = self._drive(is_stopped)
         finally:
@@ -303,21 +278,8 @@ class ControlNode:
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
         self._tell(command)
         self.watch.after(command)
-        if self._is_due("state", now, STATE_SECONDS):
-            self._publish_state(command)
-        if self._is_due("map", now, MAP_SECONDS):
-            self._publish_maps(now)
-        watched = [each for each in (self._plan, self._rollouts) if each is not None]
-        if any(each.get_subscription_count() for each in watched) and self._is_due(
-            "plan", now, PLAN_SECONDS
-        ):
-            self._publish_plan(now)
-
-    def _is_due(self, what: str, now: float, seconds: float) -> bool:
-        if now - self._due[what] < seconds:
-            return False
-        self._due[what] = now
-        return True
+        if self._publisher.publish_due(now, self._frame_name, self._state_entries(command)):
+            self._warn_of_others()
 
     def _tell(self, command: Command) -> None:
         """Log a change of what the pilot does, with the reason."""
@@ -331,73 +293,22 @@ class ControlNode:
             self.link.warn(f"{command.mode} {command.reason[:12]}", command.reason)
 
     def _publish_state(self, command: Command) -> None:
+        self._publisher.publish_state(self._state_entries(command))
+
+    def _state_entries(self, command: Command) -> dict[str, object]:
         pilot, times = self.pilot, self.latencies
-        grid = pilot.belief.grid
-        message = self.link.ros.String()
-        message.data = json.dumps(
-            {
-                "mode": str(command.mode),
-                "reason": command.reason,
-                "explored_m2": round(pilot.log.num_known * grid.resolution**2, 2),
-                "commands": times.num_commands,
-                "late": times.num_late,
-                "replaced": pilot.num_replaced,
-                "scan_to_command_ms_p50": times.percentile(50),
-                "scan_to_command_ms_p99": times.percentile(99),
-                "warnings": sum(self.link.num_warnings.values()),
-            }
-        )
-        self._state.publish(message)
-
-    def _publish_maps(self, now: float) -> None:
-        pilot = self.pilot
-        grid, field = pilot.belief.grid, pilot.belief.information
-        ros, offset = self.link.ros, np.append(pilot.offset, 0.0)
-        if self._belief.get_subscription_count():
-            message = ros.OccupancyGrid()
-            origin = np.asarray(grid.frame.origin, np.float64) + offset
-            probability = grid.cropped(grid.probability)
-            map_messages.fill_grid(
-                message, probability, grid.resolution, origin, now, self._frame_name
-            )
-            self._belief.publish(message)
-        if self._information.get_subscription_count():
-            message = ros.OccupancyGrid()
-            origin = np.asarray(field.frame.origin, np.float64) + offset
-            values = np.asarray(field.total)
-            scaled = np.clip(values / max(float(np.percentile(values, 99)), 1e-6), 0.0, 1.0)
-            map_messages.fill_grid(
-                message, scaled, field.frame.resolution, origin, now, self._frame_name
-            )
-            self._information.publish(message)
-
-    def _publish_plan(self, now: float) -> None:
-        pilot, ros = self.pilot, self.link.ros
-        shown = pilot.make_frame()
-        positions = shown.plan + pilot.offset
-        ahead = np.diff(positions, axis=0, append=positions[-1:])
-        headings = np.arctan2(ahead[:, 1], ahead[:, 0])
-        message = ros.Path()
-        poses = np.concatenate([positions, headings[:, None]], axis=1)
-        map_messages.fill_path(message, ros.PoseStamped, poses, now, self._frame_name)
-        self._plan.publish(message)
-        if self._rollouts is not None and self._rollouts.get_subscription_count():
-            markers = ros.MarkerArray()
-            shares = shown.weights / max(float(shown.weights.max()), 1e-9)
-            # Blue for rollouts without weight, red for the heaviest.
-            colours = np.stack(
-                [shares, 0.2 + 0.0 * shares, 1.0 - shares, 0.15 + 0.85 * shares], axis=-1
-            )
-            map_messages.fill_rollouts(
-                markers,
-                ros.Marker,
-                ros.Point,
-                shown.samples + pilot.offset,
-                colours,
-                now,
-                self._frame_name,
-            )
-            self._rollouts.publish(markers)
+        return {
+            "began": self._began,
+            "mode": str(command.mode),
+            "reason": command.reason,
+            "explored_m2": round(pilot.log.num_known * pilot.belief.grid.resolution**2, 2),
+            "commands": times.num_commands,
+            "late": times.num_late,
+            "replaced": pilot.num_replaced,
+            "scan_to_command_ms_p50": times.percentile(50),
+            "scan_to_command_ms_p99": times.percentile(99),
+            "warnings": sum(self.link.num_warnings.values()),
+        }
 
 
 def lidar_mount(settings: NodeSettings) -> Mount:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.goals import Goal, GoalChooser
 from jaxplore.ros import map_messages, messages
+from jaxplore.ros.inputs import subscribe_pose
 from jaxplore.ros.link import Link
 from jaxplore.settings.node import NodeSettings
 
@@ -43,17 +44,7 @@ class GoalNode:
         self._goals = link.publisher(ros.PoseStamped, settings.goal_topic, is_kept=True)
         self._state = link.publisher(ros.String, "~/state")
         link.subscribe(ros.OccupancyGrid, settings.map_topic, self._take_map, is_kept=True)
-        if settings.pose_type == "tf":
-            if ros.TFMessage is None:
-                raise ValueError(
-                    "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or "
-                    "pose"
-                )
-            link.subscribe(ros.TFMessage, "/tf", self._take_transforms)
-        else:
-            is_odometry = settings.pose_type == "odometry"
-            kind = ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped
-            link.subscribe(kind, settings.pose_topic, self._take_pose)
+        subscribe_pose(link, settings, self._take_pose)
         self.num_goals = 0
 
     def _take_map(self, message: Any) -> None:
@@ -70,17 +61,9 @@ class GoalNode:
         with self._lock:
             self._map, self._frame = (grid, place), messages.text_of(message.header.frame_id)
 
-    def _take_pose(self, message: Any) -> None:
-        pose = messages.odometry_of(message)
+    def _take_pose(self, pose: messages.Odometry) -> None:
         with self._lock:
-            self._pose = pose._replace(time=self.link.stamp_of(self.settings.pose_topic, pose.time))
-
-    def _take_transforms(self, message: Any) -> None:
-        names = self.settings.world_frame, self.settings.robot_frame
-        pose = messages.transform_of(message.transforms, *names)
-        if pose is not None:
-            with self._lock:
-                self._pose = pose._replace(time=self.link.stamp_of("/tf", pose.time))
+            self._pose = pose
 
     def run(self, is_stopped: threading.Event) -> str:
         """Publish goals until no place is worth a visit; return why it ended.
@@ -100,6 +83,14 @@ class GoalNode:
             if now - pose.time > MAX_AGE:
                 self.link.warn("pose", f"the pose is {now - pose.time:.1f} s old")
                 self._publish_state("waiting", "the pose is old")
+                continue
+            if pose.frame != frame:
+                self.link.warn(
+                    "frame",
+                    f"the pose is in the frame {pose.frame!r}, the map in {frame!r}; accepted: one "
+                    "frame, such as a localisation's pose, or node.pose_type 'tf'",
+                )
+                self._publish_state("waiting", "pose and map are in different frames")
                 continue
             goal = self.chooser.update(now, *given, pose.pose)
             if goal is None:

@@ -10,7 +10,7 @@ from typing import Any
 from jaxplore.ros.packages import import_ros
 
 DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS = 1.5, 10.0
-"""Time in which nodes on the network are found once one of them is, and until that one is [s]."""
+"""Least and greatest time after the connection in which other nodes are found [s]."""
 QUIET_SECONDS = 5.0
 """Least time between two warnings about the same thing [s]."""
 CLOCK_TOLERANCE = 1.0
@@ -33,6 +33,7 @@ class Link:
         self._executor = ros.rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
+        self._began = time.monotonic()
         self._warned: dict[str, float] = {}
         self.num_warnings: collections.Counter[str] = collections.Counter()
         self._thread.start()
@@ -87,7 +88,7 @@ class Link:
             try:
                 handle(message)
             # Whatever another node sends must not end this one.
-            except (ValueError, TypeError, OverflowError, AttributeError) as error:
+            except (ValueError, TypeError, OverflowError, AttributeError, RecursionError) as error:
                 self.warn(f"message of {topic}", f"{topic}: {' '.join(str(error).split())}")
 
         self.node.create_subscription(kind, topic, take, self._quality(is_kept, is_input=True))
@@ -103,14 +104,28 @@ class Link:
         return self.node.create_publisher(kind, topic, self._quality(is_kept, is_input=False))
 
     def other_publishers(self, topic: str) -> list[str]:
-        """Return the names of other nodes that publish a topic."""
+        """Return the names of the other publishers of a topic; another node may have this name."""
+        found = [each.node_name for each in self.node.get_publishers_info_by_topic(topic)]
         own = self.node.get_name()
-        found = self.node.get_publishers_info_by_topic(topic)
-        return [each.node_name for each in found if each.node_name != own]
+        for each in self.node.publishers:
+            if each.topic_name == self.node.resolve_topic_name(topic) and own in found:
+                found.remove(own)
+        return found
 
-    def has_twin(self) -> bool:
-        """Check whether another node has the same name."""
-        return bool(self.node.get_node_names().count(self.node.get_name()) > 1)
+    def wait_for(self, topic: str | None) -> None:
+        """Wait until the nodes that are there have been found.
+
+        Nodes are found at different times on a busy machine, so the wait is for a publisher of a
+        topic, and a little longer.
+
+        Args:
+            topic: name of a topic that another node publishes for sure; None where none is known.
+        """
+        while time.monotonic() - self._began < MOST_DISCOVERY_SECONDS:
+            is_found = topic is None or self.other_publishers(topic)
+            if is_found and time.monotonic() - self._began >= DISCOVERY_SECONDS:
+                return
+            time.sleep(0.1)
 
     def service(self, name: str, handle: Callable[[], str]) -> None:
         """Offer a `std_srvs/Trigger`, if that package is there.

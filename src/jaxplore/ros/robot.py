@@ -14,6 +14,7 @@ from jaxplore.ros.link import Link
 
 NODE = "jaxplore_robot"
 """Name of the node."""
+SCAN_TOPIC = "/scan"
 WORLD_FRAME, ROBOT_FRAME, LIDAR_FRAME = "odom", "base_link", "base_scan"
 MAP_SECONDS, STATE_SECONDS = 1.0, 0.5
 """Time between two messages of the map, and of the state [s]."""
@@ -40,7 +41,7 @@ class RobotNode:
         self._scan_period = float(robot.scenario.steps_per_scan) * robot.period
         self._commands: list[np.ndarray] = []
         self._lock = threading.Lock()
-        self._scan = link.publisher(ros.LaserScan, "/scan")
+        self._scan = link.publisher(ros.LaserScan, SCAN_TOPIC)
         self._odometry = link.publisher(ros.Odometry, "/odom")
         self._map = link.publisher(ros.OccupancyGrid, "/map", is_kept=True) if has_map else None
         self._state = link.publisher(ros.String, "~/state")
@@ -54,6 +55,20 @@ class RobotNode:
         twist = messages.twist_of(message)
         with self._lock:
             self._commands.append(twist)
+
+    def check_alone(self) -> None:
+        """Check that no other robot is there.
+
+        Raises:
+            ValueError: the topic of the scans has another publisher.
+        """
+        self.link.wait_for(None)
+        others = self.link.other_publishers(SCAN_TOPIC)
+        if others:
+            raise ValueError(
+                f"{SCAN_TOPIC} has another publisher, {messages.text_of(others[0])}; accepted: one "
+                "robot, or another ROS_DOMAIN_ID"
+            )
 
     def run(
         self,
@@ -142,6 +157,6 @@ class RobotNode:
             grid.resolution,
             np.asarray(grid.frame.origin, np.float64),
             now,
-            "map",
+            WORLD_FRAME,
         )
         self._map.publish(message)

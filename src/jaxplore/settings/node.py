@@ -41,8 +41,8 @@ class NodeSettings(Section):
     world_frame: str = "odom"
     robot_frame: str = "base_link"
     map_size: Positive = 50.0
-    lidar_x: float = 0.0
-    lidar_y: float = 0.0
+    lidar_x: float = setting(PilotOptions, "lidar_x")
+    lidar_y: float = setting(PilotOptions, "lidar_y")
     lidar_yaw_degrees: float = 0.0
     is_lidar_inverted: bool = False
     deadline: Positive = 0.9

@@ -1,0 +1,38 @@
+"""The points of a scan that a command is checked against."""
+
+import math
+
+import numpy as np
+
+NUM_POINTS = 720
+"""Number of directions for each of which the nearest point of a scan is kept."""
+
+
+def no_points() -> tuple[np.ndarray, np.ndarray]:
+    """Return the arrays of `nearest_points` for a scan without a return."""
+    return np.zeros((NUM_POINTS, 2), np.float32), np.zeros(NUM_POINTS, bool)
+
+
+def nearest_points(points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearest point of a scan in each direction from the robot.
+
+    Scans of any number of readings give arrays of one shape, so nothing compiles again.
+
+    Args:
+        points: (N, 2) returns in the frame of the robot [m].
+        pose: (3,) pose of the robot [m, m, rad].
+
+    Returns:
+        The points (NUM_POINTS, 2) in the frame of the pose [m], and which of them there are.
+    """
+    nearest, is_point = no_points()
+    distance = np.hypot(*points.T)
+    bearing = np.arctan2(points[:, 1], points[:, 0])
+    sector = np.floor((bearing / math.tau + 0.5) * NUM_POINTS).astype(int) % NUM_POINTS
+    # Of several points in a direction the nearest is written last.
+    order = np.argsort(-distance, kind="stable")
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    turned = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
+    nearest[sector[order]] = turned[order]
+    is_point[sector] = True
+    return nearest, is_point

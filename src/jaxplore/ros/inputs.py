@@ -1,0 +1,106 @@
+"""What a node hears: poses of one frame, and scans of one lidar."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from jaxplore.ros import messages
+from jaxplore.ros.link import Link
+from jaxplore.ros.messages import Mount
+from jaxplore.sensing.beams import Beams
+from jaxplore.settings.node import NodeSettings
+
+
+class _FrameCheck:
+    """Checks that all messages of a topic have the frame of the first.
+
+    Two localisations, or two lidars, on one topic would be taken for one that jumps.
+    """
+
+    def __init__(self, topic: str) -> None:
+        self._topic = topic
+        self._frame: str | None = None
+
+    def __call__(self, frame: str) -> None:
+        """Check the frame of a message.
+
+        Raises:
+            ValueError: another frame than that of the first message.
+        """
+        if self._frame is None:
+            self._frame = frame
+        elif frame != self._frame:
+            raise ValueError(
+                f"frame_id of a message of {self._topic} is {frame!r}; accepted: {self._frame!r}, "
+                "that of the first message"
+            )
+
+
+def subscribe_pose(
+    link: Link, settings: NodeSettings, take: Callable[[messages.Odometry], None]
+) -> None:
+    """Subscribe to the pose of the robot: odometry, a localisation, or transforms.
+
+    Messages that are malformed, or of another frame than the first, give a warning.
+
+    Args:
+        link: connection to ROS 2.
+        settings: topics and types.
+        take: function that takes each pose, with its time on this clock.
+
+    Raises:
+        ValueError: transforms are asked for, and their package is missing.
+    """
+    ros, topic = link.ros, settings.pose_topic
+    check = _FrameCheck(topic)
+
+    def take_pose(message: Any) -> None:
+        pose = messages.odometry_of(message)
+        check(pose.frame)
+        take(pose._replace(time=link.stamp_of(topic, pose.time)))
+
+    def take_transforms(message: Any) -> None:
+        names = settings.world_frame, settings.robot_frame
+        pose = messages.transform_of(message.transforms, *names)
+        if pose is not None:
+            take(pose._replace(time=link.stamp_of("/tf", pose.time)))
+
+    if settings.pose_type == "tf":
+        if ros.TFMessage is None:
+            raise ValueError(
+                "node.pose_type is 'tf', and tf2_msgs is not installed; accepted: odometry or pose"
+            )
+        for name in ("/tf", "/tf_static"):
+            link.subscribe(ros.TFMessage, name, take_transforms, is_kept=name == "/tf_static")
+        return
+    is_odometry = settings.pose_type == "odometry"
+    link.subscribe(ros.Odometry if is_odometry else ros.PoseWithCovarianceStamped, topic, take_pose)
+
+
+def subscribe_scan(
+    link: Link,
+    settings: NodeSettings,
+    sensor: Beams,
+    mount: Mount,
+    take: Callable[[messages.LaserScan, float], None],
+) -> None:
+    """Subscribe to the lidar; messages that are malformed, or of another lidar, give a warning.
+
+    Args:
+        link: connection to ROS 2.
+        settings: topics and types.
+        sensor: sensor that the scans are for.
+        mount: pose of the lidar on the robot.
+        take: function that takes each scan with its time on this clock, and the monotonic time at
+            which it arrived [s].
+    """
+    topic = settings.scan_topic
+    check = _FrameCheck(topic)
+
+    def take_scan(message: Any) -> None:
+        arrived = time.monotonic()
+        scan = messages.laser_scan_of(message, sensor, mount)
+        check(scan.frame)
+        take(scan._replace(time=link.stamp_of(topic, scan.time)), arrived)
+
+    link.subscribe(link.ros.LaserScan, topic, take_scan)
