@@ -2,10 +2,14 @@ import jax
 import numpy as np
 import pytest
 
-from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
+from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer, mpcc
+from jaxplore.costs import ObstacleCost
+from jaxplore.onboard.following import Following, blank_path
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
+from jaxplore.settings.defaults import arguments
+from jaxplore.settings.node import NodeContouring
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 SHAPE = (48, 64)
@@ -22,10 +26,10 @@ def rooms() -> OccupancyGrid:
     return OccupancyGrid(world, 0.1)
 
 
-def scenario_in(world: OccupancyGrid, start) -> ExplorationScenario:
-    perception = Perception(LIDAR, 0.1, 0.2, num_directions=16, margin=0.05)
+def scenario_in(world: OccupancyGrid, start, robot=ROBOT, goal=None) -> ExplorationScenario:
+    perception = Perception(LIDAR, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
     return ExplorationScenario(
-        world, ROBOT, LIDAR, start, perception=perception, target_coverage=0.97
+        world, robot, LIDAR, start, perception=perception, goal=goal, target_coverage=0.97
     )
 
 
@@ -47,8 +51,25 @@ def make_pilot():
 
     def make(**options) -> Pilot:
         controller = explorer(ROBOT, horizon=30, num_samples=128)
-        scenario = scenario_in(blank, (0.0, 0.0, 0.0))
+        # Its goal is the way back.
+        scenario = scenario_in(blank, (0.0, 0.0, 0.0), goal=(0.0, 0.0))
         return Pilot(scenario, controller, jax.random.key(5), PilotOptions(**options))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_follower():
+    """Return a maker of pilots that follow paths, all of one compiled program."""
+    blank = OccupancyGrid(np.zeros((128, 128), np.float32), 0.1, (-6.4, -6.4, 0.0))
+
+    def make(**options) -> Pilot:
+        weights = arguments(NodeContouring(num_samples=128), mpcc)
+        following = mpcc(ROBOT, blank_path(), other=ObstacleCost(), **weights)
+        scenario = scenario_in(blank, (0.0, 0.0, 0.0), following.model)
+        options, key = PilotOptions(**options), jax.random.key(5)
+        task = Following(scenario.perception)
+        return Pilot(scenario, following.controller, key, options, task)
 
     return make
 

@@ -234,9 +234,37 @@ def test_beams_start_at_the_lidar_and_not_at_the_robots_centre(make_pilot, make_
     for each in (mounted, centred):
         each.add_scan(0.1, scan, np.zeros((0, 2)))
         each.command(0.1)
-    seen = np.asarray(mounted.belief.grid.log_odds)
-    assert np.count_nonzero(seen) > 100
-    np.testing.assert_allclose(seen, np.asarray(centred.belief.grid.log_odds), atol=1e-5)
+    seen = np.asarray(mounted.belief.grid.probability)
+    assert np.count_nonzero(seen != 0.5) > 100
+    np.testing.assert_allclose(seen, np.asarray(centred.belief.grid.probability), atol=1e-5)
+
+
+def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
+    make_pilot, make_robot, drive
+) -> None:
+    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
+    before = steps.derive._cached._cache_size()
+    _, states = drive(pilot, robot, 8.0)
+    assert np.hypot(*(states[-1][:2] - states[0][:2])) > 1.5
+    pilot.task.turn_back(8.0, "told to return")
+    commands, states = drive(pilot, robot, 14.0)
+    assert pilot.finished == "told to return; the robot is back at its start"
+    assert np.hypot(*(states[-1][:2] - 1.0)) < 0.35
+    assert not commands[-1].twist.any()
+    assert robot.num_contacts == 0
+    # The way out and the way back are one program.
+    assert steps.derive._cached._cache_size() <= before + 1
+
+
+def test_a_robot_may_go_on_after_it_was_told_to_return(make_pilot, make_robot, drive) -> None:
+    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
+    drive(pilot, robot, 3.0)
+    pilot.task.turn_back(3.0, "told to return")
+    pilot.task.go_on()
+    assert not pilot.task.is_returning
+    drive(pilot, robot, 8.0)
+    assert not pilot.finished
+    assert robot.coverage > 0.5
 
 
 @pytest.mark.parametrize(

@@ -57,10 +57,22 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
     Raises:
         ValueError: a start that is not possible, or settings that a part rejects.
     """
+    scenario = build_scenario(settings, robot, world)
+    controller = build_controller(settings, world, scenario)
+    return Experiment(
+        with_latency(set_parameters(controller, settings.parameters), settings, scenario),
+        scenario,
+        max(1, round(settings.time_limit * settings.rates.control)),
+        jax.random.key(settings.seed),
+    )
+
+
+def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> ExplorationScenario:
+    """Build the scenario that settings describe in a world that is given; see `build_in`."""
     sensors = build_sensors(settings)
     perception = _perception(settings, robot, world, sensors)
     ground = world.ground
-    scenario = ExplorationScenario(
+    return ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
         robot,
         sensors,
@@ -74,13 +86,6 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
         faults=build_faults(settings.faults),
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
-    )
-    controller = build_controller(settings, world, scenario)
-    return Experiment(
-        with_latency(set_parameters(controller, settings.parameters), settings, scenario),
-        scenario,
-        max(1, round(settings.time_limit * settings.rates.control)),
-        jax.random.key(settings.seed),
     )
 
 

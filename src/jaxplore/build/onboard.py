@@ -3,15 +3,21 @@
 import jax
 import numpy as np
 
+from jaxplore import _checks
 from jaxplore.belief.perception import Perception
-from jaxplore.build.exploration import build_in
+from jaxplore.build.exploration import build_in, build_scenario
 from jaxplore.build.own import own_rule
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
+from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.onboard.following import Following, blank_path
 from jaxplore.onboard.goals import GoalChooser
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.parameters import set_parameters
+from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
@@ -96,13 +102,32 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     grid = OccupancyGrid(
         np.zeros((cells, cells), np.float32), settings.resolution, (-0.5 * side, -0.5 * side, 0.0)
     )
-    made = build_in(settings, robot, RunWorld(grid, (0.0, 0.0, 0.0)))
-    assert isinstance(made.scenario, ExplorationScenario)
-    pilot = Pilot(
-        made.scenario,
-        made.controller,
-        jax.random.key(settings.seed),
-        PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed),
-    )
+    world = RunWorld(grid, (0.0, 0.0, 0.0))
+    key = jax.random.key(settings.seed)
+    options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
+    if node.mode == "follow":
+        following = _following(settings, node, robot)
+        scenario = build_scenario(settings, following.model, world)
+        controller = set_parameters(following.controller, settings.parameters)
+        pilot = Pilot(scenario, controller, key, options, Following(scenario.perception))
+    else:
+        # The way back is one more source of the guidance field, which the explorer follows.
+        if settings.architecture == "explorer":
+            world = world._replace(goal=(0.0, 0.0))
+        made = build_in(settings, robot, world)
+        assert isinstance(made.scenario, ExplorationScenario)
+        pilot = Pilot(made.scenario, made.controller, key, options)
     pilot.is_started = node.is_autostarted
     return pilot
+
+
+def _following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:
+    """Build the contouring control of a robot that keeps clear of what its own map shows."""
+    given = settings.controller
+    avoidance = _checks.scalar("obstacle_weight", given.obstacle_weight) * ObstacleCost(
+        given.clearance
+    )
+    numbers = arguments(node.contouring, mpcc)
+    if not isinstance(robot, ContinuousDynamics):
+        numbers["comfort_weight"] = None
+    return mpcc(robot, blank_path(), other=avoidance, **numbers)

@@ -50,8 +50,9 @@ def node_options(command: Any) -> Any:
     """Add the options of the node that drives a robot."""
     mode = click.option(
         "--mode",
-        type=click.Choice(["control", "goal"]),
-        help="Drive the robot, or publish goals that nav2 drives to.  [default: control]",
+        type=click.Choice(["control", "follow", "goal"]),
+        help="Explore, follow the paths of another program, or publish goals that nav2 drives to.  "
+        "[default: control]",
     )
     # Click lists options in the reverse order of their addition.
     for option in reversed((mode, *_drive_options("runs/drive"))):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import enum
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -52,6 +53,7 @@ class PilotOptions:
         margin: distance from points of the scan that stopping must keep [m].
         done_after: time without a reachable place that is worth a visit after which the robot is
             done [s].
+        returns: whether the robot then drives back to its first position.
         lidar_x: position of the lidar ahead of the robot's centre [m].
         lidar_y: position of the lidar to the left of it [m].
         is_obeyed: whether the robot executes the commands. In the replay of a drive it does not:
@@ -70,16 +72,26 @@ class PilotOptions:
     max_angular_deceleration: float = 20.0
     margin: float = 0.03
     done_after: float = 3.0
+    returns: bool = False
     lidar_x: float = 0.0
     lidar_y: float = 0.0
     is_obeyed: bool = True
 
     def __post_init__(self) -> None:
         _kinds.flag("is_obeyed", self.is_obeyed)
+        _kinds.flag("returns", self.returns)
         for name, value in dataclasses.asdict(self).items():
             if name in ("lidar_x", "lidar_y"):
                 _checks.number(name, value)
             elif name in ("latency", "margin"):
                 _checks.number(name, value, at_least=0.0)
-            elif name != "is_obeyed":
+            elif name not in ("is_obeyed", "returns"):
                 _checks.number(name, value, above=0.0)
+
+    def slower(self, twist: np.ndarray, seconds: float) -> np.ndarray:
+        """Return the velocity (3,) of a ramp to zero after some time [s]; its direction stays."""
+        speed = math.hypot(*twist[:2])
+        slower = max(0.0, speed - self.max_deceleration * seconds)
+        scale = slower / speed if speed > 0.0 else 0.0
+        turn = max(0.0, abs(twist[2]) - self.max_angular_deceleration * seconds)
+        return np.append(scale * twist[:2], math.copysign(turn, twist[2]))

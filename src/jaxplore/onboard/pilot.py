@@ -1,5 +1,6 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
+import dataclasses
 import math
 from typing import Any, NamedTuple
 
@@ -16,8 +17,9 @@ from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
-from jaxplore.onboard.scan_points import nearest_points, no_points
+from jaxplore.onboard.scan_points import lidar_pose, nearest_points, no_points
 from jaxplore.onboard.sent import SentCommands
+from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
@@ -57,6 +59,7 @@ class Pilot:
         controller: controller of the robot.
         key: random key of all steps.
         options: numbers of the pilot; the defaults when absent.
+        task: what the robot drives for; exploration when absent.
 
     Raises:
         ValueError: an argument of another class, a scenario with several sensors.
@@ -68,6 +71,7 @@ class Pilot:
         controller: Controller,
         key: Key,
         options: PilotOptions | None = None,
+        task: DriveTask | None = None,
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.instance("controller", controller, Controller)
@@ -83,10 +87,14 @@ class Pilot:
         self.check = StopCheck(self.options.margin)
         self.is_started = True
         self.log = DriveLog(scenario)
+        if task is None:
+            given = self.options
+            task = Exploring(scenario.perception, given.done_after, returns=given.returns)
+        self.task = task
         self._key = key
         self._history = PoseHistory(self.options.max_jump)
         self._offset = np.zeros(2)
-        self._task: ExplorationState = scenario.init(None)[0]
+        self._known: ExplorationState = scenario.init(None)[0]
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
         self._expected = np.asarray(scenario.start)
@@ -99,15 +107,14 @@ class Pilot:
         self._points = no_points()
         self._mapped_at = self._derived_at = -math.inf
         self._data = DataCheck(self.options, self._history)
-        self._worth_at = -math.inf
         self._number = 0
         self.num_replaced = 0
-        self._finished, self._is_explored = "", False
+        self._finished = ""
 
     @property
     def belief(self) -> Any:
         """What the robot knows, relative to the first position."""
-        return self._task.belief
+        return self._known.belief
 
     @property
     def offset(self) -> np.ndarray:
@@ -129,8 +136,8 @@ class Pilot:
         """Compile everything that the loop calls, so that no command waits for it."""
         scan = Scan(jnp.zeros(self.sensor.num_beams), jnp.zeros(self.sensor.num_beams, bool))
         pose = jnp.zeros(3)
-        belief, _ = steps.observe(self.scenario.perception, self.belief, scan, pose, jnp.ones(()))
-        belief, _ = steps.derive(self.scenario.perception, belief, pose, jnp.ones(()))
+        belief, _ = steps.observe(self.task.perception, self.belief, scan, pose, jnp.ones(()))
+        belief, _ = steps.derive(self.task.perception, belief, pose, jnp.ones(()))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
         shown = self.make_frame()
         jax.block_until_ready((belief, planned, vars(shown)))  # type: ignore[no-untyped-call]
@@ -190,7 +197,11 @@ class Pilot:
                 Mode.WAITING if self._history.last is None or self._scan is None else Mode.BRAKING
             )
             return self._stopping(now, elapsed, mode, problem)
+        self._adapt()
         state = self._state(now)
+        waits_for = self.task.waits_for(np.asarray(state[:2]))
+        if waits_for:
+            return self._stopping(now, elapsed, Mode.WAITING, waits_for)
         if not self.options.is_obeyed:
             self._expected = state
             self._sent.clear()
@@ -241,29 +252,26 @@ class Pilot:
         period = float(self.scenario.steps_per_field) * self.period
         if self._history.last is None or now - self._derived_at < period - 1e-3:
             return False
+        if not self.task.has_fields:
+            return False
         elapsed = period if not math.isfinite(self._derived_at) else now - self._derived_at
         pose = self._local(self._history.last.pose)
-        belief, has_worth = steps.derive(
-            self.scenario.perception,
+        belief, cost = steps.derive(
+            self.task.perception,
             self.belief,
             jnp.asarray(pose, jnp.float32),
             jnp.asarray(elapsed, jnp.float32),
         )
-        self._task = self._task._replace(belief=belief)
+        self._known = self._known._replace(belief=belief)
         self._derived_at = now
-        # Before the first scans nothing is known, and a map that does not grow is not a reason.
-        if bool(has_worth) or not self.is_started or not math.isfinite(self._worth_at):
-            self._worth_at = now
-        elif now - self._worth_at > self.options.done_after:
-            self._finished = "no place that is worth a visit is reachable"
-            self._is_explored = True
+        self.finish(self.task.update(now, float(cost), pose[:2], is_started=self.is_started))
         return True
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
 
         Args:
-            reason: why, in a few words.
+            reason: why, in a few words; with an empty one it goes on.
         """
         self._finished = self._finished or reason
 
@@ -281,29 +289,34 @@ class Pilot:
             self.scenario,
             self.controller,
             self._memory,
-            self._task._replace(robot=jnp.asarray(state)),
+            self._known._replace(robot=jnp.asarray(state)),
             readings,
             self._next_key(),
             NUM_TRAJECTORIES,
         )
         made = self.scenario.make_frame(self.log.num_steps, arrays)
         assert isinstance(made, ExplorationFrame)
-        return made
+        return (
+            dataclasses.replace(made, reference=self.task.reference)
+            if self.task.reference.size
+            else made
+        )
 
     def recording(self) -> ExplorationRecording:
         """Make the recording of the drive; its final map stands for the world."""
         self.log.frames.add_last(self.make_frame())
-        return self.log.recording(self.belief, is_done=self._is_explored)
+        return self.log.recording(self.belief, is_done=self.task.is_done)
+
+    def _adapt(self) -> None:
+        """Let the task change the controller and the model, such as for another path."""
+        assert self._history.last is not None
+        before = Driver(self.controller, self.robot, self._expected)
+        place = self._local(self._history.last.pose)[:2].astype(np.float32)
+        self.controller, self.robot, self._expected = self.task.adapted(before, self._offset, place)
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose relative to the origin of the belief."""
         return np.asarray(pose - np.append(self._offset, 0.0))
-
-    def _lidar_pose(self, pose: np.ndarray) -> np.ndarray:
-        """Return the pose of the lidar, where the beams start; its turn is in their angles."""
-        x, y = self.options.lidar_x, self.options.lidar_y
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        return np.asarray(pose + np.array([cos * x - sin * y, sin * x + cos * y, 0.0]))
 
     def _state(self, now: float) -> np.ndarray:
         """Return the newest measured state (nx,), relative to the origin of the belief."""
@@ -322,14 +335,15 @@ class Pilot:
         if new.time - self._mapped_at < period - 0.5 * self.period:
             return new.time
         elapsed = period if not math.isfinite(self._mapped_at) else new.time - self._mapped_at
+        options = self.options
         mapped = steps.observe(
-            self.scenario.perception,
+            self.task.perception,
             self.belief,
             new.scan,
-            jnp.asarray(self._lidar_pose(pose), jnp.float32),
+            jnp.asarray(lidar_pose(pose, options.lidar_x, options.lidar_y), jnp.float32),
             jnp.asarray(elapsed, jnp.float32),
         )
-        self._task = self._task._replace(belief=mapped.belief)
+        self._known = self._known._replace(belief=mapped.belief)
         self.log.add_known(now, np.asarray(mapped.is_free))
         self._mapped_at = new.time
         return new.time
@@ -357,15 +371,7 @@ class Pilot:
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
         """Return the next command of a ramp to zero."""
-        options, seconds = self.options, min(elapsed, 2.0 * self.period)
-        speed = math.hypot(*self._twist[:2])
-        slower = max(0.0, speed - options.max_deceleration * seconds)
-        scale = slower / speed if speed > 0.0 else 0.0
-        turn = math.copysign(
-            max(0.0, abs(self._twist[2]) - options.max_angular_deceleration * seconds),
-            self._twist[2],
-        )
-        self._twist = np.append(scale * self._twist[:2], turn)
+        self._twist = self.options.slower(self._twist, min(elapsed, 2.0 * self.period))
         if self._history.last is not None:
             state = self._state(now)
             # From here on the robot is expected to be as fast as it is told.

@@ -1,4 +1,4 @@
-"""The points of a scan that a command is checked against."""
+"""Where the beams of a scan start, and the points that a command is checked against."""
 
 import math
 
@@ -36,3 +36,15 @@ def nearest_points(points: np.ndarray, pose: np.ndarray) -> tuple[np.ndarray, np
     nearest[sector[order]] = turned[order]
     is_point[sector] = True
     return nearest, is_point
+
+
+def lidar_pose(pose: np.ndarray, x: float, y: float) -> np.ndarray:
+    """Return the pose (3,) from which beams start; a turn of the lidar is in their angles.
+
+    Args:
+        pose: (3,) pose of the robot [m, m, rad].
+        x: position of the lidar ahead of the robot's centre [m].
+        y: position of the lidar to the left of it [m].
+    """
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    return np.asarray(pose + np.array([cos * x - sin * y, sin * x + cos * y, 0.0]))

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.perception import LEFTOVER_DETOUR, Perception
+from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
 from jaxplore.control.latency import predicted_state
 from jaxplore.control.validation import StopCheck
@@ -78,13 +78,10 @@ def observe(
 @eqx.filter_jit
 def derive(
     perception: Perception, belief: Belief, pose: Pose, elapsed: Scalar
-) -> tuple[Belief, Flag]:
-    """Update the fields; return them, and whether a place with enough information is reachable."""
+) -> tuple[Belief, Scalar]:
+    """Update the fields; return them, and the cost-to-go of the guidance field at the robot [m]."""
     belief = perception.update_fields(belief, pose, elapsed)
-    cost = belief.guidance(pose[:2])
-    # Places with little information have a detour of their own, and without any place the field
-    # has no finite cost.
-    return belief, jnp.isfinite(cost) & (cost < 0.5 * LEFTOVER_DETOUR)
+    return belief, belief.guidance(pose[:2])
 
 
 @eqx.filter_jit

@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxplore.onboard.following import Following
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
-from jaxplore.ros import messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.drive_publisher import DrivePublisher
 from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
 from jaxplore.ros.link import Link
@@ -28,7 +29,7 @@ NODE = "jaxplore"
 """Name of the node."""
 MOST_STATE = 10_000
 """Greatest length of the state of another node that is read."""
-ORDERS = ("start", "pause", "stop")
+ORDERS = ("start", "pause", "return", "stop")
 """Orders that the node takes."""
 
 
@@ -99,6 +100,8 @@ class ControlNode:
         self._began = math.inf
         subscribe_scan(link, settings, pilot.sensor, lidar_mount(settings), self._take_scan)
         subscribe_pose(link, settings, self._take_pose)
+        if isinstance(pilot.task, Following):
+            link.subscribe(ros.Path, settings.path_topic, partial(self._take_path, pilot.task))
         link.subscribe(ros.String, "~/command", self._take_order)
         link.subscribe(ros.String, "~/state", self._take_state)
         for order in ORDERS:
@@ -135,6 +138,14 @@ class ControlNode:
         with self._lock:
             self._poses.append(pose)
 
+    def _take_path(self, task: Following, message: Any) -> None:
+        frame, poses = map_messages.path_of(message)
+        if frame != self._frame_name:
+            raise ValueError(
+                f"frame_id of a path is {frame!r}; accepted: {self._frame_name!r}, that of the pose"
+            )
+        task.take(poses[:, :2])
+
     def _take_order(self, message: Any) -> None:
         if message.data not in ORDERS:
             given = messages.text_of(repr(message.data))
@@ -142,7 +153,13 @@ class ControlNode:
         self._order(message.data)
 
     def _order(self, order: str) -> str:
-        """Take an order; return what happens, for the caller of a service."""
+        """Take an order; return what happens, for the caller of a service.
+
+        Raises:
+            ValueError: an order that this drive cannot obey.
+        """
+        if order == "return":
+            self.pilot.task.check_return()
         with self._lock:
             self._orders.append(order)
         self._wake.set()
@@ -244,10 +261,18 @@ class ControlNode:
         if parameters:
             pilot.controller = set_parameters(pilot.controller, parameters)
         for order in orders:
-            if order == "stop":
-                pilot.finish("stopped by command")
-            pilot.is_started = order == "start"
+            self._obey(order)
         return scans[-1][0] if scans else None
+
+    def _obey(self, order: str) -> None:
+        pilot = self.pilot
+        pilot.is_started = order in ("start", "return")
+        if order == "start":
+            pilot.task.go_on()
+        elif order == "return":
+            pilot.task.turn_back(self.link.now(), "told to return")
+        elif order == "stop":
+            pilot.finish("stopped by command")
 
     def _next_command(self, deadline: float) -> Command:
         """Compute a command, or take the next one of the last plan at the deadline."""

@@ -132,13 +132,16 @@ class Link:
 
         Args:
             name: name of the service.
-            handle: function that does it and returns a message.
+            handle: function that does it and returns a message; a `ValueError` is a failure.
         """
         if self.ros.Trigger is None:
             return
 
         def serve(_: Any, response: Any) -> Any:
-            response.success, response.message = True, handle()
+            try:
+                response.success, response.message = True, handle()
+            except ValueError as error:
+                response.success, response.message = False, str(error)
             return response
 
         self.node.create_service(self.ros.Trigger, name, serve)

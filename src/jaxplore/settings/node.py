@@ -3,17 +3,35 @@
 from typing import Literal
 
 from jaxplore.onboard.options import PilotOptions
+from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.settings.defaults import setting
+from jaxplore.settings.path import ContouringNumbers
 from jaxplore.settings.sections import NonNegative, Positive, Section
+
+
+class NodeContouring(ContouringNumbers):
+    """Contouring control along the paths of another program, by a robot on a floor: see
+    `jaxplore.mpcc`."""
+
+    temperature: Positive = setting(mpcc, "temperature", differs="node.contouring.temperature")
+    contouring_weight: NonNegative = setting(
+        mpcc, "contouring_weight", differs="node.contouring.contouring_weight"
+    )
+    lag_weight: NonNegative = setting(mpcc, "lag_weight", differs="node.contouring.lag_weight")
+    progress_weight: NonNegative = setting(
+        mpcc, "progress_weight", differs="node.contouring.progress_weight"
+    )
 
 
 class NodeSettings(Section):
     """The node that drives a robot, in the section `node` of a settings file.
 
     Args:
-        mode: `control` drives the robot; `goal` chooses goals on a map, and nav2 drives.
+        mode: `control` explores; `follow` drives along the paths of another program; `goal`
+            chooses goals on a map, and nav2 drives.
         map_topic: topic of the map, for goals.
         goal_topic: topic of the goals.
+        path_topic: topic of the paths to follow, `nav_msgs/Path`.
         scan_topic: topic of the lidar, `sensor_msgs/LaserScan`.
         pose_topic: topic of the pose: `nav_msgs/Odometry`, or `PoseWithCovarianceStamped`.
         pose_type: type of the pose's messages; `tf` looks up `world_frame` to `robot_frame`.
@@ -28,11 +46,13 @@ class NodeSettings(Section):
         is_lidar_inverted: whether the lidar hangs upside down.
         deadline: share of the control period after which the last plan's next command is sent.
         is_autostarted: whether the robot drives at once, or waits for `start`.
+        contouring: contouring control along the paths of the mode `follow`.
     """
 
-    mode: Literal["control", "goal"] = "control"
+    mode: Literal["control", "follow", "goal"] = "control"
     map_topic: str = "/map"
     goal_topic: str = "/goal_pose"
+    path_topic: str = "/plan"
     scan_topic: str = "/scan"
     pose_topic: str = "/odom"
     pose_type: Literal["odometry", "pose", "tf"] = "odometry"
@@ -55,3 +75,5 @@ class NodeSettings(Section):
     max_angular_deceleration: Positive = setting(PilotOptions, "max_angular_deceleration")
     margin: NonNegative = setting(PilotOptions, "margin")
     done_after: Positive = setting(PilotOptions, "done_after")
+    returns: bool = setting(PilotOptions, "returns")
+    contouring: NodeContouring = NodeContouring()

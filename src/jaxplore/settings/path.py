@@ -97,14 +97,8 @@ class PathObstacleSettings(Section):
     turn_growth: NonNegative = setting(PathScenario, "turn_growth")
 
 
-class ContouringSettings(Section):
-    """Contouring control: see `jaxplore.mpcc`.
-
-    Args:
-        risk_level: level of the conditional value at risk of the obstacle cost over `num_outcomes`
-            sampled motions of the obstacles; the cost of the mean motion, with `caution`, when
-            absent.
-    """
+class ContouringNumbers(Section):
+    """Contouring control along any path: see `jaxplore.mpcc`."""
 
     horizon: Count = setting(mpcc, "horizon")
     num_samples: Count = setting(mpcc, "num_samples")
@@ -115,10 +109,21 @@ class ContouringSettings(Section):
     progress_weight: NonNegative = setting(mpcc, "progress_weight")
     noise_share: Positive = setting(mpcc, "noise_share")
     progress_noise: Positive = setting(mpcc, "progress_noise")
-    corridor_margin: NonNegative = setting(mpcc, "corridor_margin")
     max_lateral: Positive = setting(mpcc, "max_lateral")
     max_longitudinal: Positive = setting(mpcc, "max_longitudinal")
     comfort_weight: NonNegative = setting(mpcc, "comfort_weight")
+
+
+class ContouringSettings(ContouringNumbers):
+    """Contouring control along a path with a corridor and obstacles: see `jaxplore.mpcc`.
+
+    Args:
+        risk_level: level of the conditional value at risk of the obstacle cost over `num_outcomes`
+            sampled motions of the obstacles; the cost of the mean motion, with `caution`, when
+            absent.
+    """
+
+    corridor_margin: NonNegative = setting(mpcc, "corridor_margin")
     risk_level: Annotated[float, Field(ge=0, lt=1)] | None = None
     num_outcomes: Count = setting(mpcc, "num_outcomes")
 

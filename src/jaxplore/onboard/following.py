@@ -1,0 +1,169 @@
+"""Following of a path that another program plans, on the robot's own map."""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.path_parameter import PathParameter
+from jaxplore.geometry.path import Path
+from jaxplore.onboard.tasks import Driver, DriveTask
+
+NUM_NODES = 1025
+"""Number of nodes of a path: paths of any length share a program."""
+SPACING = 0.05
+"""Distance between the points of a path that is smoothed [m]."""
+SMOOTHING = 0.15
+"""Standard deviation of the smoothing along the path [m]. Paths of planners on grids have corners
+at every cell."""
+SHOWN = 16
+"""Every how many nodes of a path are shown in pictures."""
+LEAST_LENGTH = 0.05
+"""Least length of a path [m]."""
+MOST_LENGTH = 10_000.0
+"""Greatest length of a path [m]."""
+END_RADIUS = 0.25
+"""Distance from the end of the path at which the robot is there [m]."""
+
+
+class Following(DriveTask):
+    """Drive along a path; at its end, and without one, the robot stands.
+
+    Args:
+        perception: perception of the pilot.
+    """
+
+    has_fields = False
+
+    def __init__(self, perception: Perception) -> None:
+        super().__init__(perception)
+        self._new: tuple[Path, np.ndarray] | None = None
+        self._path: Path | None = None
+        self._end = np.zeros(2)
+
+    @property
+    def reference(self) -> np.ndarray:
+        """Points (N, 2) of the path, relative to the origin of the belief [m]; none before it."""
+        if self._path is None:
+            return super().reference
+        return np.asarray(self._path.points)[::SHOWN]
+
+    def take(self, points: np.ndarray) -> None:
+        """Take a path, to be followed from the next command on.
+
+        Args:
+            points: (N, 2) points in the frame of the odometry [m].
+
+        Raises:
+            ValueError: as of `path_of_points`.
+        """
+        given = np.asarray(points, np.float64).reshape(-1, 2)
+        # Far from the origin, single precision has centimetres only.
+        first = given[0] if len(given) else np.zeros(2)
+        self._new = path_of_points(given - first), first
+
+    def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+        """Return a driver for the newest path, from its point that is nearest to the robot."""
+        new, self._new = self._new, None
+        if new is None:
+            return driver
+        path, first = new
+        path = eqx.tree_at(lambda each: each.points, path, path.points + (first - offset))
+        self._path, self._end = path, np.asarray(path.points[-1], np.float64)
+        self.is_done = False
+        controller, robot = along_path((driver.controller, driver.robot), path)
+        expected = driver.expected.copy()
+        expected[robot.state_names.index("phi")] = nearest_parameter(path, jnp.asarray(place))
+        return Driver(controller, robot, expected)
+
+    def waits_for(self, place: np.ndarray) -> str:
+        """Return why the robot stands; empty if it drives."""
+        if self._path is None:
+            return "no path yet"
+        self.is_done = self.is_done or math.hypot(*(place - self._end)) <= END_RADIUS
+        return "at the end of the path" if self.is_done else ""
+
+
+def path_of_points(points: np.ndarray) -> Path:
+    """Return a smooth open path along points.
+
+    The points are joined by straight lines, which are resampled and smoothed by a Gaussian along
+    the path. Both ends stay where they are.
+
+    Args:
+        points: (N, 2) points in order [m].
+
+    Raises:
+        ValueError: points that are not finite, a path that is too short or too long.
+    """
+    given = np.asarray(points, np.float64).reshape(-1, 2)
+    if not np.isfinite(given).all():
+        raise ValueError("path has a point that is not finite; accepted: finite numbers")
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(given, axis=0).T))])
+    if not (len(given) and LEAST_LENGTH <= along[-1] <= MOST_LENGTH):
+        length = float(along[-1]) if len(given) else 0.0
+        raise ValueError(
+            f"path is {length:g} m long; accepted: {LEAST_LENGTH:g} to {MOST_LENGTH:g} m"
+        )
+    number = max(4, round(along[-1] / SPACING) + 1)
+    even = np.linspace(0.0, along[-1], number)
+    dense = np.stack([np.interp(even, along, column) for column in given.T], axis=-1)
+    # Mirrored at its ends, a smoothed line still ends where it did.
+    width = min(number - 1, math.ceil(4.0 * SMOOTHING / SPACING))
+    padded = np.pad(dense, ((width, width), (0, 0)), mode="reflect", reflect_type="odd")
+    smooth = gaussian_filter1d(padded, SMOOTHING / SPACING, axis=0)[width:-width]
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+
+    def position(phi: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(phi, arc, column) for column in smooth.T], axis=-1)
+
+    pieces = np.diff(smooth, axis=0)
+    pieces /= np.maximum(np.hypot(*pieces.T), 1e-12)[:, None]
+
+    def direction(phi: np.ndarray) -> np.ndarray:
+        step = 0.5 * SPACING
+        chord = position(phi + step) - position(phi - step)
+        size = np.hypot(*chord.T)[:, None]
+        # Where the path turns back on itself, the chord vanishes.
+        index = np.clip(np.searchsorted(arc, phi) - 1, 0, len(pieces) - 1)
+        return np.where(size > 0.1 * step, chord / np.maximum(size, 1e-12), pieces[index])
+
+    return Path(position, direction, float(arc[-1]), num_nodes=NUM_NODES)
+
+
+def blank_path() -> Path:
+    """Return the path with which a controller is compiled: of a metre along x."""
+    return path_of_points(np.array([[0.0, 0.0], [1.0, 0.0]]))
+
+
+def along_path[T](tree: T, path: Path) -> T:
+    """Return a controller or a model with another path; its other numbers stay.
+
+    Args:
+        tree: a controller or a model of a robot with its progress along a path.
+        path: the path, with `NUM_NODES` nodes.
+    """
+
+    def is_part(part: object) -> bool:
+        return isinstance(part, (Path, PathParameter))
+
+    def replaced(part: Any) -> Any:
+        if isinstance(part, Path):
+            return path
+        if isinstance(part, PathParameter):
+            return eqx.tree_at(lambda each: each.end, part, path.length)
+        return part
+
+    changed: T = jax.tree.map(replaced, tree, is_leaf=is_part)
+    return changed
+
+
+@eqx.filter_jit
+def nearest_parameter(path: Path, place: jax.Array) -> jax.Array:
+    """Return the arc length of the point of a path that is nearest to a position (2,) [m]."""
+    return jnp.asarray(path.nearest(place))

@@ -1,0 +1,194 @@
+"""What a pilot drives for: a task says when the robot waits and when it is done."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore.belief.perception import LEFTOVER_DETOUR, Perception
+from jaxplore.control.base import Controller
+from jaxplore.dynamics.base import Dynamics
+
+HOME_RADIUS = 0.3
+"""Distance from its first position at which a robot is back [m]."""
+LOST_SECONDS = 10.0
+"""Time without a way back after which a robot gives it up [s]."""
+NOTHING_LEFT = "no place that is worth a visit is reachable"
+
+
+class Driver(NamedTuple):
+    """What drives the robot: the controller, the model, and the state that the model expects.
+
+    Args:
+        controller: controller of the robot.
+        robot: model of the robot.
+        expected: (nx,) state that the last command leads to.
+    """
+
+    controller: Controller
+    robot: Dynamics
+    expected: np.ndarray
+
+
+class DriveTask:
+    """What a pilot drives for; by default a drive that nothing ends.
+
+    Args:
+        perception: perception of the pilot.
+    """
+
+    has_fields = True
+    """Whether the controller reads the information and guidance fields."""
+
+    def __init__(self, perception: Perception) -> None:
+        self.perception = perception
+        self.is_done = False
+
+    def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
+        """Return what drives the robot from now on; the same if nothing has changed.
+
+        Args:
+            driver: what has driven it so far.
+            offset: (2,) position of the origin of the belief in the frame of the odometry [m].
+            place: (2,) position relative to that origin [m].
+        """
+        return driver
+
+    def waits_for(self, place: np.ndarray) -> str:
+        """Return why the robot stands; empty if it drives.
+
+        Args:
+            place: (2,) position relative to the origin of the belief [m].
+        """
+        return ""
+
+    @property
+    def reference(self) -> np.ndarray:
+        """Points (N, 2) that pictures show as the reference [m]; none by default."""
+        return np.zeros((0, 2), np.float32)
+
+    def check_return(self) -> None:
+        """Check that the robot can be told to drive back to its start.
+
+        Raises:
+            ValueError: it cannot.
+        """
+        raise ValueError(
+            "the robot cannot drive back to its start; accepted: in the mode control with the "
+            "architecture explorer, which follows the guidance field"
+        )
+
+    def turn_back(self, now: float, reason: str) -> None:
+        """Drive back to the start from now on.
+
+        Args:
+            now: present time [s].
+            reason: why, in a few words.
+
+        Raises:
+            ValueError: as of `check_return`.
+        """
+        self.check_return()
+
+    def go_on(self) -> None:
+        """Go on with the task, also after the robot was told to turn back."""
+
+    def update(self, now: float, cost: float, place: np.ndarray, *, is_started: bool) -> str:
+        """Take note of new fields; return why the drive is done, empty if it goes on.
+
+        Args:
+            now: present time [s].
+            cost: cost-to-go of the guidance field at the robot [m].
+            place: (2,) position relative to the origin of the belief [m].
+            is_started: whether the robot may drive.
+        """
+        return ""
+
+
+class Exploring(DriveTask):
+    """Exploration until no place is worth a visit, and then the way back if it is wanted.
+
+    The way back is that of the guidance field, whose only source is the start once the map counts
+    as explored. That needs a perception whose goal is the start.
+
+    Args:
+        perception: perception of the pilot.
+        done_after: time without a place that is worth a visit after which the robot is done [s].
+        returns: whether it then drives back to its start.
+
+    Raises:
+        ValueError: `returns` with a perception without a goal.
+    """
+
+    def __init__(self, perception: Perception, done_after: float, *, returns: bool = False) -> None:
+        super().__init__(perception)
+        self._done_after, self._returns = done_after, returns
+        self._worth_at = -math.inf
+        self._way_at: float | None = None
+        self._reason = ""
+        if perception.goal is not None:
+            # The share of unknown cells below which only the goal counts, so that both ways of
+            # driving share a program: never, and always.
+            self.perception = _with_max_unknown(perception, 0.0)
+        if returns:
+            self.check_return()
+
+    @property
+    def is_returning(self) -> bool:
+        """Whether the robot drives back to its start."""
+        return self._way_at is not None
+
+    def check_return(self) -> None:
+        """Check that the robot can be told to drive back to its start."""
+        if self.perception.goal is None:
+            super().check_return()
+
+    def turn_back(self, now: float, reason: str) -> None:
+        """Drive back to the start from now on."""
+        self.check_return()
+        if not self.is_returning:
+            self._way_at, self._reason = now, reason
+            self.perception = _with_max_unknown(self.perception, 1.0)
+
+    def go_on(self) -> None:
+        """Explore, also after the robot was told to turn back."""
+        if self.is_returning:
+            self._way_at, self._worth_at = None, -math.inf
+            self.perception = _with_max_unknown(self.perception, 0.0)
+
+    def update(self, now: float, cost: float, place: np.ndarray, *, is_started: bool) -> str:
+        """Take note of new fields; return why the drive is done, empty if it goes on."""
+        if self.is_returning:
+            return self._returning(now, cost, place)
+        # Places with little information, and the goal, have a detour of their own; without any
+        # place the field has no finite cost.
+        has_worth = math.isfinite(cost) and cost < 0.5 * LEFTOVER_DETOUR
+        # Before the first scans nothing is known, and a map that does not grow is not a reason.
+        if has_worth or not is_started or not math.isfinite(self._worth_at):
+            self._worth_at = now
+        elif now - self._worth_at > self._done_after:
+            self.is_done = True
+            if not self._returns:
+                return NOTHING_LEFT
+            self.turn_back(now, NOTHING_LEFT)
+        return ""
+
+    def _returning(self, now: float, cost: float, place: np.ndarray) -> str:
+        goal = np.asarray(self.perception.goal)
+        if math.hypot(*(place - goal)) <= HOME_RADIUS:
+            return f"{self._reason}; the robot is back at its start"
+        assert self._way_at is not None
+        if math.isfinite(cost):
+            self._way_at = now
+        elif now - self._way_at > LOST_SECONDS:
+            return f"{self._reason}; no way back to the start is known"
+        return ""
+
+
+def _with_max_unknown(perception: Perception, share: float) -> Perception:
+    changed: Perception = eqx.tree_at(
+        lambda each: each.max_unknown, perception, jnp.asarray(share, jnp.float32)
+    )
+    return changed
