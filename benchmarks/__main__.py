@@ -22,6 +22,7 @@ from benchmarks import (
     informative,
     path_following,
     portfolio_step,
+    robot,
     sensitivity,
     tuning,
     view,
@@ -160,6 +161,13 @@ def _view(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {"view": rows}
 
 
+def _robot(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    found = robot.measure()
+    console.print(table("The node with a simulated robot in another process", found["drives"]))
+    console.print(table("Memory of the node while it follows paths", found["memory"]))
+    return {"robot": found}
+
+
 def _first_hour(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = first_hour.measure()
     console.print(table("First hour: whole commands in fresh processes", rows))
@@ -177,6 +185,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "exploration": _exploration,
     "first_hour": _first_hour,
     "view": _view,
+    "robot": _robot,
 }
 
 

@@ -244,10 +244,10 @@ def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
 ) -> None:
     pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
     before = steps.derive._cached._cache_size()
-    _, states = drive(pilot, robot, 8.0)
-    assert np.hypot(*(states[-1][:2] - states[0][:2])) > 1.5
-    pilot.task.turn_back(8.0, "told to return")
-    commands, states = drive(pilot, robot, 14.0)
+    _, states = drive(pilot, robot, 4.0)
+    assert np.hypot(*(states[-1][:2] - states[0][:2])) > 1.0
+    pilot.task.turn_back(4.0, "told to return")
+    commands, states = drive(pilot, robot, 8.0)
     assert pilot.finished == "told to return; the robot is back at its start"
     assert np.hypot(*(states[-1][:2] - 1.0)) < 0.35
     assert not commands[-1].twist.any()
@@ -256,15 +256,25 @@ def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
     assert steps.derive._cached._cache_size() <= before + 1
 
 
-def test_a_robot_may_go_on_after_it_was_told_to_return(make_pilot, make_robot, drive) -> None:
-    pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
-    drive(pilot, robot, 3.0)
-    pilot.task.turn_back(3.0, "told to return")
-    pilot.task.go_on()
-    assert not pilot.task.is_returning
-    drive(pilot, robot, 8.0)
-    assert not pilot.finished
-    assert robot.coverage > 0.5
+def test_an_order_to_go_on_ends_the_way_back(make_pilot) -> None:
+    task = make_pilot().task
+    task.turn_back(3.0, "told to return")
+    assert task.is_returning
+    assert float(task.perception.max_unknown) == 1.0
+    task.go_on()
+    assert not task.is_returning
+    assert float(task.perception.max_unknown) == 0.0
+
+
+def test_a_way_back_that_is_blocked_is_given_up(make_pilot) -> None:
+    task = make_pilot().task
+    task.turn_back(3.0, "told to return")
+    far = np.array([3.0, 1.0])
+    assert task.update(4.0, np.inf, far, is_started=True) == ""
+    assert task.update(5.0, 503.0, far, is_started=True) == ""
+    assert task.update(14.0, np.inf, far, is_started=True) == ""
+    ended = task.update(15.5, np.inf, far, is_started=True)
+    assert ended == "told to return; no way back to the start is known"
 
 
 @pytest.mark.parametrize(

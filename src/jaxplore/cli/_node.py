@@ -87,6 +87,7 @@ def drive(options: dict[str, Any]) -> None:
             )
         )
     rows.append(("replaced by braking", str(pilot.num_replaced)))
+    rows.append(("compiled while driving", str(times.num_compiled)))
     print_table(rows, has_header=False)
     if driver.gave_way:
         raise ValueError(driver.gave_way)

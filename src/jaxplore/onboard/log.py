@@ -3,7 +3,7 @@
 import csv
 import io
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxplore.belief.belief import Belief
 from jaxplore.maps.collision import footprint_clearance
 from jaxplore.onboard.frames import EvenFrames
+from jaxplore.onboard.rows import Rows
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -25,15 +26,8 @@ BATCH = 1024
 """Number of states whose clearance is computed by one call of a compiled program."""
 
 
-class _Row(NamedTuple):
-    """What is kept of a command."""
-
-    time: float
-    state: np.ndarray
-    control: np.ndarray
-    effective_sample_size: float
-    is_finite: bool
-    is_faulty: bool
+TIME, SAMPLES, FINITE, FAULTY, STATE = range(5)
+"""Columns of the table of commands; the state begins at the last one, and the control follows."""
 
 
 class DriveLog:
@@ -50,9 +44,12 @@ class DriveLog:
 
     def __init__(self, scenario: ExplorationScenario) -> None:
         self._scenario = scenario
-        self._rows: list[_Row] = []
+        size = scenario.robot.state_size
+        self._rows = Rows(STATE + size + scenario.robot.control_size)
+        self._control = STATE + size
         self._known_at = np.full(scenario.map_arrays.world.shape, np.inf, np.float32)
-        self._commands: list[tuple[float, np.ndarray, str, str]] = []
+        self._commands = Rows(5)
+        self._texts: dict[tuple[str, str], int] = {}
         self.frames = EvenFrames()
 
     @property
@@ -60,7 +57,8 @@ class DriveLog:
         """Number of control periods since the first entry."""
         if len(self._rows) < 2:
             return 0
-        return round((self._rows[-1].time - self._rows[0].time) / self._scenario.period)
+        times = self._rows.array[:, TIME]
+        return round(float(times[-1] - times[0]) / self._scenario.period)
 
     @property
     def num_commands(self) -> int:
@@ -92,20 +90,26 @@ class DriveLog:
             is_finite: whether a rollout was finite.
             is_faulty: whether the robot brakes for a fault, or the check replaced the command.
         """
-        self._rows.append(_Row(time, state, control, effective_sample_size, is_finite, is_faulty))
+        numbers = time, effective_sample_size, is_finite, is_faulty
+        self._rows.add(*numbers, *state.tolist(), *control.tolist())
 
     def add_command(self, time: float, twist: np.ndarray, mode: str, reason: str) -> None:
         """Add a velocity command (vx, vy, omega), with what the pilot does and why."""
-        self._commands.append((time, twist, mode, reason))
+        # Most commands have the same text, which is kept once.
+        text = self._texts.setdefault((mode, reason), len(self._texts))
+        self._commands.add(time, *twist.tolist(), text)
 
     def command_table(self) -> str:
         """Return all commands as CSV: time since the first [s], velocities, mode and reason."""
         lines = io.StringIO()
         table = csv.writer(lines)
         table.writerow(("time", "vx", "vy", "omega", "mode", "reason"))
-        for time, twist, mode, reason in self._commands:
-            since = time - self._commands[0][0]
-            table.writerow((f"{since:.4f}", *(f"{each:.5g}" for each in twist), mode, reason))
+        texts, commands = list(self._texts), self._commands.array
+        for time, *twist, text in commands.tolist():
+            since = time - commands[0, 0]
+            table.writerow(
+                (f"{since:.4f}", *(f"{each:.5g}" for each in twist), *texts[round(text)])
+            )
         return lines.getvalue()
 
     def add_known(self, time: float, is_free: np.ndarray) -> None:
@@ -123,7 +127,7 @@ class DriveLog:
         scenario, rows = self._scenario, self._resampled()
         grid, period = belief.grid, scenario.period
         cropped = grid.cropped
-        start = rows[0].state if rows else np.asarray(scenario.start)
+        start = self._states(rows)[0] if len(rows) else np.asarray(scenario.start)
         known_at, probability = cropped(self._known_at), cropped(grid.probability)
         reachable = self._reachable(belief, start)
         count = max(int(reachable.sum()), 1)
@@ -144,7 +148,7 @@ class DriveLog:
             control_period=period,
             is_interrupted=not is_done,
             **robot_fields(scenario.robot, jnp.asarray(start)),
-            finished_step=len(rows) if is_done and rows else None,
+            finished_step=len(rows) if is_done and len(rows) else None,
             target_coverage=None,
             targets=np.zeros((0, 2), np.float32),
             member_names=(),
@@ -174,28 +178,24 @@ class DriveLog:
         Args:
             first: number of commands that were returned before.
         """
-        rows = self._rows[first:]
+        rows = self._rows.array[first:]
         share = np.full(len(rows), self.num_known / self._known_at.size)
         nothing = np.zeros(len(rows))
-        times = np.array([self._since(row.time) for row in rows])
+        times = rows[:, TIME] - self._rows.array[0, TIME] if len(rows) else np.zeros(0)
         return self._records(rows, share, nothing, nothing), times
 
-    def _states(self, rows: list[_Row]) -> np.ndarray:
-        states = np.array([row.state for row in rows], np.float32)
-        return states.reshape(len(rows), self._scenario.robot.state_size)
+    def _states(self, rows: np.ndarray) -> np.ndarray:
+        return rows[:, STATE : self._control].astype(np.float32)
 
     def _records(
-        self, rows: list[_Row], coverage: np.ndarray, entropy: np.ndarray, clearance: np.ndarray
+        self, rows: np.ndarray, coverage: np.ndarray, entropy: np.ndarray, clearance: np.ndarray
     ) -> ExplorationRecord:
         nothing = np.zeros(len(rows), np.float32)
         never = np.zeros(len(rows), bool)
-        samples = [row.effective_sample_size for row in rows]
         # Records of a recording are in NumPy, those of the loop on the device.
         columns: dict[str, Any] = {
             "state": self._states(rows),
-            "control": np.array([row.control for row in rows], np.float32).reshape(
-                len(rows), self._scenario.robot.control_size
-            ),
+            "control": rows[:, self._control :].astype(np.float32),
             "coverage": coverage.astype(np.float32),
             "entropy": entropy.astype(np.float32),
             "unknown": (1.0 - coverage).astype(np.float32),
@@ -205,24 +205,24 @@ class DriveLog:
             "clearance": clearance.astype(np.float32),
             "is_collision": never,
             "is_untraversable": never,
-            "effective_sample_size": np.array(samples, np.float32),
-            "is_finite": np.array([row.is_finite for row in rows], bool),
-            "is_faulty": np.array([row.is_faulty for row in rows], bool),
+            "effective_sample_size": rows[:, SAMPLES].astype(np.float32),
+            "is_finite": rows[:, FINITE].astype(bool),
+            "is_faulty": rows[:, FAULTY].astype(bool),
             "members": None,
             "targets_seen": np.zeros(len(rows), np.int32),
         }
         return ExplorationRecord(**columns)
 
     def _since(self, time: float) -> float:
-        return time - self._rows[0].time if self._rows else 0.0
+        return float(time - self._rows.array[0, TIME]) if len(self._rows) else 0.0
 
-    def _resampled(self) -> list[_Row]:
+    def _resampled(self) -> np.ndarray:
         """Return the newest row at each control period; commands come at other times as well."""
-        if not self._rows:
-            return []
-        times = np.array([row.time for row in self._rows])
-        wanted = times[0] + self._scenario.period * np.arange(self.num_steps)
-        return [self._rows[index] for index in np.searchsorted(times, wanted + 1e-6) - 1]
+        rows = self._rows.array
+        if not len(rows):
+            return rows
+        wanted = rows[0, TIME] + self._scenario.period * np.arange(self.num_steps)
+        return np.asarray(rows[np.searchsorted(rows[:, TIME], wanted + 1e-6) - 1])
 
     def _reachable(self, belief: Belief, start: np.ndarray) -> np.ndarray:
         grid, robot = belief.grid, self._scenario.robot

@@ -138,6 +138,7 @@ class Pilot:
         pose = jnp.zeros(3)
         belief, _ = steps.observe(self.task.perception, self.belief, scan, pose, jnp.ones(()))
         belief, _ = steps.derive(self.task.perception, belief, pose, jnp.ones(()))
+        self.task.prepare(Driver(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
         shown = self.make_frame()
         jax.block_until_ready((belief, planned, vars(shown)))  # type: ignore[no-untyped-call]

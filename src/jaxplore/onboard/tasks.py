@@ -46,6 +46,9 @@ class DriveTask:
         self.perception = perception
         self.is_done = False
 
+    def prepare(self, driver: Driver) -> None:
+        """Compile what `adapted` calls."""
+
     def adapted(self, driver: Driver, offset: np.ndarray, place: np.ndarray) -> Driver:
         """Return what drives the robot from now on; the same if nothing has changed.
 

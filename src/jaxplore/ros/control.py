@@ -1,5 +1,6 @@
 """The node that drives a robot: scans and poses in, velocity commands out."""
 
+import array
 import concurrent.futures
 import dataclasses
 import json
@@ -10,6 +11,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxplore.onboard.following import Following
@@ -27,6 +29,8 @@ from jaxplore.simulation.monitor import Monitor
 
 NODE = "jaxplore"
 """Name of the node."""
+COMPILED = "/jax/core/compile/backend_compile_duration"
+"""Event of JAX for a program that was compiled, or loaded from the cache."""
 MOST_STATE = 10_000
 """Greatest length of the state of another node that is read."""
 ORDERS = ("start", "pause", "return", "stop")
@@ -41,11 +45,14 @@ class Latencies:
         scan_ms: time from the arrival of a scan to the command that follows from it [ms].
         num_commands: number of commands.
         num_late: number of commands that were due before their plan was ready.
+        num_compiled: number of programs that were compiled since the drive began; each one would
+            delay a command by seconds.
     """
 
-    scan_ms: list[float] = dataclasses.field(default_factory=list)
+    scan_ms: array.array[float] = dataclasses.field(default_factory=lambda: array.array("d"))
     num_commands: int = 0
     num_late: int = 0
+    num_compiled: int = 0
 
     def percentile(self, share: float) -> float | None:
         """Return a percentile of the times [ms]; None without a scan."""
@@ -204,13 +211,18 @@ class ControlNode:
         """
         self.watch.begin()
         self._began = time.time()
+        jax.monitoring.register_event_duration_secs_listener(self._count)
         try:
             command = self._drive(is_stopped)
         finally:
+            jax.monitoring.unregister_event_duration_listener(self._count)
             # Whatever happened, the robot is told to stand.
             self._worker.shutdown(cancel_futures=True)
             self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
         self._publish_state(command)
+
+    def _count(self, event: str, duration_secs: float, **_: str | int) -> None:
+        self.latencies.num_compiled += event == COMPILED
 
     def _drive(self, is_stopped: threading.Event) -> Command:
         """Send commands until the robot stands at the end; return the last one."""
@@ -330,6 +342,7 @@ class ControlNode:
             "commands": times.num_commands,
             "late": times.num_late,
             "replaced": pilot.num_replaced,
+            "compiled": times.num_compiled,
             "scan_to_command_ms_p50": times.percentile(50),
             "scan_to_command_ms_p99": times.percentile(99),
             "warnings": sum(self.link.num_warnings.values()),
