@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from jaxplore._xla import on_device
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
@@ -79,12 +80,13 @@ class Following(DriveTask):
         if new is None:
             return driver
         path, first = new
-        path = eqx.tree_at(lambda each: each.points, path, path.points + (first - offset))
+        moved = (np.asarray(path.points, np.float64) + (first - offset)).astype(np.float32)
+        path = eqx.tree_at(lambda each: each.points, path, on_device(moved))
         self._path, self._end = path, np.asarray(path.points[-1], np.float64)
         self.is_done = False
         controller, robot = along_path((driver.controller, driver.robot), path)
         expected = driver.expected.copy()
-        expected[robot.state_names.index("phi")] = nearest_parameter(path, jnp.asarray(place))
+        expected[robot.state_names.index("phi")] = nearest_parameter(path, on_device(place))
         return Driver(controller, robot, expected)
 
     def waits_for(self, place: np.ndarray) -> str:

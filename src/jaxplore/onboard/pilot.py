@@ -10,6 +10,7 @@ import numpy as np
 
 from jaxplore import _kinds
 from jaxplore._types import Key
+from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
 from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
@@ -260,7 +261,7 @@ class Pilot:
         belief, cost = steps.derive(
             self.task.perception,
             self.belief,
-            jnp.asarray(pose, jnp.float32),
+            on_device(pose.astype(np.float32)),
             jnp.asarray(elapsed, jnp.float32),
         )
         self._known = self._known._replace(belief=belief)
@@ -290,7 +291,7 @@ class Pilot:
             self.scenario,
             self.controller,
             self._memory,
-            self._known._replace(robot=jnp.asarray(state)),
+            self._known._replace(robot=on_device(state)),
             readings,
             self._next_key(),
             NUM_TRAJECTORIES,
@@ -336,12 +337,12 @@ class Pilot:
         if new.time - self._mapped_at < period - 0.5 * self.period:
             return new.time
         elapsed = period if not math.isfinite(self._mapped_at) else new.time - self._mapped_at
-        options = self.options
+        beams = lidar_pose(pose, self.options.lidar_x, self.options.lidar_y)
         mapped = steps.observe(
             self.task.perception,
             self.belief,
             new.scan,
-            jnp.asarray(lidar_pose(pose, options.lidar_x, options.lidar_y), jnp.float32),
+            on_device(beams.astype(np.float32)),
             jnp.asarray(elapsed, jnp.float32),
         )
         self._known = self._known._replace(belief=mapped.belief)
@@ -359,12 +360,12 @@ class Pilot:
             self.check,
             self._memory,
             self.belief,
-            jnp.asarray(state),
-            jnp.asarray(self._expected),
-            jnp.asarray(controls),
-            jnp.asarray(durations),
-            jnp.asarray(points),
-            jnp.asarray(is_point),
+            on_device(state),
+            on_device(self._expected),
+            on_device(controls),
+            on_device(durations),
+            on_device(points),
+            on_device(is_point),
             jnp.asarray(elapsed, jnp.float32),
             self.scenario.control_period,
             self._next_key(),
