@@ -4,11 +4,11 @@
 from pathlib import Path
 
 import jaxplore
-from jaxplore.settings.reference import TASKS, Row, plain, rows, sections
+from jaxplore.settings.reference import KINDS, Row, plain, rows, sections
 
 PAGE = Path(__file__).parent / "settings.md"
 KNOWN = Path(jaxplore.__file__).parent / "cli" / "known.json"
-TITLES = {"exploration": "Exploration", "path": "Path following"}
+TITLES = {"exploration": "Exploration", "path": "Path following", "drive": "The node"}
 BEGINNING = """\
 <!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
 
@@ -28,10 +28,11 @@ read a setting. In brackets are the scenarios that do with their own defaults, u
 def page() -> str:
     """Return the page."""
     parts = [BEGINNING]
-    for task in TASKS:
+    for task in KINDS:
         parts.append(f"## {TITLES[task]}\n")
         of_task = [row for row in rows() if row.task == task]
-        parts.append(_table([row for row in of_task if not row.section]))
+        if any(not row.section for row in of_task):
+            parts.append(_table([row for row in of_task if not row.section]))
         for name in dict.fromkeys(row.section for row in of_task if row.section):
             meaning = sections()[task, name]
             sentence = _ended(meaning[0].upper() + meaning[1:])

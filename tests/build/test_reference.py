@@ -16,6 +16,7 @@ from jaxplore.settings.defaults import DIFFERENCES
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.path import PathSettings
 from jaxplore.settings.reference import (
+    KINDS,
     PLACES,
     TASKS,
     Row,
@@ -36,13 +37,17 @@ def row_of(name: str, task: str = "exploration") -> Row:
 
 def test_every_setting_has_one_row_with_a_meaning() -> None:
     assert {name: task.settings for name, task in tasks.TASKS.items()} == TASKS
-    expected = []
-    for task, kind in TASKS.items():
-        for name, field in kind.model_fields.items():
+
+    def names(task, section, prefix=""):
+        for name, field in section.model_fields.items():
             inner = section_class(field.annotation)
-            assert inner is None or sections()[task, name]
-            names = [name] if inner is None else [f"{name}.{each}" for each in inner.model_fields]
-            expected += [(task, each) for each in names]
+            if inner is None:
+                yield task, prefix + name
+            else:
+                assert sections()[task, prefix + name]
+                yield from names(task, inner, f"{prefix}{name}.")
+
+    expected = [each for task, kind in KINDS.items() for each in names(task, kind)]
     assert [(row.task, row.name) for row in rows()] == expected
     for row in rows():
         assert row.meaning
@@ -71,9 +76,12 @@ def test_a_row_says_what_is_known() -> None:
 
 def test_a_setting_in_degrees_says_that_its_owner_takes_radians() -> None:
     in_degrees = [row for row in rows() if row.name.endswith("_degrees")]
-    assert len(in_degrees) == 3
+    assert len(in_degrees) == 4
     for row in in_degrees:
         assert row.unit == "degrees"
+        if row.owner is None:
+            assert row.meaning.endswith(" [degrees]")
+            continue
         assert "[rad]" in row.meaning
         assert row.meaning.endswith(f" In degrees; `{row.owner}` takes radians.")
 
@@ -103,7 +111,7 @@ def test_accepted_values_are_words(name: str, task: str, accepted: str) -> None:
 def test_every_difference_is_in_a_note() -> None:
     for key, difference in DIFFERENCES.items():
         kind, _, name = key.partition(".")
-        row = row_of(name, "path" if kind == "path" else "exploration")
+        row = row_of(name, kind if kind in KINDS else "exploration")
         assert any(difference.reason in note for note in row.notes), key
 
 
@@ -180,7 +188,7 @@ NOT_READ_BY_BUILDING = {"map", "world", "path", "architecture", "goal"}
 @pytest.mark.parametrize("case", CASES)
 def test_what_a_run_reads_is_what_the_reference_says(case: str, read: set[str]) -> None:
     settings = make_settings(CASES[case])
-    known = [row for row in rows() if TASKS[row.task] is type(settings)]
+    known = [row for row in rows() if KINDS[row.task] is type(settings)]
     expected = {row.name for row in known if row.reader.reads(settings)}
     read.clear()
     build(settings)

@@ -8,8 +8,8 @@ from jaxplore.report.table import print_table
 from jaxplore.settings.commented import commented_yaml
 from jaxplore.settings.exploration import OFFICE
 from jaxplore.settings.reference import (
+    KINDS,
     PLACES,
-    TASKS,
     Row,
     find_rows,
     place_settings,
@@ -17,7 +17,7 @@ from jaxplore.settings.reference import (
     sections,
 )
 
-_WORDS = {"exploration": "exploration", "path": "along a path"}
+_WORDS = {"exploration": "exploration", "path": "along a path", "drive": "jaxplore node"}
 """Kinds of tasks in the titles of tables."""
 _WIDEST = 80
 """Greatest width of a column, for the meanings of settings."""
@@ -44,7 +44,7 @@ def show_settings(name: str | None) -> None:
         raise ValueError(
             f"setting {shown!r} is not known; accepted: such as {nearest(shown, known().names)}"
         )
-    for task in TASKS:
+    for task in KINDS:
         rows = [row for row in found if row.task == task]
         if rows and rows[0].name == name:
             title = f"{name} ({_WORDS[task]})"

@@ -60,10 +60,10 @@ def in_degrees(angle: float) -> float:
 
 
 DIFFERENCES: dict[str, DefaultDifference] = {
-    "node.contouring.temperature": DefaultDifference(3.0, "close to the path before fast"),
-    "node.contouring.contouring_weight": DefaultDifference(100.0, "close to the path before fast"),
-    "node.contouring.lag_weight": DefaultDifference(100.0, "close to the path before fast"),
-    "node.contouring.progress_weight": DefaultDifference(50.0, "close to the path before fast"),
+    "drive.node.contouring.temperature": DefaultDifference(3.0, "accuracy before speed"),
+    "drive.node.contouring.contouring_weight": DefaultDifference(100.0, "accuracy before speed"),
+    "drive.node.contouring.lag_weight": DefaultDifference(100.0, "accuracy before speed"),
+    "drive.node.contouring.progress_weight": DefaultDifference(50.0, "accuracy before speed"),
     "path.robot.max_acceleration": DefaultDifference(6.0, "a race car of F1TENTH's size"),
     "path.robot.wheelbase": DefaultDifference(0.33, "a race car of F1TENTH's size"),
     "path.robot.max_steering": DefaultDifference(0.42, "a race car of F1TENTH's size"),

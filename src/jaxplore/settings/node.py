@@ -13,13 +13,17 @@ class NodeContouring(ContouringNumbers):
     """Contouring control along the paths of another program, by a robot on a floor: see
     `jaxplore.mpcc`."""
 
-    temperature: Positive = setting(mpcc, "temperature", differs="node.contouring.temperature")
-    contouring_weight: NonNegative = setting(
-        mpcc, "contouring_weight", differs="node.contouring.contouring_weight"
+    temperature: Positive = setting(
+        mpcc, "temperature", differs="drive.node.contouring.temperature"
     )
-    lag_weight: NonNegative = setting(mpcc, "lag_weight", differs="node.contouring.lag_weight")
+    contouring_weight: NonNegative = setting(
+        mpcc, "contouring_weight", differs="drive.node.contouring.contouring_weight"
+    )
+    lag_weight: NonNegative = setting(
+        mpcc, "lag_weight", differs="drive.node.contouring.lag_weight"
+    )
     progress_weight: NonNegative = setting(
-        mpcc, "progress_weight", differs="node.contouring.progress_weight"
+        mpcc, "progress_weight", differs="drive.node.contouring.progress_weight"
     )
 
 
@@ -42,7 +46,7 @@ class NodeSettings(Section):
         map_size: side of the map that the robot makes [m]; it starts in its middle.
         lidar_x: position of the lidar ahead of the robot's centre [m].
         lidar_y: position of the lidar to the left of it [m].
-        lidar_yaw_degrees: heading of the lidar relative to the robot's [deg].
+        lidar_yaw_degrees: heading of the lidar relative to the robot's [degrees].
         is_lidar_inverted: whether the lidar hangs upside down.
         deadline: share of the control period after which the last plan's next command is sent.
         is_autostarted: whether the robot drives at once, or waits for `start`.
@@ -77,3 +81,13 @@ class NodeSettings(Section):
     done_after: Positive = setting(PilotOptions, "done_after")
     returns: bool = setting(PilotOptions, "returns")
     contouring: NodeContouring = NodeContouring()
+
+
+class DriveSettings(Section):
+    """What a settings file of a node has beside the settings of a run.
+
+    Args:
+        node: topics, places and limits of `jaxplore node`, in all its modes.
+    """
+
+    node: NodeSettings = NodeSettings()

@@ -60,7 +60,7 @@ def reader(task: str, name: str, owner: str | None) -> Reader:
     """Return the runs that read a setting.
 
     Args:
-        task: kind of task, `exploration` or `path`.
+        task: kind of task, `exploration` or `path`, or `drive`.
         name: dotted name of the setting.
         owner: qualified name of its owner; none for a setting without.
     """
@@ -149,7 +149,33 @@ _FROM_A_FILE = Reader("paths from a file", lambda settings: settings.path != TRA
 _AMONG_OBSTACLES = Reader("runs with obstacles", _has_obstacles)
 _IN_TRAFFIC = Reader("runs with moving obstacles", lambda settings: settings.obstacles.number > 0)
 
+_DRIVING, _EXPLORING, _FOLLOWING, _CHOOSING = (
+    Reader(text, lambda settings, modes=modes: settings.node.mode in modes)  # type: ignore[misc]
+    for text, modes in (
+        ("the modes control and follow", ("control", "follow")),
+        ("the mode control", ("control",)),
+        ("the mode follow", ("follow",)),
+        ("the mode goal", ("goal",)),
+    )
+)
+_ANY_MODE = Reader("every mode", lambda _: True)
+
 _BY_NAME: dict[str, dict[str, Reader]] = {
+    "drive": {
+        "node": _DRIVING,
+        "node.contouring": _FOLLOWING,
+        "node.path_topic": _FOLLOWING,
+        "node.returns": _EXPLORING,
+        "node.map_topic": _CHOOSING,
+        "node.goal_topic": _CHOOSING,
+        "node.done_after": Reader(
+            "the modes control and goal", lambda settings: settings.node.mode != "follow"
+        ),
+        **{
+            f"node.{name}": _ANY_MODE
+            for name in ("mode", "pose_topic", "pose_type", "world_frame", "robot_frame")
+        },
+    },
     "exploration": {
         "resolution": Reader("the map office, ROS maps", lambda settings: not _is_world(settings)),
         # Robots on the ground get it as well, and have no state for it.
@@ -184,6 +210,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
 is in no table is read by every run."""
 
 _BY_OWNER: dict[str, dict[Owner, Reader]] = {
+    "drive": {},
     "exploration": {
         office: _IN_THE_OFFICE,
         TerrainMap.from_images: Reader("ROS maps with a height map", _has_height_map),

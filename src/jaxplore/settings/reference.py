@@ -21,6 +21,7 @@ from jaxplore.settings.exploration import (
     Settings,
     make_exploration_settings,
 )
+from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.parameter_names import PER_METRE, controller_parameter
 from jaxplore.settings.path import PATH, TRACK, PathSettings, make_path_settings
 from jaxplore.settings.readers import EVERY, NONE, Reader, reader
@@ -28,6 +29,8 @@ from jaxplore.settings.sections import RunSettings, section_class
 
 TASKS: dict[str, type[RunSettings]] = {"exploration": Settings, "path": PathSettings}
 """Settings of each kind of task."""
+KINDS: dict[str, type[BaseModel]] = {**TASKS, "drive": DriveSettings}
+"""Settings of each kind of task, and those of a drive beside them."""
 PLACES = (OFFICE, ZONES, *SCENARIOS, PATH)
 """Names that stand for a map, a scenario or a path."""
 _DEGREES = "_degrees"
@@ -40,7 +43,7 @@ class Row(NamedTuple):
     """What is known of a setting.
 
     Args:
-        task: kind of task, `exploration` or `path`.
+        task: kind of task, `exploration` or `path`, or `drive`.
         name: dotted name.
         meaning: description, from the docstring of the owner or of the section.
         unit: unit; none without one.
@@ -88,19 +91,15 @@ class Row(NamedTuple):
 @functools.cache
 def rows() -> tuple[Row, ...]:
     """Return the rows of all settings, those of exploration first, in the order of the settings."""
-    return tuple(row for task in TASKS for row in _rows(task, TASKS[task]))
+    return tuple(row for task, kind in KINDS.items() for row in _rows(task, kind))
 
 
 @functools.cache
 def sections() -> dict[tuple[str, str], str]:
     """Return the meaning of each section by the kind of task and its name."""
-    found = {}
-    for task, kind in TASKS.items():
-        described = own_descriptions(kind)
-        for name, field in kind.model_fields.items():
-            if section_class(field.annotation) is not None:
-                found[task, name] = described[name]
-    return found
+    return {
+        (task, name): meaning for task, kind in KINDS.items() for name, meaning in _sections(kind)
+    }
 
 
 def find_rows(name: str) -> tuple[Row, ...]:
@@ -147,7 +146,17 @@ def setting_meaning(section: type[BaseModel], name: str) -> str:
 
 def _places(task: str) -> tuple[str, ...]:
     """Return the names of `PLACES` with runs of this kind of task."""
-    return tuple(each for each in PLACES if type(place_settings(each)) is TASKS[task])
+    return tuple(each for each in PLACES if type(place_settings(each)) is KINDS[task])
+
+
+def _sections(section: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the names and the meanings of the sections within one, outer ones first."""
+    described = own_descriptions(section)
+    for name, field in section.model_fields.items():
+        inner = section_class(field.annotation)
+        if inner is not None:
+            yield prefix + name, described[name]
+            yield from _sections(inner, f"{prefix}{name}.")
 
 
 def _rows(task: str, section: type[BaseModel], prefix: str = "") -> Iterator[Row]:
@@ -167,7 +176,7 @@ def _row(task: str, section: type[BaseModel], name: str, field: FieldInfo) -> Ro
     default = None if field.is_required() else field.get_default(call_default_factory=True)
     found = reader(task, name, owner)
     is_in_degrees = last.endswith(_DEGREES)
-    if is_in_degrees:
+    if is_in_degrees and owner is not None:
         meaning += f" In degrees; `{owner}` takes radians."
     return Row(
         task=task,
