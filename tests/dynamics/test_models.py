@@ -25,6 +25,14 @@ from jaxplore.geometry import Disc
 # Each with every numeric argument and another value for it.
 SPEEDS = {"max_speed": 1.1, "min_speed": -0.3}
 CAR = {**SPEEDS, "max_steering": 0.3, "max_acceleration": 0.7}
+TURNING = {
+    "max_turn_rate": 0.9,
+    "max_acceleration": 0.8,
+    "max_deceleration": 1.4,
+    "max_angular_acceleration": 0.7,
+    "drag": 0.3,
+    "radius": 0.7,
+}
 ARGUMENTS = {
     Ackermann: {
         **CAR,
@@ -33,26 +41,9 @@ ARGUMENTS = {
         "max_steering_rate": 0.9,
         "drag": 0.2,
     },
-    DifferentialDrive: {
-        "max_speed": 1.1,
-        "max_turn_rate": 0.9,
-        "max_acceleration": 0.8,
-        "max_deceleration": 1.4,
-        "max_angular_acceleration": 0.7,
-        "drag": 0.3,
-        "radius": 0.7,
-    },
+    DifferentialDrive: {**TURNING, "max_speed": 1.1},
     KinematicBicycle: {**CAR, "radius": 0.7, "front_length": 0.7, "rear_length": 0.6},
-    Omnidirectional: {
-        **SPEEDS,
-        "max_lateral_speed": 0.6,
-        "max_turn_rate": 0.9,
-        "max_acceleration": 0.8,
-        "max_deceleration": 1.4,
-        "max_angular_acceleration": 0.7,
-        "drag": 0.3,
-        "radius": 0.7,
-    },
+    Omnidirectional: {**SPEEDS, **TURNING, "max_lateral_speed": 0.6},
     Pendulum: {"mass": 2.0, "length": 0.7, "gravity": 9.0, "max_torque": 3.0, "max_rate": 5.0},
     PointMass: {"max_speed": 1.1, "max_acceleration": 0.7, "drag": 0.2, "radius": 0.7},
     Quadrotor: {

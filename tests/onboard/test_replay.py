@@ -11,7 +11,7 @@ from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters
 from jaxplore.ros import messages
 from jaxplore.ros.bag_writer import BagWriter
-from jaxplore.ros.replay import replay, replay_topics
+from jaxplore.ros.replay import GAP_SECONDS, replay, replay_topics
 from jaxplore.simulation.monitor import Monitor, Requests
 
 BEGAN, LATENCY = 1_700_000_000.0, 0.06
@@ -108,6 +108,42 @@ def test_a_replay_makes_the_same_map_and_commands_from_where_the_robot_was(
         np.testing.assert_array_equal(one.twist, other.twist)
 
 
+def test_time_that_jumps_by_years_is_a_gap_of_some_seconds(
+    make_pilot, make_robot, drive, tmp_path
+) -> None:
+    kept = []
+
+    def keep(now, measured):
+        kept.append((now, measured))
+        return measured
+
+    drive(make_pilot(latency=LATENCY), make_robot(delay=0.04), 3.0, keep)
+    # Times that are exact in binary and in nanoseconds, before and after the jump.
+    times = np.array([2.0**30 + round(512.0 * now) / 512.0 for now, _ in kept])
+    half = len(kept) // 2
+    times[half:] += GAP_SECONDS - (times[half] - times[half - 1])
+    found = []
+    for jump in (0.0, 2.0**29):
+        pilot, folder = make_pilot(latency=LATENCY, is_obeyed=False), tmp_path / f"{jump:.0f}"
+        with BagWriter(folder) as writer:
+            for index, (_, measured) in enumerate(kept):
+                now = float(times[index]) + (jump if index >= half else 0.0)
+                writer.write("/odom", "Odometry", odometry(now, measured), now)
+                if measured.scan is not None:
+                    message = laser(now, measured.scan, pilot.sensor)
+                    writer.write("/scan", "LaserScan", message, now)
+        found.append(replay(folder, pilot, "/scan", "/odom"))
+        assert pilot.recording().num_steps == pytest.approx((3.0 + GAP_SECONDS) / 0.02, abs=4)
+    near, far = found
+    assert (near.skipped, far.skipped) == (0.0, 2.0**29)
+    assert near.times == far.times
+    assert near.times[-1] == pytest.approx(3.0 + GAP_SECONDS, abs=0.05)
+    assert near.commands[-1].mode is Mode.DRIVING
+    for one, other in zip(near.commands, far.commands, strict=True):
+        np.testing.assert_array_equal(one.twist, other.twist)
+        assert (one.mode, one.reason) == (other.mode, other.reason)
+
+
 def test_topics_of_other_kinds_are_refused(recorded) -> None:
     folder, _ = recorded
     with pytest.raises(ValueError, match="'/odom', not of a LaserScan; accepted: one of '/scan'"):
@@ -179,6 +215,17 @@ def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive) -> No
     assert (last.mode, last.reason) == (Mode.DONE, "stopped in the view")
     watch.end(None)
     assert notes.ended == 1
+
+
+def test_if_one_monitor_does_not_begin_those_before_it_are_told_of_the_end(make_pilot) -> None:
+    class Refusal(Notes):
+        def begin(self, recording, controller) -> None:
+            raise ValueError("it does not begin")
+
+    first, refusal = Notes(), Refusal()
+    with pytest.raises(ValueError, match="it does not begin"):
+        DriveWatch(make_pilot(latency=LATENCY), [first, refusal]).begin()
+    assert (first.began, first.ended, refusal.ended) == (1, 1, 0)
 
 
 def test_the_commands_of_a_drive_are_a_table(recorded) -> None:

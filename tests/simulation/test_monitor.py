@@ -24,6 +24,7 @@ class Notes(Monitor):
         self.asked = list(asked) or [Requests()]
         self.every, self.updates, self.refused = every, [], []
         self.began = self.ended = None
+        self.num_ends = 0
 
     def begin(self, recording, controller) -> None:
         assert self.began is None
@@ -43,6 +44,7 @@ class Notes(Monitor):
 
     def end(self, recording) -> None:
         self.ended = recording
+        self.num_ends += 1
 
     @property
     def steps(self) -> list[int]:
@@ -182,3 +184,16 @@ def test_the_speed_is_held(run_of, monkeypatch) -> None:
     run_of(Notes(Requests(speed=2.0)))
     # The speed is held from the end of the first chunk on, a frame of two steps.
     assert clock.now == pytest.approx((STEPS - 2) * 0.02 / 2.0)
+
+
+def test_if_one_does_not_begin_those_before_it_are_told_of_the_end(run_of) -> None:
+    class Refusal(Notes):
+        def begin(self, recording, controller) -> None:
+            raise ValueError("it does not begin")
+
+    first, refusal, last = Notes(), Refusal(), Notes()
+    with pytest.raises(ValueError, match="it does not begin"):
+        run_of(first, refusal, last)
+    assert first.began is not None
+    assert first.ended is None
+    assert [each.num_ends for each in (first, refusal, last)] == [1, 0, 0]

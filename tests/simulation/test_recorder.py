@@ -27,13 +27,14 @@ def logged(path: Path, topic: str) -> tuple[np.ndarray, list]:
 
 
 class Stop(Monitor):
-    """Stops a run at its first update, or fails then."""
+    """Stops a run at its first update, or fails then or at its beginning."""
 
-    def __init__(self, *, fails: bool = False) -> None:
-        self._fails, self._is_stopped = fails, False
+    def __init__(self, *, fails: bool = False, begins: bool = True) -> None:
+        self._fails, self._begins, self._is_stopped = fails, begins, False
 
     def begin(self, recording, controller) -> None:
-        pass
+        if not self._begins:
+            raise ValueError("it does not begin")
 
     def is_due(self, simulated: float, elapsed: float) -> bool:
         return True
@@ -98,3 +99,13 @@ def test_a_run_that_fails_leaves_no_file(make, tmp_path: Path) -> None:
             monitors=[McapRecorder(tmp_path / "run.mcap"), Stop(fails=True)],
         )
     assert not list(tmp_path.iterdir())
+
+
+def test_a_monitor_that_does_not_begin_leaves_no_file_of_another(make, tmp_path: Path) -> None:
+    controller, scenario = make()
+    recorder = McapRecorder(tmp_path / "run.mcap")
+    monitors = [recorder, Stop(begins=False)]
+    with pytest.raises(ValueError, match="it does not begin"):
+        simulate(controller, scenario, STEPS, key=KEY, num_trajectories=8, monitors=monitors)
+    assert not list(tmp_path.iterdir())
+    assert recorder.failure is None

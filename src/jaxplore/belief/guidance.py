@@ -25,6 +25,8 @@ TILE = 24
 """Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
 SWEEPS = 4
 """Sweeps between two checks for convergence; a check costs as much as a sweep."""
+LAYERS = 4
+"""Number of layers of closed nodes into which the fields of the robot are extended."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 """Steps (row, column) to the neighbours: the straight ones first, then the diagonal ones."""
 

@@ -7,43 +7,27 @@ from collections.abc import Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
-from jax import Array
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.dwell import add_dwell, dwell_discount
+from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import (
-    ROOMY,
-    GuidanceField,
-    descent_field,
-    geodesic,
-    point_sources,
-    roadmap,
-)
+from jaxplore.belief.guidance import LAYERS, ROOMY, GuidanceField
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
-from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
-LEFTOVER_DETOUR = 1e3
-"""Additional cost-to-go of places with less than `min_information` [m]: they come last."""
-GOAL_DETOUR = 5e2
-"""Additional cost-to-go of the goal during exploration [m]: after information, before leftovers."""
-LAYERS = 4
-"""Number of layers of closed nodes into which the guidance field is extended."""
-LEFTOVER_SHARE = 0.03
-"""Share of `min_information` below which a place is ignored."""
 MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
@@ -51,27 +35,10 @@ MAX_UNKNOWN = 0.05
 class Perception(eqx.Module):
     """Builds and updates a `Belief` from scans.
 
-    The guidance field is a cost-to-go in metres,
-
-        U(x) = min over s of [ d(x, s) - decay_length * ln W(s) ],
-        W(s) = I(s) exp(-dwell(s) / patience)
-
-    over positions s in free space. I(s) is the information of a full circle of beams. d is the
-    length of the shortest path that keeps the robot's clearance from all cells that are not free;
-    length counts up to double where the robot just fits. U is also `-decay_length` times the
-    logarithm of the greatest `W(s) exp(-d(x, s) / decay_length)`. It has local minima only at
-    places with information.
-
-    `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
-    and regains it later, so the robot gives up what it cannot observe. Places with W below
-    `min_information`, mostly cells near walls that noise changes back and forth, get an additional
-    cost of a kilometre: they come last.
-
-    A goal is one more source of the field. It comes after all places with enough information and
-    before the places with little, and it is the only source once less than `max_unknown` of the map
-    is unknown.
-
-    If the ground is known, cells that it blocks are closed.
+    The guidance field is the cost-to-go of `jaxplore.belief.exploration_field`. Its sources are
+    the places with information, and the goal if there is one. The goal is the only source once less
+    than `max_unknown` of the map is unknown. If the ground is known, cells that it blocks are
+    closed.
 
     An unmeasured cell has probability 1/2, which represents ignorance. If expected beams used this
     value, every second unknown cell would stop them: unknown space would be a rim of two cells, and
@@ -339,16 +306,10 @@ class Perception(eqx.Module):
         return unknown_fraction(grid) < self.max_unknown
 
     def _is_goal_next(self, guidance: GuidanceField, pose: Pose) -> Flag:
-        """Return whether the goal is the next source that guidance leads to.
-
-        It is if the cost-to-go at the robot shows that only the goal or leftovers are reachable.
-        """
+        """Return whether the goal is the next source that guidance leads to."""
         if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
-        # Half the detour tells sources that have one, the goal and leftovers, from all others.
-        # Off the map the cost is `outside`, which says nothing about the sources.
-        cost = guidance(pose[:2])
-        return (cost > 0.5 * GOAL_DETOUR) & (cost < guidance.outside)
+        return leads_to_goal(guidance, pose[:2])
 
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
         closed = ~grid.is_free
@@ -357,27 +318,22 @@ class Perception(eqx.Module):
         return clearance_field(closed, grid.frame, self.max_clearance)
 
     def _guidance(
-        self, clearance: ScalarField, information: InformationField, dwell: Array, is_known: Flag
+        self,
+        clearance: ScalarField,
+        information: InformationField,
+        dwell: GridValues,
+        is_known: Flag,
     ) -> GuidanceField:
-        roads = roadmap(clearance, self.required_clearance, self.field_sensor.stride)
-        frame, is_open = roads.frame, roads.is_open
-        worth = information.total * dwell_discount(dwell, self.patience)
-        # The bound keeps the logarithm finite where there is no information.
-        reward = self.decay_length * jnp.log(jnp.maximum(worth, 1e-6))
-        is_leftover = worth < self.min_information
-        detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
-        is_source = worth >= LEFTOVER_SHARE * self.min_information
-        source = jnp.where(is_source, detour - reward, jnp.inf)
-        if self.goal is not None and not self.is_goal_apart:
-            source = self._with_goal(source, frame, is_open, is_known)
-        distance = geodesic(source, roads.slowness, is_open)
-        return descent_field(distance, frame, LAYERS)
-
-    def _with_goal(self, source: Array, frame: GridFrame, is_open: Array, is_known: Flag) -> Array:
-        """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
-        assert self.goal is not None
-        at_goal = point_sources(self.goal, frame, is_open) + GOAL_DETOUR
-        return jnp.minimum(jnp.where(is_known, jnp.inf, source), at_goal)
+        return exploration_field(
+            clearance,
+            information.total * dwell_discount(dwell, self.patience),
+            self.required_clearance,
+            decay_length=self.decay_length,
+            min_information=self.min_information,
+            stride=self.field_sensor.stride,
+            goal=None if self.is_goal_apart else self.goal,
+            is_explored=is_known,
+        )
 
 
 def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:

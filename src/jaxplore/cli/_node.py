@@ -121,6 +121,8 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
     click.echo(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
         click.echo(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
+    if found.skipped:
+        click.echo(f"{found.skipped:.1f} s without messages were skipped", err=True)
 
 
 def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:

@@ -5,7 +5,6 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
@@ -15,20 +14,15 @@ from jaxplore._xla import cut
 from jaxplore.control import devices
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.disturbance import Disturbance
-from jaxplore.control.model_checks import check_parts, checked_call, without_belief
-from jaxplore.control.mppi_state import MPPIState, SampledControls
-from jaxplore.control.parameterisations import (
-    ControlSpace,
-    Direct,
-    Parameterisation,
-    Samples,
-    shifted,
-)
+from jaxplore.control.evaluation import evaluate_samples
+from jaxplore.control.inspection import sampled_plan
+from jaxplore.control.model_checks import check_parts, checked_call
+from jaxplore.control.mppi_state import MPPIState, SampledControls, shifted_state
+from jaxplore.control.parameterisations import ControlSpace, Direct, Parameterisation, Samples
 from jaxplore.control.proposals import GaussianProposal, Proposal, SamplingContext
 from jaxplore.control.risk import MeanVariance, Risk
-from jaxplore.control.rollout import Outcomes, rollout_costs
+from jaxplore.control.rollout import Outcomes
 from jaxplore.control.smoothing import SavitzkyGolay
-from jaxplore.control.trajectory import Trajectory, rollout
 from jaxplore.control.weighting import Softmax, Weighting, effective_sample_size
 from jaxplore.costs.base import Cost, check_cost
 from jaxplore.dynamics.base import Dynamics
@@ -303,36 +297,9 @@ class MPPI(Controller):
             initial: (nx,) state that all rollouts start from, or (nx, K) one for each.
             belief: as of `step`.
         """
-        everything = (
-            self.dynamics,
-            self.cost,
-            self.dt,
-            belief,
-            sampled.state.applied,
-            sampled.outcomes,
+        return evaluate_samples(
+            self.dynamics, self.cost, sampled, initial, self.dt, belief, self.mesh
         )
-        # `shard_map` takes arrays only: everything else is closed over.
-        arrays, static = eqx.partition(everything, eqx.is_array)
-
-        def costs(start: Array, controls: Array, arrays: Any) -> Array:
-            dynamics, cost, dt, knowledge, applied, outcomes = eqx.combine(arrays, static)
-            return rollout_costs(
-                dynamics, cost, start, controls, dt, knowledge, applied=applied, outcomes=outcomes
-            )
-
-        try:
-            if self.mesh is None:
-                return costs(initial, sampled.controls, arrays)
-            return devices.map_over_devices(costs, self.mesh, initial, sampled.controls, arrays)
-        except (AttributeError, TypeError) as error:
-            # A cost that a user wrote asks None for what it knows.
-            name = without_belief(self.dynamics, self.cost, self.horizon)
-            if belief is not None or name is None or "NoneType" not in str(error):
-                raise
-            raise ValueError(
-                f"belief is None, and {name} reads it ({error}); accepted: step(state, "
-                "observation, belief, key=key)"
-            ) from error
 
     def update(
         self, sampled: SampledControls, costs: Float[Array, " K"]
@@ -394,41 +361,18 @@ class MPPI(Controller):
         sampled = self.sample(state, key=key)
         costs = self.evaluate(sampled, observation, belief)
         _, _, info = self.update(sampled, costs)
-        count = min(num_trajectories, self.num_samples)
-        # A mixture orders its samples by component, so the first few show one component only.
-        chosen = np.linspace(0, self.num_samples - 1, count).round().astype(int)
-
-        def simulate(controls: Array) -> Trajectory:
-            parts, known = (self.dynamics, self.cost), (self.dt, belief)
-            return rollout(*parts, observation, controls, *known, applied=sampled.state.applied)
-
-        sequences = jnp.moveaxis(sampled.controls, -1, 0)
-        best = sequences[jnp.argmin(info.costs)]
-        shown = jnp.concatenate([info.controls[None], best[None], sequences[chosen]])
-        return SampledPlan.from_trajectories(jax.vmap(simulate)(shown), info.weights[chosen])
+        parts, known = (self.dynamics, self.cost), (self.dt, belief)
+        return sampled_plan(*parts, sampled, info, observation, *known, num_trajectories)
 
     def _shift(self, state: MPPIState) -> MPPIState:
         """Move the nominal and the memory on by one control period."""
-        steps = self.control_period / self.dt
-        phase = state.phase
-        if not self.interpolate_shift:
-            # In float32, 20 periods of 0.05 s add up to slightly less than a step of 1 s.
-            due = phase + steps
-            steps = jnp.floor(due + 1e-3)
-            phase = due - steps
-        space = self._space
-        # Proposals adapt per row of parameters, of which there may be fewer than model steps.
-        rows = steps * (self._num_parameters / self.horizon)
-        planned = self.parameterisation.controls(state.nominal, space)
-        # The first planned control has been applied; where it differs (a portfolio applies the
-        # fused control), the smoothing filter must see what was applied.
-        timeline = jnp.concatenate([state.past, state.applied[None], planned[1:]])
-        return MPPIState(
-            nominal=self.parameterisation.shift(state.nominal, steps, space),
-            proposal=self.proposal.shift(state.proposal, rows),
-            applied=state.applied,
-            past=shifted(timeline, steps, space.default)[: state.past.shape[0]],
-            phase=phase,
+        return shifted_state(
+            state,
+            self.control_period / self.dt,
+            self._space,
+            self.parameterisation,
+            self.proposal,
+            is_interpolated=self.interpolate_shift,
         )
 
     @property

@@ -1,13 +1,14 @@
-"""The state of MPPI between two steps, and its intermediate result within a step."""
+"""The state of MPPI between two steps, its shift in time, and the samples within a step."""
 
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
 from jaxplore._types import ControlVector, Scalar
-from jaxplore.control.parameterisations import Samples
-from jaxplore.control.proposals import SamplingContext
+from jaxplore.control.parameterisations import ControlSpace, Parameterisation, Samples, shifted
+from jaxplore.control.proposals import Proposal, SamplingContext
 from jaxplore.control.rollout import Outcomes
 
 
@@ -48,3 +49,44 @@ class SampledControls(NamedTuple):
     samples: Samples
     controls: Float[Array, "T nu K"]
     outcomes: Outcomes | None
+
+
+def shifted_state(
+    state: MPPIState,
+    steps: Scalar,
+    space: ControlSpace,
+    parameterisation: Parameterisation,
+    proposal: Proposal,
+    *,
+    is_interpolated: bool,
+) -> MPPIState:
+    """Move the nominal and the memories on in time.
+
+    Args:
+        state: the state before.
+        steps: number of model steps to move on, not necessarily whole.
+        space: bounds, default control, step and horizon of the controls.
+        parameterisation: map from parameters to controls.
+        proposal: distribution that parameters are sampled from.
+        is_interpolated: whether a part of a model step interpolates the nominal. If false, it is
+            shifted by whole model steps when they are due.
+    """
+    phase = state.phase
+    if not is_interpolated:
+        # In float32, 20 periods of 0.05 s add up to slightly less than a step of 1 s.
+        due = phase + steps
+        steps = jnp.floor(due + 1e-3)
+        phase = due - steps
+    # Proposals adapt per row of parameters, of which there may be fewer than model steps.
+    rows = steps * (parameterisation.num_parameters(space.horizon) / space.horizon)
+    planned = parameterisation.controls(state.nominal, space)
+    # The first planned control has been applied; where it differs (a portfolio applies the fused
+    # control), the smoothing filter must see what was applied.
+    timeline = jnp.concatenate([state.past, state.applied[None], planned[1:]])
+    return MPPIState(
+        nominal=parameterisation.shift(state.nominal, steps, space),
+        proposal=proposal.shift(state.proposal, rows),
+        applied=state.applied,
+        past=shifted(timeline, steps, space.default)[: state.past.shape[0]],
+        phase=phase,
+    )

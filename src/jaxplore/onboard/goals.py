@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import Flag, Pose, Scalar
-from jaxplore.belief.perception import LEFTOVER_SHARE, Perception
+from jaxplore.belief.exploration_field import LEFTOVER_SHARE
+from jaxplore.belief.perception import Perception
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.planning.strategy.frontiers import find_frontiers
 from jaxplore.planning.strategy.target_rules import TargetRule

@@ -7,7 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore.belief.perception import LEFTOVER_DETOUR, Perception
+from jaxplore.belief.exploration_field import LEFTOVER_DETOUR
+from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 

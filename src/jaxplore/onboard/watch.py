@@ -9,13 +9,11 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore._types import ArrayLike
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
-from jaxplore.parameters import set_parameters
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Recording
-from jaxplore.simulation.monitor import Monitor, Update
+from jaxplore.simulation.monitor import Monitor, ParameterRequests, Update, begin_all
 from jaxplore.simulation.scenario import LoopState, blank_recording
 
 
@@ -36,11 +34,11 @@ class DriveWatch:
         self._shown: dict[Monitor, tuple[int, float, float]] = dict.fromkeys(
             monitors, (0, 0.0, -math.inf)
         )
-        self._parameters: dict[str, ArrayLike] = {}
-        self._is_paused = False
+        self._requested = ParameterRequests()
+        self._is_paused = self._has_begun = False
 
     def begin(self) -> None:
-        """Tell the monitors that the drive begins."""
+        """Tell the monitors that the drive begins, see `begin_all`."""
         if not self._shown:
             return
         pilot = self._pilot
@@ -57,8 +55,8 @@ class DriveWatch:
         # The scenario's world is free, for its checks; nobody knows the true one.
         unknown = np.full_like(recording.world, 0.5)
         recording = dataclasses.replace(recording, world=unknown)
-        for each in self._shown:
-            each.begin(recording, pilot.controller)
+        begin_all(self._shown, recording, pilot.controller)
+        self._has_begun = True
 
     def after(self, command: Command) -> None:
         """Show a command to the monitors that are due, and take their requests.
@@ -86,22 +84,12 @@ class DriveWatch:
         Args:
             recording: the whole drive; None if it failed.
         """
-        for each in self._shown:
+        for each in self._shown if self._has_begun else ():
             each.end(recording)
 
     def _take(self, monitor: Monitor) -> None:
         asked, pilot = monitor.requests(), self._pilot
-        for name, value in asked.parameters.items():
-            # A value that was refused is not tried again. NaN differs from itself.
-            if name in self._parameters and np.array_equal(
-                np.asarray(self._parameters[name]), np.asarray(value), equal_nan=True
-            ):
-                continue
-            self._parameters[name] = value
-            try:
-                pilot.controller = set_parameters(pilot.controller, {name: value})
-            except ValueError as error:
-                monitor.refuse(str(error))
+        pilot.controller, _ = self._requested.take(pilot.controller, monitor, asked.parameters)
         if asked.is_stopped:
             pilot.finish("stopped in the view")
         if asked.is_paused != self._is_paused:

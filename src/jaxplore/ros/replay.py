@@ -2,28 +2,32 @@
 
 import os
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.ros import messages
-from jaxplore.ros.bag import bag_topics, choose_topic, read_bag
+from jaxplore.ros.bag import BagMessage, bag_topics, choose_topic, read_bag
 from jaxplore.ros.link import CLOCK_TOLERANCE
 from jaxplore.ros.messages import Mount
 
 POSES = ("Odometry", "PoseWithCovarianceStamped")
 """Kinds of messages that have the pose of the robot, the preferred one first."""
+GAP_SECONDS = 5.0
+"""Longest time between two messages that is replayed [s]; beyond it the robot has long come to
+rest."""
 
 
 class Replayed(NamedTuple):
     """What came of a replay.
 
     Args:
-        times: time of each command since the first message [s].
+        times: time of each command since the first message, without what was skipped [s].
         commands: the commands.
         num_messages: number of messages that were fed.
         num_malformed: number of messages that were left out, and the first reason.
         reason: why the first of them was left out; empty without any.
+        skipped: recorded time that was left out, because it had no messages [s].
     """
 
     times: list[float]
@@ -31,6 +35,7 @@ class Replayed(NamedTuple):
     num_messages: int
     num_malformed: int
     reason: str
+    skipped: float
 
 
 def replay_topics(
@@ -68,6 +73,9 @@ def replay(
 ) -> Replayed:
     """Feed a bag to a pilot, in the order and at the times of its messages.
 
+    A gap in the bag is a gap in the data: the pilot brakes in it. Of a gap that is longer than
+    `GAP_SECONDS` the rest is left out, for the pilot as well.
+
     Args:
         path: the bag.
         pilot: the pilot; its option `is_obeyed` is false, because the recorded robot did not obey.
@@ -80,14 +88,16 @@ def replay(
         ValueError: a bag that cannot be read.
     """
     began: float | None = None
-    due, number, malformed, reason = 0.0, 0, 0, ""
+    due, now, skipped, number, malformed, reason = 0.0, 0.0, 0.0, 0, 0, ""
     times: list[float] = []
     commands: list[Command] = []
     for each in read_bag(path, [scan, pose]):
         if began is None:
-            began = due = each.time
-        # A gap in the bag is a gap in the data: the pilot brakes in it.
-        while due <= each.time:
+            began = due = now = each.time
+        # The times of a bag from elsewhere may jump by years.
+        skipped += max(each.time - skipped - now - GAP_SECONDS, 0.0)
+        now = each.time - skipped
+        while due <= now:
             commands.append(pilot.command(due))
             times.append(due - began)
             pilot.update_fields(due)
@@ -96,22 +106,25 @@ def replay(
         on_progress(each.time - began)
         number += 1
         try:
-            _feed(pilot, each.topic == scan, each.message, each.time, mount)
+            _feed(pilot, each.topic == scan, each, skipped, mount)
         except (ValueError, TypeError, OverflowError, AttributeError) as error:
             malformed += 1
             reason = reason or " ".join(str(error).split())
-    return Replayed(times, commands, number, malformed, reason)
+    return Replayed(times, commands, number, malformed, reason, skipped)
 
 
-def _feed(pilot: Pilot, is_scan: bool, message: Any, time: float, mount: Mount | None) -> None:
+def _feed(
+    pilot: Pilot, is_scan: bool, given: BagMessage, skipped: float, mount: Mount | None
+) -> None:
     """Give a message to the pilot, with the time of its stamp unless the clocks differ."""
 
     def stamp(stamped: float) -> float:
-        return stamped if abs(stamped - time) <= CLOCK_TOLERANCE else time
+        time = stamped if abs(stamped - given.time) <= CLOCK_TOLERANCE else given.time
+        return time - skipped
 
     if is_scan:
-        scan = messages.laser_scan_of(message, pilot.sensor, mount)
+        scan = messages.laser_scan_of(given.message, pilot.sensor, mount)
         pilot.add_scan(stamp(scan.time), scan.scan, scan.points)
     else:
-        place = messages.odometry_of(message)
+        place = messages.odometry_of(given.message)
         pilot.add_odometry(stamp(place.time), place.pose, place.twist)

@@ -6,6 +6,7 @@ Source: MCAP specification (records, chunks); RFC 8878 (zstd frames and blocks);
 """
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
@@ -57,50 +58,65 @@ def _check_chunk(file: BinaryIO, limit: int) -> None:
 
 def zstd_bound(data: bytes) -> int:
     """Return a bound of the unpacked size of zstd frames [bytes]."""
-    at = total = 0
-    while at < len(data):
-        (magic,) = struct.unpack_from("<I", data, at)
-        if magic >> 4 == _SKIPPABLE:
-            at += 8 + struct.unpack_from("<I", data, at + 4)[0]
-            continue
-        if magic != _ZSTD:
-            raise ValueError("a chunk is no zstd frame")
-        about = data[at + 4]
-        is_single, content = about >> 5 & 1, about >> 6
-        # The sizes of the window's, dictionary's and content's fields.
-        at += 5 + (1 - is_single) + (0, 1, 2, 4)[about & 3] + (is_single, 2, 4, 8)[content]
-        is_last = 0
-        while not is_last:
-            block = int.from_bytes(data[at : at + 3], "little")
-            is_last, kind, size = block & 1, block >> 1 & 3, block >> 3
-            if at + 3 > len(data) or kind == 3:
-                raise ValueError("a zstd frame is damaged")
-            # A block is plain, one byte repeated, or compressed.
-            at += 3 + (size, 1, size)[kind]
-            total += (size, size, _ZSTD_BLOCK)[kind]
-        at += 4 * (about >> 2 & 1)
-    return total
+    return _bound(data, _zstd_frame)
 
 
 def lz4_bound(data: bytes) -> int:
     """Return a bound of the unpacked size of LZ4 frames [bytes]."""
+    return _bound(data, _lz4_frame)
+
+
+def _bound(data: bytes, frame: Callable[[bytes, int], tuple[int, int]]) -> int:
+    """Return the sum of the bounds of all frames [bytes].
+
+    Args:
+        data: the frames, and skippable ones, which both formats share.
+        frame: function that returns the position after the frame at a position, and its bound.
+    """
     at = total = 0
     while at < len(data):
-        (magic,) = struct.unpack_from("<I", data, at)
-        if magic >> 4 == _SKIPPABLE:
+        if _magic(data, at) >> 4 == _SKIPPABLE:
             at += 8 + struct.unpack_from("<I", data, at + 4)[0]
             continue
-        if magic != _LZ4:
-            raise ValueError("a chunk is no LZ4 frame")
-        flags, most = data[at + 4], 1 << 8 + 2 * (data[at + 5] >> 4 & 7)
-        at += 7 + 8 * (flags >> 3 & 1) + 4 * (flags & 1)
-        while True:
-            (block,) = struct.unpack_from("<I", data, at)
-            at += 4
-            if block == 0:
-                break
-            # The highest bit marks a plain block.
-            at += (block & 0x7FFFFFFF) + 4 * (flags >> 4 & 1)
-            total += most
-        at += 4 * (flags >> 2 & 1)
+        at, size = frame(data, at)
+        total += size
     return total
+
+
+def _magic(data: bytes, at: int) -> int:
+    return int(struct.unpack_from("<I", data, at)[0])
+
+
+def _zstd_frame(data: bytes, at: int) -> tuple[int, int]:
+    if _magic(data, at) != _ZSTD:
+        raise ValueError("a chunk is no zstd frame")
+    about, bound = data[at + 4], 0
+    is_single, content = about >> 5 & 1, about >> 6
+    # The sizes of the window's, dictionary's and content's fields.
+    at += 5 + (1 - is_single) + (0, 1, 2, 4)[about & 3] + (is_single, 2, 4, 8)[content]
+    is_last = 0
+    while not is_last:
+        block = int.from_bytes(data[at : at + 3], "little")
+        is_last, kind, size = block & 1, block >> 1 & 3, block >> 3
+        if at + 3 > len(data) or kind == 3:
+            raise ValueError("a zstd frame is damaged")
+        # A block is plain, one byte repeated, or compressed.
+        at += 3 + (size, 1, size)[kind]
+        bound += (size, size, _ZSTD_BLOCK)[kind]
+    return at + 4 * (about >> 2 & 1), bound
+
+
+def _lz4_frame(data: bytes, at: int) -> tuple[int, int]:
+    if _magic(data, at) != _LZ4:
+        raise ValueError("a chunk is no LZ4 frame")
+    flags, most, bound = data[at + 4], 1 << 8 + 2 * (data[at + 5] >> 4 & 7), 0
+    at += 7 + 8 * (flags >> 3 & 1) + 4 * (flags & 1)
+    while True:
+        (block,) = struct.unpack_from("<I", data, at)
+        at += 4
+        if block == 0:
+            break
+        # The highest bit marks a plain block.
+        at += (block & 0x7FFFFFFF) + 4 * (flags >> 4 & 1)
+        bound += most
+    return at + 4 * (flags >> 2 & 1), bound

@@ -4,7 +4,8 @@ import abc
 import math
 import time
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any, NamedTuple
 
 import jax
@@ -113,6 +114,59 @@ class Monitor(abc.ABC):
         """
 
 
+def begin_all(monitors: Iterable[Monitor], recording: Recording, controller: Controller) -> None:
+    """Tell monitors that a run begins.
+
+    If one of them fails, those that have begun are told that the run failed.
+
+    Args:
+        monitors: the monitors.
+        recording: the run so far, see `Monitor.begin`.
+        controller: the controller.
+    """
+    with ExitStack() as stack:
+        for each in monitors:
+            each.begin(recording, controller)
+            stack.callback(each.end, None)
+        stack.pop_all()
+
+
+class ParameterRequests:
+    """Sets the parameters that monitors ask for, each value once."""
+
+    def __init__(self) -> None:
+        self._asked: dict[str, ArrayLike] = {}
+
+    def take(
+        self, controller: Controller, monitor: Monitor, requested: Mapping[str, ArrayLike]
+    ) -> tuple[Controller, list[str]]:
+        """Set those that are new. The monitor is told of those that are not accepted.
+
+        Args:
+            controller: the controller.
+            monitor: the monitor that asks.
+            requested: values by parameter, see `Requests`.
+
+        Returns:
+            The controller with the new values, and the names of the parameters that were set.
+        """
+        changed = []
+        for name, value in requested.items():
+            # A value that was refused is not tried again. NaN differs from itself.
+            if name in self._asked and np.array_equal(
+                np.asarray(self._asked[name]), np.asarray(value), equal_nan=True
+            ):
+                continue
+            self._asked[name] = value
+            try:
+                controller = set_parameters(controller, {name: value})
+            except ValueError as error:
+                monitor.refuse(str(error))
+                continue
+            changed.append(name)
+        return controller, changed
+
+
 class _Shown:
     """What a monitor has not been shown yet."""
 
@@ -165,15 +219,14 @@ class Watch[S]:
         # Number of steps that were done, and the time, when the present chunk began.
         self._began = total, math.inf
         self._shown = [_Shown(each, total) for each in monitors]
-        self._parameters: dict[str, ArrayLike] = {}
+        self._requested = ParameterRequests()
         self._single_steps = 0
         # Speed, and the step and the time from which it is held.
         self._pace: tuple[float, int, float] | None = None
 
     def begin(self, recording: Recording) -> None:
-        """Tell the monitors that the run begins."""
-        for each in self._shown:
-            each.monitor.begin(recording, self.controller)
+        """Tell the monitors that the run begins, see `begin_all`."""
+        begin_all([each.monitor for each in self._shown], recording, self.controller)
 
     def end(self, recording: Recording | None) -> None:
         """Tell the monitors that the run has ended."""
@@ -245,18 +298,13 @@ class Watch[S]:
     def _take_parameters(self, requests: Sequence[Requests]) -> None:
         """Set the parameters that monitors ask for; those that are not accepted are refused."""
         for shown, each in zip(self._shown, requests, strict=True):
-            for name, value in each.parameters.items():
-                # A value that was refused is not tried again. NaN differs from itself.
-                if name in self._parameters and np.array_equal(
-                    np.asarray(self._parameters[name]), np.asarray(value), equal_nan=True
-                ):
-                    continue
-                self._parameters[name] = value
-                try:
-                    self.controller = set_parameters(self.controller, {name: value})
-                except ValueError as error:
-                    shown.monitor.refuse(str(error))
-                    continue
-                self.planner = self._adapt(self.controller)
+            self.controller, changed = self._requested.take(
+                self.controller, shown.monitor, each.parameters
+            )
+            if not changed:
+                continue
+            self.planner = self._adapt(self.controller)
+            known = get_parameters(self.controller)
+            for name in changed:
                 path = find_parameter(self.controller, name)
-                self.parameters[path] = get_parameters(self.controller)[path].tolist()
+                self.parameters[path] = known[path].tolist()

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Rows, Scalar, StateVector, Vector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
+from jaxplore.control.inspection import shown_samples
 from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.mppi_state import MPPIState
@@ -233,17 +234,14 @@ class Portfolio(Controller):
         """
         plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
         candidates, fused, _ = self._fuse(state, plans, spread, observation, belief)
-        each = min(
-            max(1, num_trajectories // len(self.member_names)), self.members.mppi.num_samples
-        )
-        # A mixture orders its samples by component, so the first few show one component only.
-        chosen = np.linspace(0, self.members.mppi.num_samples - 1, each).round().astype(int)
+        each = max(1, num_trajectories // len(self.member_names))
+        chosen = shown_samples(self.members.mppi.num_samples, each)
         objective = self._common_objective(state, spread, observation, belief)
 
         def drawn(index: Array, member_state: MPPIState) -> tuple[Array, Array]:
             member = self.members.member(index)
             controls = member.sample(member_state, key=key).controls[:, :, chosen]
-            return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, each)
+            return jnp.moveaxis(controls, -1, 0), jnp.broadcast_to(member.dt, chosen.shape)
 
         sampled, steps = jax.vmap(drawn)(self.members.indices, state.members)
         best = least_finite(candidates.costs)

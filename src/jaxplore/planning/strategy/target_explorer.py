@@ -12,8 +12,8 @@ from jaxtyping import Array, Int
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic
-from jaxplore.belief.perception import LAYERS, LEFTOVER_SHARE
+from jaxplore.belief.exploration_field import LEFTOVER_SHARE
+from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field, geodesic
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI

@@ -11,8 +11,14 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, GridMask, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import GuidanceField, Roadmap, descent_field, geodesic, roadmap
-from jaxplore.belief.perception import LAYERS
+from jaxplore.belief.guidance import (
+    LAYERS,
+    GuidanceField,
+    Roadmap,
+    descent_field,
+    geodesic,
+    roadmap,
+)
 from jaxplore.belief.zones import Zones
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid

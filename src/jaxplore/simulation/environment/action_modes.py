@@ -11,8 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.perception import LAYERS
+from jaxplore.belief.guidance import LAYERS, GuidanceField
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.base import Dynamics

@@ -13,11 +13,17 @@ from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.maps.terrain import TerrainMap
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.reachability import to_grid
 from jaxplore.simulation.faults import Faults
 
 probability_at = jax.jit(OccupancyGrid.at)
+
+
+def grid_and_ground(world: OccupancyGrid | TerrainMap) -> tuple[OccupancyGrid, Ground | None]:
+    """Return the grid of a map, and its ground; None if it is level."""
+    return (world.grid, world.ground) if isinstance(world, TerrainMap) else (world, None)
 
 
 def check_goal(

@@ -1,10 +1,19 @@
-"""When an exploration is finished."""
+"""When an exploration is finished, and what counts then."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxplore._types import Flag, Position, Scalar
 from jaxplore.report.exploration.data import MapProgress
+
+
+def has_coverage_target(target_coverage: Scalar) -> bool:
+    """Check whether there is a target coverage: one above 1, which none reaches, stands for none.
+
+    Args:
+        target_coverage: share of the reachable cells that must be known.
+    """
+    return float(target_coverage) <= 1.0
 
 
 def is_finished(
@@ -37,3 +46,18 @@ def is_finished(
     if not has_targets:
         is_covered |= progress.unknown_map < max_unknown
     return is_there & is_covered
+
+
+def default_objective(num_targets: int, goal: Position | None, target_coverage: Scalar) -> str:
+    """Return the default objective: time to the end, or the idleness of a patrol, plus contacts.
+
+    Args:
+        num_targets: number of targets.
+        goal: goal position (x, y) [m]; None without one.
+        target_coverage: share of the reachable cells that must be known.
+    """
+    if num_targets:
+        return "last_target_at + 100*collisions"
+    if goal is None and not has_coverage_target(target_coverage):
+        return "mean_idleness + 100*collisions"
+    return "finished_at + 100*collisions"

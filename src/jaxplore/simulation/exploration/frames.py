@@ -1,5 +1,6 @@
 """Arrays of the frames of an exploration run."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -8,6 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxplore.control.base import SampledPlan
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -59,3 +61,20 @@ def frame_arrays(
         "reference": nowhere if plan.reference is None else plan.reference[:, :2],
         "terms": plan.nominal.terms,
     }
+
+
+def cropped_frame(arrays: Mapping[str, Any], world: OccupancyGrid, stride: int) -> dict[str, Any]:
+    """Return the arrays of a frame, those with the shape of the map without the cells beside it.
+
+    Args:
+        arrays: arrays of an `ExplorationFrame`, by field.
+        world: true map, in arrays of the same shape.
+        stride: number of cells between the nodes of the information field.
+    """
+    rows, columns = world.cropped(arrays["probability"]).shape
+    nodes = -(-rows // stride), -(-columns // stride)
+    on_map = {
+        "probability": arrays["probability"][:rows, :columns],
+        "information": arrays["information"][: nodes[0], : nodes[1]],
+    }
+    return {**arrays, **on_map}

@@ -1,36 +1,58 @@
 """The recording of an exploration run, from the arrays on the device."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Array, Float
 
-from jaxplore._types import Position
+from jaxplore._types import Position, Scalar, StateVector
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.robot_fields import robot_fields
 
 
 def make_recording(
     before: ExplorationState,
-    after: ExplorationState,
+    run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
     arrays: MapArrays,
+    robot: Dynamics,
+    start: StateVector,
+    period: float,
     goal: Position | None,
-    common: Mapping[str, Any],
+    target_coverage: Scalar,
+    targets: Float[Array, "M 2"],
+    member_names: tuple[str, ...],
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
     Args:
         before: state before the first step.
-        after: state at the end.
+        run: the run, with the state at the end.
         arrays: the map, in arrays of its own shape.
+        robot: model of the robot.
+        start: (nx,) state at the start.
+        period: control period [s].
         goal: goal position (x, y) [m]; None without one.
-        common: all other fields of the recording.
+        target_coverage: share of the reachable cells that must be known; above 1 for none.
+        targets: (M, 2) positions of the targets [m].
+        member_names: names of the controller's members.
     """
+    after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
     belief, moving, cropped = after.belief, after.moving_obstacles, after.belief.grid.cropped
     return ExplorationRecording(
-        **common,
+        **run.common(period),
+        **robot_fields(robot, start),
+        # `finished` counts from the step that ended the task, that step included.
+        finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
+        target_coverage=float(target_coverage) if has_coverage_target(target_coverage) else None,
+        targets=np.asarray(targets),
+        member_names=member_names,
         world=np.asarray(world.probability),
         belief=cropped(belief.grid.probability),
         reachable=np.asarray(arrays.reachable),

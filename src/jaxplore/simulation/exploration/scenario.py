@@ -35,7 +35,7 @@ from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord, MapProgress
+from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
@@ -43,18 +43,19 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
-from jaxplore.simulation.exploration.clock import when_due, whole_steps
-from jaxplore.simulation.exploration.finish import is_finished
-from jaxplore.simulation.exploration.frames import frame_arrays
+from jaxplore.simulation.exploration.clock import whole_steps
+from jaxplore.simulation.exploration.finish import default_objective, is_finished
+from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
 from jaxplore.simulation.exploration.map_arrays import MapArrays
+from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.reachability import reachable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
+from jaxplore.simulation.exploration.senses import Senses
 from jaxplore.simulation.exploration.state import ExplorationState, max_ranges
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.robot_fields import robot_fields
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
 
 
@@ -168,10 +169,7 @@ class ExplorationScenario(Scenario):
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
-        ground = None
-        if isinstance(world, TerrainMap):
-            ground = world.ground
-            world = world.grid
+        world, ground = checks.grid_and_ground(world)
         self.robot, self.sensors = robot, all_sensors
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
@@ -245,12 +243,7 @@ class ExplorationScenario(Scenario):
     @property
     def objective(self) -> str:
         """Default objective: time to the end, or the idleness of a patrol, plus contacts."""
-        if self.num_targets:
-            return "last_target_at + 100*collisions"
-        # A target coverage above 1 stands for none.
-        if self.goal is None and float(self.target_coverage) > 1.0:
-            return "mean_idleness + 100*collisions"
-        return "finished_at + 100*collisions"
+        return default_objective(self.num_targets, self.goal, self.target_coverage)
 
     @property
     def num_reachable(self) -> Scalar:
@@ -280,56 +273,19 @@ class ExplorationScenario(Scenario):
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        perception, period = self.perception, self.control_period
-        truth, step = self.true_world(state, moment), moment.step
-        # The scan is taken at the true pose and integrated at the observed one, so that odometry
-        # faults distort the map.
-        pose = self.robot.pose(moment.observed)
-        is_placed = jnp.isfinite(pose).all()
-
-        def sense(
-            belief: Belief, _: MapProgress, is_seen: Array, __: Array
-        ) -> tuple[Belief, MapProgress, Array, Array]:
-            at = self.robot.pose(state.robot)
-            scans = truth.scans(self.sensors, at, key)
-            since = period * self.steps_per_scan.astype(jnp.float32)
-            belief = perception.observe(belief, scans, pose, since)
-            if self.num_targets > 0:
-                is_seen |= self.sensors[0].sees(
-                    truth.grid, at, self.targets, self.map_arrays.ground
-                )
-            known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
-            belief = dataclasses.replace(belief, obstacles=known)
-            ranges = jnp.concatenate([scan.ranges for scan in scans])
-            return (
-                belief,
-                map_progress(belief, self.map_arrays.reachable, moment.time),
-                is_seen,
-                ranges,
-            )
-
-        belief = state.belief
-        # The tracker predicts the obstacles at every control period, also between scans.
-        if belief.obstacles is not None:
-            belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        belief, progress, is_seen, ranges = when_due(
-            step % self.steps_per_scan == 0,
-            ~moment.is_blind & is_placed,
-            sense,
-            (belief, state.progress, state.is_seen, state.ranges),
+        senses = Senses(
+            self.robot,
+            self.sensors,
+            self.perception,
+            self.map_arrays.reachable,
+            self.targets,
+            self.tracking_noise,
+            self.control_period,
+            self.steps_per_scan,
+            self.steps_per_field,
         )
-        # The fields are derived one step before a strategic layer of the same rate runs: it reads
-        # fresh fields, and no single step has the cost of both.
-        every = self.steps_per_field
-        elapsed = period * every.astype(jnp.float32)
-
-        def derive(current: Belief) -> tuple[Belief]:
-            return (perception.update_fields(current, pose, elapsed),)
-
-        is_due = (step % every == every - 1) | (step == 0)
-        (belief,) = when_due(is_due, is_placed, derive, (belief,))
-        known = state._replace(belief=belief, progress=progress, is_seen=is_seen, ranges=ranges)
-        return known, belief
+        known = senses.perceive(state, self.true_world(state, moment), moment, key)
+        return known, known.belief
 
     def advance(
         self, state: ExplorationState, control: ControlVector, moment: Moment, info: Info
@@ -339,28 +295,21 @@ class ExplorationScenario(Scenario):
         If the move would touch something solid, the robot stops instead, and the step counts as a
         collision.
         """
-        model, period, progress = self.robot, self.control_period, state.progress
-        moved = model.step(state.robot, control, period)
         # Moving obstacles move during the step as well, so contact is with those at its end.
-        truth = self.true_world(state, moment._replace(time=moment.time + period))
-        reach = self.clearance_reach
-        robot, is_collision = truth.stopped(model, state.robot, moved, reach)
-        is_over = self.is_finished(state._replace(robot=robot)) | (state.finished > 0)
-        record = ExplorationRecord(
-            state=robot,
-            control=control,
-            **progress._asdict(),
-            clearance=truth.clearance(model, robot, reach),
-            is_collision=is_collision,
-            is_untraversable=truth.is_untraversable(model, robot, reach),
-            effective_sample_size=info.effective_sample_size,
-            is_finite=info.is_finite,
+        truth = self.true_world(state, moment._replace(time=moment.time + self.control_period))
+        record = move(
+            self.robot,
+            state,
+            control,
+            truth,
+            period=self.control_period,
+            reach=self.clearance_reach,
+            info=info,
             is_faulty=moment.is_faulty,
-            members=info.members,
-            targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         )
-        finished = state.finished + is_over.astype(jnp.int32)
-        return state._replace(robot=robot, finished=finished), record
+        state = state._replace(robot=record.state)
+        is_over = self.is_finished(state) | (state.finished > 0)
+        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is finished, plus the hover time.
@@ -411,13 +360,7 @@ class ExplorationScenario(Scenario):
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host, with the cells that are on the map."""
         stride = self.perception.field_sensor.stride
-        rows, columns = self.map_arrays.world.cropped(arrays["probability"]).shape
-        nodes = -(-rows // stride), -(-columns // stride)
-        on_map = {
-            "probability": arrays["probability"][:rows, :columns],
-            "information": arrays["information"][: nodes[0], : nodes[1]],
-        }
-        return super().make_frame(step, {**arrays, **on_map})
+        return super().make_frame(step, cropped_frame(arrays, self.map_arrays.world, stride))
 
     def agent_view(self, view_cells: int | None) -> ExplorationView:
         """Return exploration as an agent sees it."""
@@ -439,18 +382,10 @@ class ExplorationScenario(Scenario):
         run: ChunkedRun[Any, ExplorationRecord, ExplorationFrame],
     ) -> ExplorationRecording:
         """Make the recording of a run."""
-        last: ExplorationState = run.state.task
-        target = float(self.target_coverage)
-        common = {
-            **run.common(self.period),
-            **robot_fields(self.robot, self.start),
-            # `finished` counts from the step that ended the task, that step included.
-            "finished_step": run.num_steps - int(last.finished) + 1 if last.finished > 0 else None,
-            "target_coverage": None if target > 1.0 else target,
-            "targets": np.asarray(self.targets),
-            "member_names": () if controller is None else controller.member_names,
-        }
-        return make_recording(before, last, self.map_arrays.cropped(), self.goal, common)
+        names = () if controller is None else controller.member_names
+        parts = (self.robot, self.start, self.period)
+        end = (self.goal, self.target_coverage, self.targets)
+        return make_recording(before, run, self.map_arrays.cropped(), *parts, *end, names)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""

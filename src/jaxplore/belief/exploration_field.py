@@ -1,0 +1,100 @@
+"""Compute the cost-to-go to remaining information."""
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+from jaxplore._types import Flag, Position, Scalar
+from jaxplore.belief.guidance import (
+    LAYERS,
+    GuidanceField,
+    Roadmap,
+    descent_field,
+    geodesic,
+    point_sources,
+    roadmap,
+)
+from jaxplore.maps.field import ScalarField
+
+LEFTOVER_DETOUR = 1e3
+"""Additional cost-to-go of places with less than `min_information` [m]: they come last."""
+GOAL_DETOUR = 5e2
+"""Additional cost-to-go of the goal during exploration [m]: after information, before leftovers."""
+LEFTOVER_SHARE = 0.03
+"""Share of `min_information` below which a place is ignored."""
+
+
+def exploration_field(
+    clearance: ScalarField,
+    worth: Float[Array, "rows columns"],
+    required: Scalar,
+    *,
+    decay_length: Scalar,
+    min_information: Scalar,
+    stride: int,
+    goal: Position | None,
+    is_explored: Flag,
+) -> GuidanceField:
+    """Return the cost-to-go to remaining information [m] and the direction of its descent.
+
+    The cost is
+
+        U(x) = min over s of [ d(x, s) - decay_length * ln W(s) ],
+        W(s) = I(s) exp(-dwell(s) / patience)
+
+    over positions s in free space. I(s) is the information of a full circle of beams. d is the
+    length of the shortest path that keeps the robot's clearance from all cells that are not free;
+    length counts up to double where the robot just fits. U is also `-decay_length` times the
+    logarithm of the greatest `W(s) exp(-d(x, s) / decay_length)`. It has local minima only at
+    places with information.
+
+    `dwell` is the time recently spent near a place. A place where the robot stays loses its weight
+    and regains it later, so the robot gives up what it cannot observe. Places with W below
+    `min_information`, mostly cells near walls that noise changes back and forth, get an additional
+    cost of a kilometre: they come last.
+
+    A goal is one more source of the field. It comes after all places with enough information and
+    before the places with little, and it is the only source once the map is explored.
+
+    Args:
+        clearance: distance to the nearest cell that is not free [m].
+        worth: discounted information W of each node [nat].
+        required: clearance that the robot needs [m].
+        decay_length: additional distance that the robot travels for e times the information [m].
+        min_information: information below which a place comes last [nat].
+        stride: number of cells between nodes; static.
+        goal: goal position (x, y) that is one more source [m]; None without one.
+        is_explored: whether the goal is the only source; without a goal it has no effect.
+    """
+    roads = roadmap(clearance, required, stride)
+    # The bound keeps the logarithm finite where there is no information.
+    reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
+    is_leftover = worth < min_information
+    detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
+    is_source = worth >= LEFTOVER_SHARE * min_information
+    source = jnp.where(is_source, detour - reward, jnp.inf)
+    if goal is not None:
+        source = _with_goal(source, roads, goal, is_explored)
+    distance = geodesic(source, roads.slowness, roads.is_open)
+    return descent_field(distance, roads.frame, LAYERS)
+
+
+def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
+    """Return whether the goal is the next source that an exploration field leads to.
+
+    It is if the cost-to-go shows that only the goal or leftovers are reachable.
+
+    Args:
+        field: exploration field with a goal.
+        position: position (x, y) of the robot [m].
+    """
+    # Half the detour tells sources that have one, the goal and leftovers, from all others. Off the
+    # map the cost is `outside`, which says nothing about the sources.
+    cost = field(position)
+    return (cost > 0.5 * GOAL_DETOUR) & (cost < field.outside)
+
+
+def _with_goal(source: Array, roads: Roadmap, goal: Position, is_explored: Flag) -> Array:
+    """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
+    at_goal = point_sources(goal, roads.frame, roads.is_open) + GOAL_DETOUR
+    return jnp.minimum(jnp.where(is_explored, jnp.inf, source), at_goal)

@@ -1,0 +1,98 @@
+"""What the robot learns at a control period: scans at one rate, fields at another."""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Count, GridMask, Key, Scalar
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.report.exploration.data import MapProgress
+from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.clock import when_due
+from jaxplore.simulation.exploration.progress import map_progress
+from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.exploration.true_world import TrueWorld
+from jaxplore.simulation.scenario import Moment
+
+
+class Senses(NamedTuple):
+    """The sensors of a robot in the true world, and what updates its belief.
+
+    Args:
+        robot: model of the robot.
+        sensors: the sensors; targets are seen by the first.
+        perception: update of the belief from scans.
+        reachable: (H, W) cells that count for the progress.
+        targets: (M, 2) positions of the targets [m].
+        tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
+        period: control period [s].
+        steps_per_scan: control periods between two scans.
+        steps_per_field: control periods between two updates of the fields.
+    """
+
+    robot: Dynamics
+    sensors: tuple[Sensor, ...]
+    perception: Perception
+    reachable: GridMask
+    targets: Float[Array, "M 2"]
+    tracking_noise: Float[Array, "2"]
+    period: Scalar
+    steps_per_scan: Count
+    steps_per_field: Count
+
+    def perceive(
+        self, state: ExplorationState, truth: TrueWorld, moment: Moment, key: Key
+    ) -> ExplorationState:
+        """Scan and update the map at the sensing rate, derive the fields at the field rate.
+
+        Args:
+            state: state of the task before.
+            truth: the true world at the moment.
+            moment: time, step and observed state of the robot.
+            key: random key of the step's measurements.
+        """
+        perception, period, step = self.perception, self.period, moment.step
+        # The scan is taken at the true pose and integrated at the observed one, so that odometry
+        # faults distort the map.
+        pose = self.robot.pose(moment.observed)
+        is_placed = jnp.isfinite(pose).all()
+
+        def sense(
+            belief: Belief, _: MapProgress, is_seen: Array, __: Array
+        ) -> tuple[Belief, MapProgress, Array, Array]:
+            at = self.robot.pose(state.robot)
+            scans = truth.scans(self.sensors, at, key)
+            since = period * self.steps_per_scan.astype(jnp.float32)
+            belief = perception.observe(belief, scans, pose, since)
+            if self.targets.shape[0] > 0:
+                is_seen |= self.sensors[0].sees(truth.grid, at, self.targets, truth.ground)
+            known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
+            belief = dataclasses.replace(belief, obstacles=known)
+            ranges = jnp.concatenate([scan.ranges for scan in scans])
+            return belief, map_progress(belief, self.reachable, moment.time), is_seen, ranges
+
+        belief = state.belief
+        # The tracker predicts the obstacles at every control period, also between scans.
+        if belief.obstacles is not None:
+            belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
+        belief, progress, is_seen, ranges = when_due(
+            step % self.steps_per_scan == 0,
+            ~moment.is_blind & is_placed,
+            sense,
+            (belief, state.progress, state.is_seen, state.ranges),
+        )
+        # The fields are derived one step before a strategic layer of the same rate runs: it reads
+        # fresh fields, and no single step has the cost of both.
+        every = self.steps_per_field
+        elapsed = period * every.astype(jnp.float32)
+
+        def derive(current: Belief) -> tuple[Belief]:
+            return (perception.update_fields(current, pose, elapsed),)
+
+        is_due = (step % every == every - 1) | (step == 0)
+        (belief,) = when_due(is_due, is_placed, derive, (belief,))
+        return state._replace(belief=belief, progress=progress, is_seen=is_seen, ranges=ranges)
