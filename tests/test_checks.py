@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxplore import _checks, _kinds
+from jaxplore import DifferentialDrive, _checks, _kinds
 
 
 @pytest.mark.parametrize("value", [0, -3, 1.5, "2", None, True, math.nan])
@@ -108,3 +108,34 @@ def test_a_number_of_another_unit_is_warned_of() -> None:
     with pytest.warns(UserWarning, match=r"^yaw is -90; it is in radians$"):
         _checks.warn_above("yaw", -90.0, math.tau, "it is in radians")
     jax.jit(lambda yaw: _checks.warn_above("yaw", yaw, 1.0, "it is in radians"))(90.0)
+
+
+def test_a_shape_is_accepted_as_it_is_and_lists_become_arrays() -> None:
+    given = np.zeros(3)
+    assert _checks.pose("pose", given) is given
+    assert _checks.shaped("dt", 0.1, ()) == 0.1
+    made = _checks.shaped("points", [(0, 1), [2.5, 3]], ("N", 2))
+    assert made.dtype == jnp.float32
+    np.testing.assert_array_equal(made, [[0.0, 1.0], [2.5, 3.0]])
+    mixed = jax.jit(lambda x: _checks.position("position", [x, 2.0]))(jnp.float32(1.0))
+    np.testing.assert_array_equal(mixed, [1.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    "value", [np.zeros(2), [1.0, 2.0], [[1.0], 2.0, 3.0], "abc", ["a", "b", "c"], None, 1.0]
+)
+def test_another_shape_is_refused_by_name(value) -> None:
+    with pytest.raises(ValueError, match=r"pose is .*; accepted: 3 numbers: x, y, yaw"):
+        _checks.pose("pose", value)
+
+
+def test_a_check_of_a_shape_leaves_no_trace_in_a_program() -> None:
+    robot = DifferentialDrive()
+    state, control, dt = jnp.zeros(5), jnp.zeros(2), jnp.array(0.1)
+    checked = jax.make_jaxpr(robot.step)(state, control, dt)
+    rate = robot.derivative_under
+
+    def unchecked(state, control, dt):
+        return robot.project(robot.integrator(rate(control), state, control, dt))
+
+    assert str(checked) == str(jax.make_jaxpr(unchecked)(state, control, dt))

@@ -7,7 +7,6 @@ Prints JSON: what becomes of each mistake, and of each call that is not refused 
 import inspect
 import json
 import sys
-import traceback
 import types
 import warnings
 from collections.abc import Callable, Iterator
@@ -31,6 +30,7 @@ from jaxplore import (
     sensing,
     simulation,
 )
+from wrong_types_methods import WRONG, methods, outcome, walk_method
 
 PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, planning, sensing)
 PACKAGES += (simulation,)
@@ -255,25 +255,11 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     return common, own
 
 
-WRONG = {"text": "wrong", "object": object(), "list": [object()], "None": None, "class": dict}
-
-
-def outcome(call: Callable[..., Any], name: str, arguments: dict[str, Any]) -> str | None:
-    """Return what is wrong with the error of a call: None if nothing is."""
-    try:
-        call(**arguments)
-    except Exception as error:
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        is_ours = last.filename.startswith(str(Path(jx.__file__).parent))
-        if is_ours and isinstance(error, (ValueError, TypeError)) and name in str(error):
-            return None
-        return f"{type(error).__name__} in {last.filename}:{last.lineno}: {str(error)[:200]}"
-    return "accepted"
-
-
 def walk(folder: Path) -> Iterator[tuple[str, str]]:
     """Yield each call that ends in another way than it should, and how."""
     common, own = examples(folder)
+    for label, (method, given) in methods(folder, examples(folder)[1]).items():
+        yield from walk_method(label, method, given)
     for label, call in everything().items():
         signature = inspect.signature(call).parameters.values()
         variable = inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD

@@ -230,6 +230,75 @@ def array(
     return result
 
 
+def shaped(
+    name: str,
+    value: Any,
+    *shapes: tuple[int | str, ...],
+    accepted: str = "",
+    dtype: Any = jnp.float32,
+) -> Any:
+    """Return `value`, an array, a number or lists of numbers, if its shape is accepted.
+
+    Only the shape is checked, so that this costs nothing in a compiled program. An array and a
+    number are returned as they are, lists as an array.
+
+    Args:
+        name: name of the argument.
+        value: its value; it may be traced.
+        shapes: accepted shapes; a letter stands for any size.
+        accepted: what is accepted, for the message; the shapes when absent.
+        dtype: type of the array that is made of lists.
+    """
+    found = _static_shape(value)
+    for shape in shapes:
+        if found is not None and len(found) == len(shape):
+            pairs = zip(found, shape, strict=True)
+            if all(isinstance(wanted, str) or size == wanted for size, wanted in pairs):
+                is_list = isinstance(value, (list, tuple))
+                return jnp.asarray(value, dtype) if is_list else value
+    raise ValueError(f"{name} is {described(value)}; accepted: {accepted or _describe(shapes)}")
+
+
+def position(name: str, value: Any) -> Any:
+    """Return `value` if it is the position (x, y) of one point; see `shaped`."""
+    return shaped(name, value, (2,), accepted="2 numbers: x, y")
+
+
+def pose(name: str, value: Any) -> Any:
+    """Return `value` if it is one pose (x, y, yaw); see `shaped`."""
+    return shaped(name, value, (3,), accepted="3 numbers: x, y, yaw")
+
+
+def pairs(name: str, value: Any, dtype: Any) -> Any:
+    """Return `value` if it is an array (..., 2) of any number of axes; see `shaped`."""
+    axes = len(_static_shape(value) or (0,))
+    wanted: tuple[int | str, ...] = (*("N" for _ in range(axes - 1)), 2)
+    return shaped(name, value, wanted, accepted="pairs of numbers, an array (..., 2)", dtype=dtype)
+
+
+def rows_and_columns(name: str, value: object) -> tuple[int, int]:
+    """Return `value` as two whole numbers >= 1."""
+    if not isinstance(value, (tuple, list)) or len(value) != 2:
+        raise ValueError(f"{name} is {described(value)}; accepted: (rows, columns)")
+    return positive_int(name, value[0]), positive_int(name, value[1])
+
+
+def _static_shape(value: Any) -> tuple[int, ...] | None:
+    """Return the shape of an array, a number or lists of numbers; None of anything else."""
+    if isinstance(value, (Array, np.ndarray, np.generic)):
+        is_number = value.dtype.kind in "biuf" or jnp.issubdtype(value.dtype, np.number)
+        return value.shape if is_number else None
+    if isinstance(value, (int, float)):
+        return ()
+    if not isinstance(value, (list, tuple)):
+        return None
+    inner = {_static_shape(each) for each in value}
+    if len(inner) > 1:
+        return None
+    within = inner.pop() if inner else ()
+    return None if within is None else (len(value), *within)
+
+
 def one_each(
     name: str,
     value: object,

@@ -560,5 +560,5 @@ def test_bad_sensors_and_factors_are_named(argument: str, value, message: str) -
 
 def test_as_many_scans_as_sensors(looked) -> None:
     before, scans, _ = looked
-    with pytest.raises(ValueError, match="zip"):
+    with pytest.raises(ValueError, match=r"scans has \d scans; accepted: 2, one per sensor"):
         observe(two(IdlenessMap(10.0)), before, scans[:1], POSE, 0.25)

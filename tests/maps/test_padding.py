@@ -2,6 +2,7 @@
 
 import itertools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
+from jaxplore import InverseSensorModel, Lidar, OccupancyGrid, Perception
 from jaxplore.belief import unknown_fraction
 from jaxplore.information.field_sensor import FieldSensor
 from jaxplore.maps.clearance import clearance_field
@@ -163,3 +164,38 @@ def test_ground_is_0_off_the_map_and_can_be_cut_back() -> None:
         np.testing.assert_array_equal(one, other)
     with pytest.raises(ValueError, match="accepted: at least"):
         ground.padded((10, 60))
+
+
+@pytest.mark.parametrize(
+    "drawn",
+    [
+        lambda belief: belief.grid.plot(),
+        lambda belief: belief.clearance.plot(),
+        lambda belief: belief.guidance.plot(),
+        lambda belief: belief.information.plot(),
+        lambda belief: belief.information.plot(0.7),
+        lambda belief: belief.information.at_headings(4, 1.0).plot(),
+    ],
+    ids=["map", "clearance", "guidance", "full circle", "one heading", "best heading"],
+)
+def test_figures_of_a_padded_belief_end_where_the_map_ends(drawn, beliefs) -> None:
+    alone, padded = (drawn(belief).axes[0] for belief in beliefs)
+    np.testing.assert_allclose(padded.images[0].get_array(), alone.images[0].get_array(), rtol=1e-4)
+    assert padded.images[0].get_clim() == pytest.approx(alone.images[0].get_clim())
+    assert (padded.get_xlim(), padded.get_ylim()) == (alone.get_xlim(), alone.get_ylim())
+
+
+@pytest.fixture(scope="module")
+def beliefs():
+    """Return a belief of the map alone, and one of the padded map."""
+    perception = Perception(LIDAR, 0.1, 0.15, num_directions=8)
+    pose = jnp.append(GRID.frame.cell_centre(jnp.asarray([10, 12])), 0.0)
+    init = eqx.filter_jit(perception.init)
+    return init(GRID, pose), init(PADDED, pose)
+
+
+def test_the_frame_of_a_window_is_that_of_no_map() -> None:
+    coarse = PADDED.frame.coarsen(2, 1.0)
+    assert np.asarray(coarse.map_shape).tolist() == [11, 17]
+    assert PADDED.frame.coarsen(2, 1.0, jnp.array([3, 4])).map_shape is None
+    assert GRID.frame.coarsen(2, 1.0).map_shape is None

@@ -469,6 +469,22 @@ def test_curves_and_films_of_a_known_map_show_no_coverage(make: Make) -> None:
     assert labels(time_to=[unknown], num_targets=[2]) == [*both, "targets found"]
 
 
+@pytest.mark.parametrize("most", [1.0, 2.0, 7.0, 30.0])
+def test_ticks_of_found_targets_are_whole_numbers(make: Make, most: float) -> None:
+    times: dict[str, list[float | None]] = {
+        "time": [0.0, 1.0, 2.0],
+        "coverage": [0.0, 0.5, 1.0],
+        "unknown": [1.0, 0.5, 0.0],
+        "targets": [0.0, 0.0, most],
+    }
+    runs = make(duration=[2.0], coverage_curve=[times], num_targets=[int(most)])
+    figure = curves_figure({"it": runs})
+    ticks = figure.axes[-1].get_yticks()
+    assert figure.axes[-1].get_ylabel() == "targets found"
+    assert len(ticks) >= 2
+    np.testing.assert_array_equal(ticks, np.round(ticks))
+
+
 def test_films_have_the_name_of_their_variant(
     comparison: Comparison, tmp_path: Path, written: list[tuple[str, object]]
 ) -> None:

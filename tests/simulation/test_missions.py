@@ -27,11 +27,12 @@ from jaxplore.control.trajectory import Trajectory
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
+from jaxplore.report.drawing.colours import TARGET
 from jaxplore.simulation.loop import (
     initial_loop_state,
     run_chunk,
 )
-from jaxplore.simulation.scenario import LoopState
+from jaxplore.simulation.scenario import LoopState, Moment
 
 SHAPE, RESOLUTION = (30, 40), 0.2  # 8 m x 6 m
 PERIOD, CAPACITY = 0.05, 40
@@ -182,6 +183,24 @@ def test_targets_count_as_seen_when_they_are_in_sight_of_the_first_sensor(search
     np.testing.assert_array_equal(outcome.records.targets_seen, expected)
     # One after the other, and not at once.
     assert sorted(set(expected)) == [1, 2, 3, 4]
+
+
+def test_the_picture_of_an_environment_has_stars_and_found_targets(search) -> None:
+    given, outcome = search
+    view, task = given.agent_view(None), outcome.state.task
+    observed = outcome.state.observed
+    moment = Moment(jnp.int32(0), jnp.float32(0.0), observed, jnp.array(False), jnp.array(False))
+    trail = np.asarray(observed[:2])[None]
+    is_seen = np.arange(given.num_targets) % 2 == 0
+    image = view.picture(task._replace(is_seen=jnp.asarray(is_seen)), moment, trail)
+    side = image.shape[0] / (SHAPE[0] * RESOLUTION)
+    for (x, y), found in zip(np.asarray(given.targets).tolist(), is_seen, strict=True):
+        row, column = image.shape[0] - round(y * side), round(x * side)
+        around = image[row - 8 : row + 9, column - 8 : column + 9]
+        is_sign = (np.abs(around.astype(int) - np.asarray(TARGET)) < 12).all(axis=-1)
+        # A star is filled in its middle, where a ring has only its thin check mark.
+        assert is_sign.sum() > 15
+        assert bool(is_sign[6:11, 6:11].sum() > 15) is not bool(found)
 
 
 def test_the_run_is_over_when_all_targets_are_seen(search) -> None:

@@ -90,6 +90,22 @@ def test_compromises_are_drawn_and_written(tmp_path) -> None:
     assert len(numbers) > 1
 
 
+def test_ticks_of_candidates_and_of_whole_numbers_are_whole(tmp_path) -> None:
+    few = Search(
+        Space((Parameter("a", 1.0, 3.0, is_whole=True), Parameter("b", 0.0, 1.0))),
+        (Objective.parse("cost"),),
+        (0,),
+        "random",
+    )
+    with open_study(few, FunctionEpisodes(valley, {"a": 1, "b": 0.5}), tmp_path) as study:
+        study.run(3)
+        drawn = figures(study, study.best())
+    for axes in (drawn["convergence"].axes[0], drawn["slices"].axes[0]):
+        ticks = axes.get_xticks()
+        assert len(ticks) >= 2
+        np.testing.assert_array_equal(ticks, np.round(ticks))
+
+
 def test_candidates_without_a_value_are_marks_on_the_edge_of_the_convergence(tmp_path) -> None:
     def half(candidate, seed) -> dict[str, float]:
         if candidate["a"] > 0.85:

@@ -181,7 +181,12 @@ class Perception(eqx.Module):
         Args:
             grid: prior map; 0.5 everywhere if nothing is known.
             pose: pose (x, y, yaw) of the robot [m, m, rad].
+
+        Raises:
+            ValueError: something else than a grid or a pose.
         """
+        _kinds.instance("grid", grid, OccupancyGrid)
+        pose = _checks.pose("pose", pose)
         # The robot stands on free ground, whatever the prior map says: otherwise no path starts
         # there.
         height, width = grid.shape
@@ -235,8 +240,21 @@ class Perception(eqx.Module):
             scans: one scan for each sensor.
             pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
             elapsed: time since the last scans [s], for the idleness.
+
+        Raises:
+            ValueError: another number of scans than there are sensors, an argument of another kind
+                or shape.
         """
-        scans = (scans,) if isinstance(scans, Scan) else tuple(scans)
+        _kinds.instance("belief", belief, Belief)
+        pose = _checks.pose("pose", pose)
+        _checks.shaped("elapsed", elapsed, ())
+        scans = (scans,) if isinstance(scans, Scan) else scans
+        if not isinstance(scans, (list, tuple)):
+            _kinds.instance("scans", scans, Scan, hint="or a list of one for each sensor")
+        _kinds.instances("scans", scans, Scan)
+        if len(scans) != len(self.sensors):
+            number = len(self.sensors)
+            raise ValueError(f"scans has {len(scans)} scans; accepted: {number}, one per sensor")
         grid, idleness = belief.grid, belief.idleness
         # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
@@ -255,7 +273,13 @@ class Perception(eqx.Module):
             belief: belief after the last scan.
             pose: present pose (x, y, yaw) of the robot [m, m, rad].
             elapsed: time since the last update [s].
+
+        Raises:
+            ValueError: an argument of another kind or shape.
         """
+        _kinds.instance("belief", belief, Belief)
+        pose = _checks.pose("pose", pose)
+        _checks.shaped("elapsed", elapsed, ())
         information = self._information(belief.grid, belief.idleness, belief.information)
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)

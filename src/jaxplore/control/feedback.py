@@ -126,6 +126,8 @@ class FeedbackMPPI(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories of the planner as if it planned now."""
+        model = self.planner.dynamics
+        observation = checked_call(model, state, FeedbackState, observation, key)
         return self.planner.inspect(
             state.planner, observation, belief, key=key, num_trajectories=num_trajectories
         )

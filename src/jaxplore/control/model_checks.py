@@ -4,6 +4,7 @@ import contextlib
 from collections.abc import Callable
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -107,6 +108,8 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
     size = dynamics.control_size
     number, control, controls = _floats(), _floats(size), _floats(horizon, size)
     values = _floats(dynamics.state_size)
+    # What is no array cannot be traced: the cost itself refuses a text in place of a belief.
+    arrays, others = eqx.partition(belief, eqx.is_array_like)
     for name, term in cost.terms():
         calls: dict[str, Callable[..., Array]] = {
             "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics), u, t, b),
@@ -114,7 +117,11 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
             "sequence": lambda x, u, us, t, b, term=term: term.sequence(us, u, t, dynamics),
         }
         for method, call in calls.items():
-            paid = jax.eval_shape(call, values, control, controls, number, belief)
+
+            def paid_with(x: Any, u: Any, us: Any, t: Any, known: Any, call: Any = call) -> Any:
+                return call(x, u, us, t, eqx.combine(known, others))
+
+            paid = jax.eval_shape(paid_with, values, control, controls, number, arrays)
             if not hasattr(paid, "shape"):
                 given = _kinds.described(paid)
                 raise ValueError(f"{method} of {name} returns {given}; accepted: one number")

@@ -172,10 +172,15 @@ class MPPI(Controller):
 
         Args:
             controls: (T, nu) first nominal; the model's default control throughout when absent.
+
+        Raises:
+            ValueError: controls of another shape.
         """
         space, size = self._space, self.dynamics.control_size
         if controls is None:
             controls = jnp.broadcast_to(space.default, (self.horizon, size))
+        accepted = f"({self.horizon}, {size}), a control for each step of the horizon"
+        controls = _checks.shaped("controls", controls, (self.horizon, size), accepted=accepted)
         history = 0 if self.smoothing is None else self.smoothing.history
         return MPPIState(
             nominal=self.parameterisation.init(controls, space),
@@ -358,11 +363,12 @@ class MPPI(Controller):
             num_trajectories: number of the K samples to return, taken at even distances.
         """
         observation = checked_call(self.dynamics, state, MPPIState, observation, key)
+        wanted = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
         sampled = self.sample(state, key=key)
         costs = self.evaluate(sampled, observation, belief)
         _, _, info = self.update(sampled, costs)
         parts, known = (self.dynamics, self.cost), (self.dt, belief)
-        return sampled_plan(*parts, sampled, info, observation, *known, num_trajectories)
+        return sampled_plan(*parts, sampled, info, observation, *known, wanted)
 
     def _shift(self, state: MPPIState) -> MPPIState:
         """Move the nominal and the memory on by one control period."""

@@ -151,6 +151,7 @@ class Ackermann(ContinuousDynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (5,) after `dt` seconds under a control (2,)."""
+        state, control, dt = self.checked_step(state, control, dt)
         return super().step(state, self._within_limits(state, control, dt), dt)
 
     def stopping_control(

@@ -93,6 +93,7 @@ class Augmented(Dynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (nx,) after `dt` seconds under a control (nu,)."""
+        state, control, dt = self.checked_step(state, control, dt)
         return self.step_at(state, control, jnp.zeros(()), dt)
 
     def step_at(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore import _kinds
+from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, ControlVector, Pose, Position, Scalar, StateVector, Twist
 from jaxplore._xla import computed
@@ -160,9 +160,35 @@ class Dynamics(eqx.Module):
         )
 
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
-        """Return the state of a robot at rest at a pose (x, y, yaw) [m, m, rad]."""
+        """Return the state of a robot at rest at a pose (x, y, yaw) [m, m, rad].
+
+        Raises:
+            ValueError: a component that is not one number.
+        """
         pose = {"x": x, "y": y, "yaw": yaw}
+        for name, value in pose.items():
+            _checks.shaped(name, value, ())
         return as_state(*(pose.get(name, 0.0) for name in self.state_names))
+
+    def checked_step(
+        self, state: StateVector, control: ControlVector, dt: Scalar
+    ) -> tuple[StateVector, ControlVector, Scalar]:
+        """Return the arguments of `step`, lists as arrays, if their shapes are right.
+
+        The models of the library call it. Only shapes are checked, so that it costs nothing in a
+        compiled program.
+
+        Raises:
+            ValueError: a state or a control of another size, a `dt` that is not one number.
+        """
+        vectors = []
+        for name, value, names in (
+            ("state", state, self.state_names),
+            ("control", control, self.control_names),
+        ):
+            accepted = f"{len(names)} numbers: {', '.join(names)}"
+            vectors.append(_checks.shaped(name, value, (len(names),), accepted=accepted))
+        return vectors[0], vectors[1], _checks.shaped("dt", dt, ())
 
     def blocked(self, before: StateVector, after: StateVector) -> StateVector:
         """Return the state after a collision stopped the robot.
@@ -212,7 +238,12 @@ class ContinuousDynamics(Dynamics):
         return self.derivative
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
-        """Return the state (nx,) after `dt` seconds under a control (nu,)."""
+        """Return the state (nx,) after `dt` seconds under a control (nu,).
+
+        Raises:
+            ValueError: a state or a control of another size, a `dt` that is not one number.
+        """
+        state, control, dt = self.checked_step(state, control, dt)
         rate = self.derivative_under(control)
         return self.project(self.integrator(rate, state, control, dt))
 

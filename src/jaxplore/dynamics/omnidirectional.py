@@ -116,6 +116,7 @@ class Omnidirectional(ContinuousDynamics):
 
     def step(self, state: StateVector, control: ControlVector, dt: Scalar) -> StateVector:
         """Return the state (6,) after `dt` seconds under a control (3,)."""
+        state, control, dt = self.checked_step(state, control, dt)
         return super().step(state, self._within_limits(state, control, dt), dt)
 
     def project(self, state: StateVector) -> StateVector:

@@ -159,5 +159,7 @@ class Quadrotor(ContinuousDynamics):
 
     def at_pose(self, x: float, y: float, yaw: float, z: float = 0.0) -> StateVector:
         """Return the state of a level robot at rest at a pose (x, y, yaw, z) [m, m, rad, m]."""
+        for name, value in {"x": x, "y": y, "yaw": yaw, "z": z}.items():
+            _checks.shaped(name, value, ())
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         return as_state(x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0)

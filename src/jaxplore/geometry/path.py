@@ -171,7 +171,7 @@ class Path(eqx.Module):
 
     def at(self, phi: Scalar) -> PathPoint:
         """Return the point, heading and curvature of the path at an arc length [m]."""
-        row, share, beyond = self._locate(phi)
+        row, share, beyond = self._locate(_checks.shaped("phi", phi, ()))
         h = self.spacing
         (x0, y0), (x1, y1) = self._rows(self.points, row)
         (c0, s0), (c1, s1) = self._rows(self.tangents, row)
@@ -190,7 +190,7 @@ class Path(eqx.Module):
 
     def room(self, phi: Scalar) -> tuple[Scalar, Scalar]:
         """Return the free width to the left and to the right [m], linear between nodes."""
-        row, share, _ = self._locate(phi)
+        row, share, _ = self._locate(_checks.shaped("phi", phi, ()))
         before, after = self._rows(self.half_widths, row)
         # The difference of two infinite widths would be NaN.
         left, right = (
@@ -213,10 +213,11 @@ class Path(eqx.Module):
             position: position of the robot (x, y) [m].
             phi: arc length of the point on the path [m].
         """
-        return errors_at(self.at(phi), position)
+        return errors_at(self.at(phi), _checks.position("position", position))
 
     def offset(self, phi: Scalar, lateral: Scalar) -> Position:
         """Return the position (x, y) at an arc length, shifted to the left by `lateral` [m]."""
+        _checks.shaped("lateral", lateral, ())
         point = self.at(phi)
         return point.position + lateral * point.normal
 
@@ -234,6 +235,9 @@ class Path(eqx.Module):
             position: position of the robot (x, y) [m].
             near: arc length around which the path is searched [m]; the whole path by default.
         """
+        position = _checks.position("position", position)
+        if near is not None:
+            _checks.shaped("near", near, ())
         count = self.points.shape[0]
         h = self.spacing
         away = self.points - position

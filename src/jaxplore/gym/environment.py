@@ -112,7 +112,7 @@ class ScenarioEnvironment(gymnasium.Env[Observed, np.ndarray]):
         return observation, reward, *ends, info
 
     def render(self) -> np.ndarray | None:
-        """Draw the belief, the path and the robot (rows, columns, 3)."""
+        """Draw the belief, the path, the targets and the robot (rows, columns, 3)."""
         if self.render_mode is None or self._outcome is None:
             return None
         return picture(self.environment, self.state, self._path)

@@ -59,8 +59,11 @@ class InformationField(eqx.Module):
             field_of_view: field of view, in (0, 2 pi] [rad]; static. By default the sensor's own.
 
         Raises:
-            ValueError: a field of view outside (0, 2 pi].
+            ValueError: a field of view outside (0, 2 pi]; something else than one position and one
+                heading.
         """
+        position = _checks.position("position", position)
+        _checks.shaped("heading", heading, ())
         view = self._view(field_of_view)
         height, width = self.cumulative.shape[1:]
         nodes = stencil((height, width), self.frame.to_grid(position), 0.0)

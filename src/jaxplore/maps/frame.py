@@ -2,11 +2,13 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxplore import _checks
-from jaxplore._types import Pose, Vector
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Pose, Vector
+from jaxplore._xla import on_device
 
 
 class GridFrame(eqx.Module):
@@ -16,6 +18,9 @@ class GridFrame(eqx.Module):
     resolution. Cell `(row, column)` covers `[row, row + 1) x [column, column + 1)`, and its centre
     is at `(row + 1/2, column + 1/2)`. A cell is found by rounding down: truncation would map the
     interval (-1, 0) onto cell 0.
+
+    `map_shape` is the number of rows and columns that are on the map, for arrays that are padded
+    (`OccupancyGrid.padded`); None if all are.
 
     Args:
         resolution: side of a cell [m]; static, because the number of cells that a beam can cross
@@ -29,10 +34,36 @@ class GridFrame(eqx.Module):
 
     origin: Pose
     resolution: float = eqx.field(static=True)
+    map_shape: Int[Array, "2"] | None
 
     def __init__(self, resolution: float, origin: Vector = (0.0, 0.0, 0.0)) -> None:
         self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.origin = _checks.vector("origin", origin, 3)
+        self.map_shape = None
+
+    def padded(self, map_shape: tuple[int, int]) -> "GridFrame":
+        """Return the frame of larger arrays.
+
+        Args:
+            map_shape: number of rows and columns that are on the map.
+        """
+        return self._of_map(on_device(np.asarray(map_shape, np.int32)))
+
+    def cropped(self, values: ArrayLike) -> np.ndarray:
+        """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy.
+
+        Raises:
+            ValueError: something else than such an array.
+        """
+        array = np.asarray(values)
+        if array.ndim < 2 or array.dtype.kind in "OUS":
+            raise ValueError(
+                f"values is {_kinds.described(values)}; accepted: an array with rows and columns"
+            )
+        if self.map_shape is None:
+            return array
+        rows, columns = np.asarray(self.map_shape).tolist()
+        return array[:rows, :columns]
 
     def to_grid(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N 2"]:
         """Convert world points (x, y) [m] to grid coordinates (row, column) [cells]."""
@@ -65,7 +96,8 @@ class GridFrame(eqx.Module):
         """Return the frame of a coarser lattice with one node every `stride` cells.
 
         Node (i, j), the centre of cell (i, j) of the new frame, is at the grid coordinates
-        `first + (i * stride + node, j * stride + node)` of this frame.
+        `first + (i * stride + node, j * stride + node)` of this frame. A lattice that begins at a
+        cell of its own has no `map_shape`.
 
         Args:
             stride: number of cells between nodes.
@@ -77,4 +109,13 @@ class GridFrame(eqx.Module):
         if first is not None:
             corner = corner + first.astype(jnp.float32)
         origin = jnp.concatenate([self.to_world(corner), self.origin[2:]])
-        return GridFrame(self.resolution * stride, origin)
+        coarse = GridFrame(self.resolution * stride, origin)
+        if self.map_shape is None or first is not None:
+            return coarse
+        return coarse._of_map(-(-self.map_shape // stride))
+
+    def _of_map(self, map_shape: Int[Array, "2"]) -> "GridFrame":
+        same: GridFrame = eqx.tree_at(
+            lambda frame: frame.map_shape, self, map_shape, is_leaf=lambda leaf: leaf is None
+        )
+        return same

@@ -27,7 +27,7 @@ def lattice_figure(
 ) -> "Figure":
     """Draw values (H, W) at their place in the world, with a colour bar.
 
-    Values that are not finite are left blank.
+    Values that are not finite are left blank. Of padded arrays only the part on the map is drawn.
 
     Args:
         values: value of each cell.
@@ -40,7 +40,7 @@ def lattice_figure(
     from matplotlib.figure import Figure
     from matplotlib.transforms import Affine2D
 
-    cells = np.ma.masked_invalid(np.asarray(values))
+    cells = np.ma.masked_invalid(frame.cropped(values))
     rows, columns = cells.shape
     ends = [[0.0, 0.0], [0.0, columns], [rows, 0.0], [rows, columns]]
     corners = np.asarray(frame.to_world(jnp.asarray(ends)))

@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe
 from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Position, Scalar, Vector
-from jaxplore._xla import on_device
 from jaxplore.maps import resample
 from jaxplore.maps.field import bilinear
 from jaxplore.maps.files import ros
@@ -56,7 +55,6 @@ class OccupancyGrid(eqx.Module):
 
     probability: GridValues
     frame: GridFrame
-    map_shape: Int[Array, "2"] | None
 
     def __init__(
         self,
@@ -66,7 +64,6 @@ class OccupancyGrid(eqx.Module):
     ) -> None:
         self.probability = _checks.probabilities("probability", probability, 2)
         self.frame = GridFrame(resolution, origin)
-        self.map_shape = None
 
     def __repr__(self) -> str:
         is_known = not _kinds.is_traced(self.probability)
@@ -81,15 +78,20 @@ class OccupancyGrid(eqx.Module):
     @classmethod
     def unknown(cls, shape: tuple[int, int], frame: GridFrame) -> "OccupancyGrid":
         """Return a grid in which every cell is unknown: 0.5 everywhere."""
-        return cls(np.full(shape, 0.5, np.float32), frame.resolution, frame.origin)
+        _kinds.instance("frame", frame, GridFrame)
+        rows, columns = _checks.rows_and_columns("shape", shape)
+        filled = np.full((rows, columns), 0.5, np.float32)
+        return cls(filled, frame.resolution, frame.origin)
 
     @classmethod
     def from_ros(cls, path: str | PathLike[str]) -> "OccupancyGrid":
         """Read a ROS `map_server` map (see `jaxplore.maps.files.ros.read_map`)."""
+        _kinds.instance("path", path, str, PathLike)
         return cls(*ros.read_map(path))
 
     def to_ros(self, path: str | PathLike[str], *, mode: str = "trinary") -> None:
         """Write a ROS `map_server` map (see `jaxplore.maps.files.ros.write_map`)."""
+        _kinds.instance("path", path, str, PathLike)
         ros.write_map(
             path,
             self.cropped(self.probability),
@@ -123,9 +125,9 @@ class OccupancyGrid(eqx.Module):
         values = self.cropped(self.probability)
         filled = padded_cells("shape", values, shape, OUTSIDE)
         same = OccupancyGrid(filled, self.resolution, self.frame.origin)
-        rows_and_columns = on_device(np.asarray(values.shape, np.int32))
+        rows, columns = values.shape
         result: OccupancyGrid = eqx.tree_at(
-            lambda grid: grid.map_shape, same, rows_and_columns, is_leaf=lambda leaf: leaf is None
+            lambda grid: grid.frame, same, same.frame.padded((rows, columns))
         )
         return result
 
@@ -137,16 +139,18 @@ class OccupancyGrid(eqx.Module):
 
     def cropped(self, values: ArrayLike) -> np.ndarray:
         """Return the rows and columns of an array (H, W, ...) that are on the map, in NumPy."""
-        array = np.asarray(values)
-        if self.map_shape is None:
-            return array
-        rows, columns = np.asarray(self.map_shape).tolist()
-        return array[:rows, :columns]
+        return self.frame.cropped(values)
 
     def with_probability(self, probability: GridValues) -> "OccupancyGrid":
         """Return the grid with other probabilities (H, W); they must be 1 off the map."""
+        probability = _checks.shaped("probability", probability, self.shape)
         same: OccupancyGrid = eqx.tree_at(lambda grid: grid.probability, self, probability)
         return same
+
+    @property
+    def map_shape(self) -> Int[Array, "2"] | None:
+        """Number of rows and columns that are on the map, of a padded map; None if all are."""
+        return self.frame.map_shape
 
     @property
     def resolution(self) -> float:
@@ -189,17 +193,20 @@ class OccupancyGrid(eqx.Module):
 
         These are the cells whose probability is 0.5 to within 1e-3.
         """
+        _checks.shaped("prior", prior, ())
         is_unknown = jnp.abs(self.probability - 0.5) < 1e-3
         return self.with_probability(jnp.where(is_unknown, prior, self.probability))
 
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Return whether each cell (row, column) is on the map."""
+        cell = _checks.pairs("cell", cell, jnp.int32)
         height, width = self.sides
         row, column = cell[..., 0], cell[..., 1]
         return (row >= 0) & (row < height) & (column >= 0) & (column < width)
 
     def at_cell(self, cell: Int[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Return the probability of each cell (row, column), 1 off the map."""
+        cell = _checks.pairs("cell", cell, jnp.int32)
         height, width = self.shape
         row = jnp.clip(cell[..., 0], 0, height - 1)
         column = jnp.clip(cell[..., 1], 0, width - 1)
@@ -207,6 +214,7 @@ class OccupancyGrid(eqx.Module):
 
     def at(self, points: Float[Array, "*N 2"]) -> Float[Array, "*N"]:
         """Return the probability of the cell that contains each world point (x, y) [m]."""
+        points = _checks.pairs("points", points, jnp.float32)
         return self.at_cell(self.frame.to_cell(points))
 
     def interpolate(self, position: Position) -> Scalar:
@@ -214,12 +222,13 @@ class OccupancyGrid(eqx.Module):
 
         It is exact at cell centres, and 1 off the map.
         """
+        position = _checks.position("position", position)
         return bilinear(self.probability, self.frame.to_grid(position), jnp.float32(OUTSIDE))
 
     def plot(self) -> "Figure":
         """Draw the map in the world: free is white, occupied is black."""
         return lattice_figure(
-            self.cropped(self.probability),
+            self.probability,
             self.frame,
             "probability of being occupied",
             colours="gray_r",

@@ -3,7 +3,6 @@
 import numpy as np
 
 from jaxplore import _checks
-from jaxplore._kinds import described
 
 SMALLEST = 32
 """Step between the smallest sides, and the smallest side [cells]."""
@@ -38,9 +37,7 @@ def padded_cells(
     Raises:
         ValueError: something else than two whole numbers; fewer rows or columns than the array has.
     """
-    if not isinstance(shape, (tuple, list)) or len(shape) != 2:
-        raise ValueError(f"{name} is {described(shape)}; accepted: (rows, columns)")
-    shape = (_checks.positive_int(name, shape[0]), _checks.positive_int(name, shape[1]))
+    shape = _checks.rows_and_columns(name, shape)
     more = [wanted - given for wanted, given in zip(shape, values.shape[:2], strict=True)]
     if min(more) < 0:
         raise ValueError(f"{name} is {shape}; accepted: at least {values.shape[:2]}")

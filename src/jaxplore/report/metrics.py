@@ -128,6 +128,7 @@ class Curve(NamedTuple):
         limit: upper end of the axis; by the data when absent.
         applies: function that says whether the curve is meaningful for the metrics of a run; a
             curve that is not for any run is left out.
+        is_count: whether the values are counts: the axis then has ticks at whole numbers.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Curve(NamedTuple):
     scale: float = 1.0
     limit: float | None = None
     applies: Callable[[Any], bool] = lambda _: True
+    is_count: bool = False
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import GridMask, Key, Pose, Scalar
 from jaxplore.geometry.rays import RayCells
@@ -128,8 +129,15 @@ class Sensor(Beams):
                 ignored.
 
         Raises:
-            ValueError: a ground of another shape or resolution than the world.
+            ValueError: a ground of another shape or resolution than the world, an argument of
+                another kind or shape.
         """
+        _kinds.instance("world", world, OccupancyGrid)
+        _kinds.instance("ground", ground, Ground, may_be_none=True)
+        _kinds.key("key", key)
+        pose = _checks.pose("pose", pose)
+        if movers is not None:
+            movers = _checks.shaped("movers", movers, ("M", 3))
         cells = self._cells(world, pose)
         solid = cells.is_crossed & (world.at_cell(cells.cell) >= FREE_THRESHOLD)
         rise = self._rise(cells, pose, world, ground)
@@ -171,8 +179,13 @@ class Sensor(Beams):
             ground: ground that the robot knows, or None.
 
         Raises:
-            ValueError: a ground of another shape or resolution than the grid.
+            ValueError: a ground of another shape or resolution than the grid, an argument of
+                another kind or shape.
         """
+        _kinds.instance("grid", grid, OccupancyGrid)
+        _kinds.instance("scan", scan, Scan)
+        _kinds.instance("ground", ground, Ground, may_be_none=True)
+        pose = _checks.pose("pose", pose)
         resolution = grid.resolution
         cells = self._cells(grid, pose)
         rise = self._rise(cells, pose, grid, ground)
@@ -220,6 +233,8 @@ class Sensor(Beams):
         Raises:
             ValueError: a ground of another shape or resolution than the belief.
         """
+        _kinds.instance("belief", belief, OccupancyGrid)
+        _kinds.instance("model", model, InverseSensorModel)
         return update_grid(belief, self.sight(belief, scan, pose, ground), model)
 
     def sees(
@@ -243,8 +258,13 @@ class Sensor(Beams):
             ground: ground of the world, as in `scan`.
 
         Raises:
-            ValueError: a ground of another shape or resolution than the world.
+            ValueError: a ground of another shape or resolution than the world, an argument of
+                another kind or shape.
         """
+        _kinds.instance("world", world, OccupancyGrid)
+        _kinds.instance("ground", ground, Ground, may_be_none=True)
+        pose = _checks.pose("pose", pose)
+        points = _checks.shaped("points", points, ("P", 2))
         offset = points - pose[:2]
         distance = jnp.sqrt((offset**2).sum(axis=-1))
         is_here = distance < ROUNDING

@@ -92,6 +92,7 @@ class Run:
         Raises:
             ValueError: the run has no figure of that name.
         """
+        _kinds.instance("name", name, str, may_be_none=True)
         figures = self.recording.figures()
         chosen = next(iter(figures), "") if name is None else name
         if chosen not in figures:
@@ -136,6 +137,7 @@ class Run:
             ValueError: another kind of file, one that cannot be written, numbers that are not
                 accepted, or a missing `imageio-ffmpeg` for an MP4.
         """
+        _kinds.instance("path", path, str, os.PathLike, may_be_none=True)
         options = FilmOptions(fps=fps, scale=scale)
         with (
             tempfile.TemporaryDirectory() as folder,
@@ -175,6 +177,15 @@ class Run:
         Raises:
             ValueError: the folder exists, or cannot be written; another format of figures.
         """
+        _kinds.instance("path", path, str, os.PathLike)
+        _kinds.instance("film", film, FilmOptions, may_be_none=True)
+        _kinds.instance("settings", settings, Mapping, may_be_none=True)
+        for name, value in {
+            "overwrite": overwrite,
+            "animation": animation,
+            "progress": progress,
+        }.items():
+            _kinds.flag(name, value)
         with progress_bar("drawing", enabled=progress and animation) as advance:
             save_run(
                 self.recording,
@@ -203,6 +214,8 @@ class Run:
             ValueError: a folder that holds no run, is malformed or too large, or holds a run of a
                 kind of task whose module was not imported.
         """
+
+        _kinds.instance("path", path, str, os.PathLike)
 
         def build(
             recording: Recording, metrics: Metrics, arrays: Mapping[str, np.ndarray]

@@ -232,9 +232,12 @@ class Portfolio(Controller):
         The costs by term are the weighted objectives of the common objective. See
         `Controller.inspect` for the arguments.
         """
+        model = self.members.mppi.dynamics
+        observation = checked_call(model, state, PortfolioState, observation, key)
+        wanted = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
         plans, spread = self.members.plan(state.members, state.spread, observation, belief, key=key)
         candidates, fused, _ = self._fuse(state, plans, spread, observation, belief)
-        each = max(1, num_trajectories // len(self.member_names))
+        each = max(1, wanted // len(self.member_names))
         chosen = shown_samples(self.members.mppi.num_samples, each)
         objective = self._common_objective(state, spread, observation, belief)
 

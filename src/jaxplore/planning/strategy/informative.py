@@ -226,6 +226,8 @@ class InformativeMPPI(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories of MPPI and the reference; see `Controller.inspect`."""
+        model = self.mppi.dynamics
+        observation = checked_call(model, state, InformativeState, observation, key)
         mppi, known, _, _ = self._prepare(state, observation, belief)
         plan = mppi.inspect(
             state.mppi, observation, known, key=key, num_trajectories=num_trajectories
@@ -255,6 +257,7 @@ class InformativeMPPI(Controller):
         """Return MPPI with its bias, the belief of its costs, the strategic plan and its age."""
         if belief is None:
             raise ValueError("belief is None; accepted: a Belief, which this controller plans on")
+        _kinds.instance("belief", belief, Belief)
         mppi = self.mppi
         # A field around an unknown position would be meaningless, so a lost robot keeps its plan.
         is_placed = jnp.isfinite(mppi.dynamics.position(observation)).all()

@@ -104,6 +104,8 @@ class RandomWalk(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories of MPPI; see `Controller.inspect`."""
+        model = self.mppi.dynamics
+        observation = checked_call(model, state, RandomWalkState, observation, key)
         mppi, _, inner_key = self._prepare(state, observation, key)
         return mppi.inspect(
             state.mppi, observation, belief, key=inner_key, num_trajectories=num_trajectories

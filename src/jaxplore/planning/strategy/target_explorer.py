@@ -171,6 +171,8 @@ class TargetExplorer(Controller):
         num_trajectories: int = 50,
     ) -> SampledPlan:
         """Return the trajectories of the tracker, with the target as the reference."""
+        model = self.tracker.dynamics
+        observation = checked_call(model, state, TargetState, observation, key)
         state, known, control_key = self._prepare(state, observation, belief, key)
         plan = self.tracker.inspect(
             state.tracker, observation, known, key=control_key, num_trajectories=num_trajectories
@@ -184,6 +186,7 @@ class TargetExplorer(Controller):
         self, state: TargetState, observation: StateVector, belief: Belief, key: Key
     ) -> tuple[TargetState, Belief, Key]:
         """Return the state with its target, the belief that leads there, and the tracker's key."""
+        _kinds.instance("belief", belief, Belief)
         choice_key, control_key = jax.random.split(key)
         state = self._choose_if_due(state, observation, belief, choice_key)
         return state, dataclasses.replace(belief, guidance=state.guidance), control_key
@@ -242,5 +245,6 @@ class TargetExplorer(Controller):
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
         distance = geodesic(source, frontiers.roads.slowness, frontiers.roads.is_open)
-        guidance = descent_field(distance, frontiers.roads.frame, LAYERS)
+        # The lattice is that of the state, whose frame a caller may have made without padding.
+        guidance = descent_field(distance, state.guidance.frame, LAYERS)
         return state._replace(node=node, has_target=has_target, guidance=guidance)

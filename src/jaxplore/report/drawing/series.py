@@ -9,6 +9,7 @@ from jaxplore.report.drawing.colours import SERIES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 
 def running_mean(rows: ArrayLike, width: int) -> np.ndarray:
@@ -51,3 +52,16 @@ def style_time(axes: "Axes", duration: float) -> None:
     """Format a time axis from 0 to the duration [s], with a faint grid."""
     axes.set(xlim=(0.0, duration), xlabel="time [s]")
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)
+
+
+def style_count(axis: "Axis", most: int = 8) -> None:
+    """Put the ticks of an axis at whole numbers.
+
+    Args:
+        axis: axis of a figure that shows a count.
+        most: greatest number of intervals between ticks.
+    """
+    from matplotlib.ticker import MaxNLocator
+
+    # With fewer than one whole number in view, Matplotlib would fall back to fractions.
+    axis.set_major_locator(MaxNLocator(most, integer=True, min_n_ticks=1))

@@ -137,6 +137,26 @@ def draw_star(
     draw.polygon(pairs(middle + star), colour)
 
 
+def draw_targets(
+    surface: Surface,
+    draw: ImageDraw.ImageDraw,
+    targets: np.ndarray,
+    is_found: np.ndarray,
+    colour: Colour,
+) -> None:
+    """Draw targets: a star until it is found, then a ring with a check mark.
+
+    Args:
+        surface: transformation from world points to pixels.
+        draw: Pillow's drawing interface of the picture.
+        targets: (M, 2) positions [m].
+        is_found: (M,) whether each was found.
+        colour: colour of the signs.
+    """
+    for middle, found in zip(surface.pixels(targets), is_found, strict=True):
+        (draw_found if found else draw_star)(surface, draw, middle, colour)
+
+
 def draw_found(
     surface: Surface, draw: ImageDraw.ImageDraw, middle: np.ndarray, colour: Colour
 ) -> None:

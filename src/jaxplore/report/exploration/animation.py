@@ -37,13 +37,7 @@ from jaxplore.report.drawing.palette import (
     fitted_palette,
 )
 from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
-from jaxplore.report.drawing.shapes import (
-    draw_body,
-    draw_found,
-    draw_line,
-    draw_rollouts,
-    draw_star,
-)
+from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
@@ -145,7 +139,7 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
     for end in seen[:: max(1, len(seen) // NUM_RAYS)]:
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
-    _draw_targets(canvas, frame, draw)
+    draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
     _draw_moving_obstacles(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
@@ -158,12 +152,6 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
             draw.ellipse((x - reach, y - reach, x + reach, y + reach), colour)
     footprint, radius = recording.footprint, recording.robot_radius
     draw_body(canvas, draw, footprint, radius, here, frame.heading)
-
-
-def _draw_targets(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDraw) -> None:
-    places = canvas.pixels(canvas.recording.targets)
-    for middle, is_found in zip(places, frame.is_found, strict=True):
-        (draw_found if is_found else draw_star)(canvas, draw, middle, TARGET)
 
 
 def _draw_moving_obstacles(

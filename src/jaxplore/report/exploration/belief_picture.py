@@ -1,4 +1,4 @@
-"""A picture of the belief with the robot in it."""
+"""A picture of the belief with the robot and the targets in it."""
 
 import dataclasses
 from typing import ClassVar
@@ -6,10 +6,10 @@ from typing import ClassVar
 import numpy as np
 from PIL import Image, ImageDraw
 
-from jaxplore.report.drawing.colours import belief_colours
+from jaxplore.report.drawing.colours import TARGET, belief_colours
 from jaxplore.report.drawing.palette import LIDAR_RAY, TRAIL
 from jaxplore.report.drawing.picture import SUPERSAMPLING, to_frame
-from jaxplore.report.drawing.shapes import draw_body, draw_line
+from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_targets
 
 MOST_RAYS = 45
 
@@ -47,9 +47,14 @@ def belief_picture(
     radius: float,
     footprint: np.ndarray,
     scan: np.ndarray,
+    targets: np.ndarray,
+    is_found: np.ndarray,
     width: int = 640,
 ) -> np.ndarray:
-    """Draw the belief, the trail, the last scan and the robot (rows, columns, 3) in 256 levels.
+    """Draw the belief, the trail, the last scan, the targets and the robot (rows, columns, 3).
+
+    It is in 256 levels. As in the animation of a run, a target is a star until it is found, then a
+    ring with a check mark: a spectator sees the places of all targets.
 
     Args:
         probability: (H, W) occupancy probability of the belief.
@@ -60,6 +65,8 @@ def belief_picture(
         radius: radius of the robot [m].
         footprint: (4, 2) corners of a rectangle in the robot's frame [m]; (0, 2) of a disc.
         scan: (B, 2) end points of the beams [m].
+        targets: (M, 2) positions of the targets [m].
+        is_found: (M,) whether each target was found.
         width: width of the picture [pixels], rounded to a multiple of the width of a cell.
     """
     rows, columns = probability.shape
@@ -76,5 +83,6 @@ def belief_picture(
     for end in scan[:: max(1, len(scan) // MOST_RAYS)]:
         draw_line(sheet, draw, np.stack([path[-1], end]), LIDAR_RAY, 0.5)
     draw_line(sheet, draw, path, TRAIL, 1.5)
+    draw_targets(sheet, draw, targets, is_found, TARGET)
     draw_body(sheet, draw, footprint, radius, path[-1], heading)
     return np.asarray(image.reduce(SUPERSAMPLING))

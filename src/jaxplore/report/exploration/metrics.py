@@ -119,7 +119,12 @@ class ExplorationMetrics(Metrics):
             104.0,
             applies=lambda each: not each.is_map_known,
         ),
-        Curve("targets", "targets found", applies=lambda each: each.num_targets > 0),
+        Curve(
+            "targets",
+            "targets found",
+            applies=lambda each: each.num_targets > 0,
+            is_count=True,
+        ),
         # A search is judged by its targets; the idleness only leads it to places not seen lately.
         Curve(
             "idleness",

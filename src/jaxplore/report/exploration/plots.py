@@ -16,6 +16,7 @@ from jaxplore.report.drawing.colours import (
     shade,
 )
 from jaxplore.report.drawing.scale_bar import add_scale_bar
+from jaxplore.report.drawing.series import style_count
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.overlays import (
@@ -256,8 +257,6 @@ def coverage_figure(recording: ExplorationData) -> "Figure":
 
 
 def _draw_targets_seen(axes: "Axes", recording: ExplorationData, time: np.ndarray) -> None:
-    from matplotlib.ticker import MaxNLocator
-
     most = len(recording.targets)
     colour = shade(TARGET)
     axes.step(time, _targets_seen(recording), where="post", color=colour, linewidth=2.0)
@@ -265,5 +264,5 @@ def _draw_targets_seen(axes: "Axes", recording: ExplorationData, time: np.ndarra
     axes.set(ylim=(0.0, 1.12 * most), xlabel="time [s]")
     axes.set_ylabel(f"targets seen\nof {most}", color=colour)
     axes.tick_params(axis="y", colors=colour)
-    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    style_count(axes.yaxis, 4)
     axes.grid(color="0.2", alpha=0.12, linewidth=0.6)

@@ -5,7 +5,7 @@ import math
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxplore._types import Count, Flag, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
@@ -35,6 +35,7 @@ class ExplorationView(AgentView):
         sensors: the robot's sensors.
         num_reachable: number of cells that the robot's centre can reach.
         hover_steps: number of steps that are simulated after the end.
+        targets: (M, 2) positions of the targets [m].
         has_goal: whether the robot must end at a goal; static.
     """
 
@@ -42,6 +43,7 @@ class ExplorationView(AgentView):
     sensors: tuple[Sensor, ...]
     num_reachable: Scalar
     hover_steps: Count
+    targets: Float[Array, "M 2"]
     has_goal: bool = eqx.field(static=True)
     map_shape: tuple[int, int] = eqx.field(static=True)
 
@@ -119,7 +121,10 @@ class ExplorationView(AgentView):
         return {"coverage": state.progress.coverage, "entropy": state.progress.entropy}
 
     def picture(self, state: ExplorationState, moment: Moment, trail: np.ndarray) -> np.ndarray:
-        """Draw the belief, the trail, the last scan and the robot."""
+        """Draw the belief, the trail, the last scan, the targets and the robot.
+
+        It is for spectators: targets that were not found yet are stars, which no observation tells.
+        """
         robot, frame = self.scenario.robot, self.frame
         pose = np.asarray(robot.pose(moment.observed))
         angles = pose[2] + np.concatenate([sensor.beam_angles for sensor in self.sensors])
@@ -133,6 +138,8 @@ class ExplorationView(AgentView):
             radius=float(robot.radius),
             footprint=footprint_corners(robot.footprint),
             scan=pose[:2] + np.asarray(state.ranges)[:, None] * directions,
+            targets=np.asarray(self.targets),
+            is_found=np.asarray(state.is_seen),
         )
 
 

@@ -372,6 +372,7 @@ class ExplorationScenario(Scenario):
             sensors=self.sensors,
             num_reachable=self.num_reachable,
             hover_steps=self.hover_steps,
+            targets=self.targets,
             has_goal=self.goal is not None,
         )
 

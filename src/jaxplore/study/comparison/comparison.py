@@ -13,7 +13,7 @@ import numpy as np
 
 from jaxplore.report.drawing.figure import PNG, figure_formats, write_figure
 from jaxplore.report.drawing.film import FilmOptions
-from jaxplore.report.drawing.series import line_style
+from jaxplore.report.drawing.series import line_style, style_count
 from jaxplore.report.folder import MARK, run_folder
 from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Recording
@@ -196,6 +196,8 @@ def curves_figure(runs: Mapping[str, tuple[Metrics, ...]]) -> "Figure":
             panel.plot(time, median, **style, linewidth=1.8, label=name)
         panel.set(xlim=(0.0, time[-1]), xlabel="time [s]", ylabel=curve.label)
         panel.set_ylim(bottom=0.0 if curve.limit is not None else None, top=curve.limit)
+        if curve.is_count:
+            style_count(panel.yaxis)
         panel.grid(color="0.2", alpha=0.12, linewidth=0.6)
     if curves:
         most = max(len(metrics) for metrics in shown.values())

@@ -8,6 +8,7 @@ import numpy as np
 
 from jaxplore._optional import import_optional
 from jaxplore.report.drawing.colours import SERIES
+from jaxplore.report.drawing.series import style_count
 from jaxplore.study.tuning.optimizers import RibsOptimizer
 from jaxplore.study.tuning.study import Study
 from jaxplore.study.tuning.trials import Trial
@@ -90,6 +91,7 @@ def _convergence(study: Study) -> "Figure":
     least = np.minimum.accumulate([each.values[0] for each in done])
     axes[0].step([each.number for each in done], least, where="post", color=_CHOSEN, label="best")
     axes[0].set_xlabel("candidate")
+    style_count(axes[0].xaxis)
     _scale(axes[0], "y", [each.values[0] for each in done])
     axes[0].set_ylabel(_label(study))
     figure.legend(loc="outside upper center", ncols=4, frameon=False)
@@ -113,6 +115,8 @@ def _slices(study: Study, chosen: Trial, number: int) -> "Figure":
             assert each.low is not None
             assert each.high is not None
             _logarithmic(at, "x", each.high / each.low)
+        elif each.is_whole:
+            style_count(at.xaxis)
         at.scatter(places, values, s=14, color=_DONE)
         at.scatter([star], [chosen.values[number]], s=60, marker="*", color=_CHOSEN, zorder=3)
         at.set_xlabel(each.name)
