@@ -126,6 +126,7 @@ def main(folder: Path) -> dict:
         seen["last_command"] = [last.linear.x, last.linear.y, last.angular.z]
         message = watcher.maps[-1]
         seen["map"] = [message.info.height, message.info.width, sorted(set(message.data))[:2]]
+        seen["compiled"] = watcher.driver["compiled"]
         seen["plan"] = len(watcher.plans[-1].poses)
         robot.send_signal(signal.SIGINT)
         text, _ = robot.communicate(timeout=PATIENCE)

@@ -50,6 +50,10 @@ def test_the_robot_explores_without_a_contact(field) -> None:
     assert seen["state"]["contacts"] == 0
 
 
+def test_nothing_compiles_while_the_node_drives(field) -> None:
+    assert field[1]["compiled"] == 0
+
+
 def test_a_second_node_refuses_in_one_line(field) -> None:
     code, line = field[1]["second"]
     assert code == 2

@@ -1,0 +1,100 @@
+"""What a node hears, without ROS: messages of several frames on one topic."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxplore.ros.inputs import subscribe_pose, subscribe_scan
+from jaxplore.ros.messages import Mount
+from jaxplore.sensing.lidar import Lidar
+from jaxplore.settings.node import NodeSettings
+
+
+class FakeLink:
+    """A connection that keeps what was subscribed to; its clock is that of the stamps."""
+
+    def __init__(self, **kinds) -> None:
+        names = ("Odometry", "PoseWithCovarianceStamped", "LaserScan", "TFMessage")
+        self.ros = SimpleNamespace(**dict.fromkeys(names, "a class"), **kinds)
+        self.handles = {}
+
+    def subscribe(self, kind, topic, handle, *, is_kept=False) -> None:
+        self.handles[topic] = handle
+
+    def stamp_of(self, name, stamped) -> float:
+        return stamped
+
+
+def header(frame, seconds=3):
+    return SimpleNamespace(frame_id=frame, stamp=SimpleNamespace(sec=seconds, nanosec=0))
+
+
+def placed(x, y):
+    orientation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+    return SimpleNamespace(position=SimpleNamespace(x=x, y=y, z=0.0), orientation=orientation)
+
+
+def pose(frame, x):
+    return SimpleNamespace(header=header(frame), pose=SimpleNamespace(pose=placed(x, 2.0)))
+
+
+def scan(frame, ranges=(1.0, 2.0, 3.0)):
+    return SimpleNamespace(
+        header=header(frame),
+        angle_min=-0.1,
+        angle_increment=0.1,
+        range_min=0.0,
+        range_max=10.0,
+        ranges=ranges,
+    )
+
+
+def test_poses_of_another_frame_than_the_first_are_refused() -> None:
+    link, taken = FakeLink(), []
+    subscribe_pose(link, NodeSettings(pose_type="pose"), taken.append)
+    take = link.handles["/odom"]
+    take(pose("map", 1.0))
+    with pytest.raises(ValueError, match="of /odom is 'odom'; accepted: 'map', that of the first"):
+        take(pose("odom", 5.0))
+    take(pose("map", 1.5))
+    assert [each.pose[0] for each in taken] == [1.0, 1.5]
+
+
+def test_scans_of_another_lidar_are_refused() -> None:
+    link, taken = FakeLink(), []
+    lidar = Lidar(num_beams=8, max_range=5.0)
+    subscribe_scan(link, NodeSettings(), lidar, Mount(x=0.3), lambda each, _: taken.append(each))
+    take = link.handles["/scan"]
+    take(scan("front_laser"))
+    with pytest.raises(ValueError, match="of /scan is 'rear_laser'; accepted: 'front_laser'"):
+        take(scan("rear_laser"))
+    # A message that is malformed does not set the frame.
+    with pytest.raises(ValueError, match="ranges has shape"):
+        take(scan("front_laser", ()))
+    take(scan("front_laser"))
+    assert len(taken) == 2
+    np.testing.assert_allclose(taken[0].points[1], [2.3, 0.0], atol=1e-6)
+
+
+def test_transforms_need_their_package() -> None:
+    link = FakeLink()
+    link.ros.TFMessage = None
+    with pytest.raises(ValueError, match="tf2_msgs is not installed; accepted: odometry or pose"):
+        subscribe_pose(link, NodeSettings(pose_type="tf"), print)
+
+
+def test_only_transforms_between_the_named_frames_count() -> None:
+    link, taken = FakeLink(), []
+    subscribe_pose(link, NodeSettings(pose_type="tf"), taken.append)
+
+    def transform(parent, child, x):
+        place = SimpleNamespace(x=x, y=0.0, z=0.0)
+        rotation = SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0)
+        inner = SimpleNamespace(translation=place, rotation=rotation)
+        return SimpleNamespace(header=header(parent), child_frame_id=child, transform=inner)
+
+    several = [transform("map", "odom", 9.0), transform("odom", "base_link", 4.0)]
+    link.handles["/tf"](SimpleNamespace(transforms=several))
+    link.handles["/tf"](SimpleNamespace(transforms=several[:1]))
+    assert [each.pose[0] for each in taken] == [4.0]
