@@ -23,7 +23,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.ros.packages import import_ros
 from jaxplore.simulation.run import Run
 
-SITES = ("nav2_depot/depot.yaml", "levine_lobby/map.yaml")
+SITES = ("nav2_depot/depot.yaml", "levine_lobby/levinelobby.yaml")
 """Maps of the drives, where they are."""
 DRIVE_SECONDS, PATIENCE = 300.0, 120.0
 """Longest drive, and longest time that any process may take to begin [s]."""

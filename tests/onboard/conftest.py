@@ -93,7 +93,7 @@ def drive():
                 is_return = np.asarray(measured.scan.is_return)
                 pilot.add_scan(now, measured.scan, beams[is_return])
             commands.append(pilot.command(now))
-            pilot.update_fields(now)
+            pilot.update_belief(now)
             robot.set_velocity(commands[-1].twist)
             states.append(np.asarray(robot.state.robot))
         return commands, np.array(states)

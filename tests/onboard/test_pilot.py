@@ -234,6 +234,7 @@ def test_beams_start_at_the_lidar_and_not_at_the_robots_centre(make_pilot, make_
     for each in (mounted, centred):
         each.add_scan(0.1, scan, np.zeros((0, 2)))
         each.command(0.1)
+        each.update_belief(0.1)
     seen = np.asarray(mounted.belief.grid.probability)
     assert np.count_nonzero(seen != 0.5) > 100
     np.testing.assert_allclose(seen, np.asarray(centred.belief.grid.probability), atol=1e-5)

@@ -28,7 +28,7 @@ class Command(NamedTuple):
         twist: (3,) velocity (vx, vy, omega) in the frame of the robot [m/s, m/s, rad/s].
         mode: what the pilot does.
         reason: why, in a few words; empty while it drives.
-        scan_time: time of the scan that was mapped for this command; None without a new one [s].
+        scan_time: time of the scan that this command follows from; None without a new one [s].
     """
 
     twist: np.ndarray

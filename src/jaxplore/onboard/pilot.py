@@ -16,6 +16,7 @@ from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
 from jaxplore.onboard.log import DriveLog
+from jaxplore.onboard.mapper import Mapper
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
 from jaxplore.onboard.scan_points import lidar_pose, nearest_points, no_points
@@ -25,14 +26,13 @@ from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.exploration.state import ExplorationState
 
 NUM_TRAJECTORIES = 30
 """Number of rollouts in a frame."""
 
 
 class _NewScan(NamedTuple):
-    """A scan that was not mapped yet."""
+    """A scan that no command has followed from yet."""
 
     time: float
     scan: Scan
@@ -44,8 +44,9 @@ class Pilot:
 
     The pilot keeps the map, calls the controller, and decides whether the robot may move. It reads
     no clock and knows no middleware: times come with the data, so a recorded drive is repeated
-    exactly. Call its methods from one thread, in this order in each period: `add_odometry` and
-    `add_scan` for what has arrived, `command`, and after the command was sent `update_fields`.
+    exactly. Call its methods in this order in each period: `add_odometry` and `add_scan` for what
+    has arrived, `command`, and after the command was sent `update_belief`. `update_belief` and
+    `make_frame` may be called from another thread than the others.
 
     The state is predicted to the time when the command takes effect, from the commands on their
     way. Every command is checked against the newest scan (`StopCheck`). Without fresh data, after
@@ -92,10 +93,10 @@ class Pilot:
             given = self.options
             task = Exploring(scenario.perception, given.done_after, returns=given.returns)
         self.task = task
-        self._key = key
+        self._key, self._frame_key = jax.random.split(key)
         self._history = PoseHistory(self.options.max_jump)
         self._offset = np.zeros(2)
-        self._known: ExplorationState = scenario.init(None)[0]
+        self._mapper = Mapper(scenario, self.log)
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
         self._expected = np.asarray(scenario.start)
@@ -106,7 +107,6 @@ class Pilot:
         self._new: _NewScan | None = None
         self._scan: _NewScan | None = None
         self._points = no_points()
-        self._mapped_at = self._derived_at = -math.inf
         self._data = DataCheck(self.options, self._history)
         self._number = 0
         self.num_replaced = 0
@@ -115,7 +115,7 @@ class Pilot:
     @property
     def belief(self) -> Any:
         """What the robot knows, relative to the first position."""
-        return self._known.belief
+        return self._mapper.belief
 
     @property
     def offset(self) -> np.ndarray:
@@ -135,14 +135,11 @@ class Pilot:
 
     def prepare(self) -> None:
         """Compile everything that the loop calls, so that no command waits for it."""
-        scan = Scan(jnp.zeros(self.sensor.num_beams), jnp.zeros(self.sensor.num_beams, bool))
-        pose = jnp.zeros(3)
-        belief, _ = steps.observe(self.task.perception, self.belief, scan, pose, jnp.ones(()))
-        belief, _ = steps.derive(self.task.perception, belief, pose, jnp.ones(()))
+        self._mapper.prepare(self.task.perception)
         self.task.prepare(Driver(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
         shown = self.make_frame()
-        jax.block_until_ready((belief, planned, vars(shown)))  # type: ignore[no-untyped-call]
+        jax.block_until_ready((planned, vars(shown)))  # type: ignore[no-untyped-call]
 
     def add_odometry(self, time: float, pose: np.ndarray, twist: np.ndarray | None) -> None:
         """Take a pose and a velocity.
@@ -189,7 +186,7 @@ class Pilot:
         elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
         self._command_at = now
         problem = self._data.problem(now, self._twist)
-        scan_time = None if problem else self._map(now)
+        scan_time = None if problem else self._take_scan(now)
         if self._finished:
             return self._stopping(now, elapsed, Mode.DONE, self._finished)
         if not self.is_started:
@@ -245,29 +242,22 @@ class Pilot:
                 return Command(self._twist, Mode.DRIVING, "a plan was late", None)
         return self._stopping(now, self.period, Mode.BRAKING, "a plan was late")
 
-    def update_fields(self, now: float) -> bool:
-        """Update the information and guidance fields if they are due; return whether they were.
+    def update_belief(self, now: float) -> None:
+        """Map the newest scan, and update the information and guidance fields if they are due.
+
+        The command that follows from a scan is checked against it, and does not wait for the map.
 
         Args:
             now: present time [s].
         """
-        period = float(self.scenario.steps_per_field) * self.period
-        if self._history.last is None or now - self._derived_at < period - 1e-3:
-            return False
-        if not self.task.has_fields:
-            return False
-        elapsed = period if not math.isfinite(self._derived_at) else now - self._derived_at
-        pose = self._local(self._history.last.pose)
-        belief, cost = steps.derive(
-            self.task.perception,
-            self.belief,
-            on_device(pose.astype(np.float32)),
-            jnp.asarray(elapsed, jnp.float32),
-        )
-        self._known = self._known._replace(belief=belief)
-        self._derived_at = now
-        self.finish(self.task.update(now, float(cost), pose[:2], is_started=self.is_started))
-        return True
+        perception, last = self.task.perception, self._history.last
+        self._mapper.map_scan(perception)
+        if last is None or not self.task.has_fields:
+            return
+        pose = self._local(last.pose)
+        cost = self._mapper.update_fields(perception, now, pose)
+        if cost is not None:
+            self.finish(self.task.update(now, cost, pose[:2], is_started=self.is_started))
 
     def finish(self, reason: str) -> None:
         """End the drive: the robot stops and stays.
@@ -291,9 +281,9 @@ class Pilot:
             self.scenario,
             self.controller,
             self._memory,
-            self._known._replace(robot=on_device(state)),
+            self._mapper.state._replace(robot=on_device(state)),
             readings,
-            self._next_key(),
+            self._frame_key,
             NUM_TRAJECTORIES,
         )
         made = self.scenario.make_frame(self.log.num_steps, arrays)
@@ -326,49 +316,42 @@ class Pilot:
         assert last is not None
         return robot_state(self.robot, self._local(last.pose), last.twist, self._expected)
 
-    def _map(self, now: float) -> float | None:
-        """Map the newest scan if it is due; return its time if it is new."""
+    def _take_scan(self, now: float) -> float | None:
+        """Take the points of the newest scan for the check; return its time if it is new."""
         new, self._new = self._new, None
         if new is None:
             return None
         pose = self._local(self._history.at(new.time))
         self._points = nearest_points(new.points, pose)
-        period = float(self.scenario.steps_per_scan) * self.period
-        if new.time - self._mapped_at < period - 0.5 * self.period:
-            return new.time
-        elapsed = period if not math.isfinite(self._mapped_at) else new.time - self._mapped_at
         beams = lidar_pose(pose, self.options.lidar_x, self.options.lidar_y)
-        mapped = steps.observe(
-            self.task.perception,
-            self.belief,
-            new.scan,
-            on_device(beams.astype(np.float32)),
-            jnp.asarray(elapsed, jnp.float32),
-        )
-        self._known = self._known._replace(belief=mapped.belief)
-        self.log.add_known(now, np.asarray(mapped.is_free))
-        self._mapped_at = new.time
+        self._mapper.add(new.time, new.scan, beams, now)
         return new.time
 
     def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
         last = self._history.last
-        controls, durations = self._sent.between(now if last is None else last.time, now)
-        points, is_point = self._points
+        self._number += 1
+        # One transfer for all arrays: each one takes a fifth of a millisecond.
+        inputs = steps.PlanInputs(
+            *jax.device_put(
+                (
+                    state,
+                    self._expected,
+                    *self._sent.between(now if last is None else last.time, now),
+                    *self._points,
+                    np.float32(elapsed),
+                    np.int32(self._number),
+                )
+            )
+        )
         return steps.plan(
             self.controller,
             self.robot,
             self.check,
             self._memory,
             self.belief,
-            on_device(state),
-            on_device(self._expected),
-            on_device(controls),
-            on_device(durations),
-            on_device(points),
-            on_device(is_point),
-            jnp.asarray(elapsed, jnp.float32),
+            inputs,
             self.scenario.control_period,
-            self._next_key(),
+            self._key,
         )
 
     def _stopping(self, now: float, elapsed: float, mode: Mode, reason: str) -> Command:
@@ -393,7 +376,3 @@ class Pilot:
         if not self._twist.any():
             self._memory = self._first_memory
         return Command(self._twist, mode, reason, None)
-
-    def _next_key(self) -> Key:
-        self._number += 1
-        return jax.random.fold_in(self._key, self._number)

@@ -15,6 +15,7 @@ from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.onboard.frames import EvenFrames
 from jaxplore.onboard.odometry import moved
+from jaxplore.onboard.steps import initial
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
@@ -90,7 +91,7 @@ class SimulatedRobot:
         errors = jax.random.normal(jax.random.fold_in(key, DRIFT_KEY), (2,))
         distance, turn = (1.0 + scale * np.asarray(errors, np.float64)).tolist()
         self._scale = np.array([distance, distance, turn])
-        self._before: ExplorationState = scenario.init(key)[0]
+        self._before: ExplorationState = initial(scenario, key)
         self.state = self._before
         self._pose = np.asarray(scenario.robot.pose(scenario.start), np.float64)
         self._odometry = self._pose.copy()

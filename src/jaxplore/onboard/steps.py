@@ -1,4 +1,4 @@
-"""The compiled steps of a pilot: mapping, fields, and the plan with its check."""
+"""The compiled steps of a pilot: its start, mapping, fields, and the plan with its check."""
 
 from typing import Any, NamedTuple
 
@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import ControlVector, Flag, GridMask, Key, Pose, Scalar, StateVector
+from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
@@ -67,6 +67,12 @@ class Mapped(NamedTuple):
 
 
 @eqx.filter_jit
+def initial(scenario: ExplorationScenario, key: Key | None = None) -> ExplorationState:
+    """Return the state before the first scan. Without a program it takes seconds."""
+    return scenario.init(key)[0]
+
+
+@eqx.filter_jit
 def observe(
     perception: Perception, belief: Belief, scan: Scan, pose: Pose, elapsed: Scalar
 ) -> Mapped:
@@ -84,6 +90,30 @@ def derive(
     return belief, belief.guidance(pose[:2])
 
 
+class PlanInputs(NamedTuple):
+    """What a plan starts from.
+
+    Args:
+        state: (nx,) newest measured state.
+        expected: (nx,) state that the last command leads to.
+        sent: (D, nu) commands that were sent and take effect after that, oldest first.
+        durations: (D,) time for which each of them has effect [s]; 0 for none.
+        points: (P, 2) points of the newest scan [m].
+        is_point: (P,) points that count.
+        elapsed: time since the last command [s].
+        number: number of the step, for its random key.
+    """
+
+    state: StateVector
+    expected: StateVector
+    sent: Float[Array, "D nu"]
+    durations: Float[Array, " D"]
+    points: Float[Array, "P 2"]
+    is_point: Bool[Array, " P"]
+    elapsed: Scalar
+    number: Count
+
+
 @eqx.filter_jit
 def plan(
     controller: Controller,
@@ -91,13 +121,7 @@ def plan(
     check: StopCheck,
     memory: Any,
     belief: Any,
-    state: StateVector,
-    expected: StateVector,
-    sent: Float[Array, "D nu"],
-    durations: Float[Array, " D"],
-    points: Float[Array, "P 2"],
-    is_point: Bool[Array, " P"],
-    elapsed: Scalar,
+    inputs: PlanInputs,
     period: Scalar,
     key: Key,
 ) -> Planned:
@@ -109,20 +133,16 @@ def plan(
         check: check of the command against the scan.
         memory: state of the controller.
         belief: what the robot knows.
-        state: (nx,) newest measured state.
-        expected: (nx,) state that the last command leads to.
-        sent: (D, nu) commands that were sent and take effect after that, oldest first.
-        durations: (D,) time for which each of them has effect [s]; 0 for none.
-        points: (P, 2) points of the newest scan [m].
-        is_point: (P,) points that count.
-        elapsed: time since the last command [s].
+        inputs: what the plan starts from.
         period: control period [s].
-        key: random key of this step.
+        key: random key of the drive.
     """
-    start = predicted_state(robot, state, sent, durations)
-    start = _with_commanded_speeds(robot, start, expected)
-    control, memory, info = controller.at_period(elapsed).step(memory, start, belief, key=key)
-    checked = check(robot, start, control, period, points, is_point)
+    key = jax.random.fold_in(key, inputs.number)
+    start = predicted_state(robot, inputs.state, inputs.sent, inputs.durations)
+    start = _with_commanded_speeds(robot, start, inputs.expected)
+    adapted = controller.at_period(inputs.elapsed)
+    control, memory, info = adapted.step(memory, start, belief, key=key)
+    checked = check(robot, start, control, period, inputs.points, inputs.is_point)
     controls = _ahead(controller, info.controls, checked.control, period)
 
     def step(at: StateVector, each: ControlVector) -> tuple[StateVector, tuple[Array, Array]]:

@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from jaxplore.onboard import steps
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -44,7 +45,7 @@ class DriveWatch:
         pilot = self._pilot
         scenario = pilot.scenario
         state: Any = LoopState(
-            scenario.init(None)[0],
+            steps.initial(scenario),
             (),
             jnp.zeros((), jnp.int32),
             scenario.start,

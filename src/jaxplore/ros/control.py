@@ -64,8 +64,8 @@ class ControlNode:
 
     Messages arrive in the thread of the link, which only keeps the newest ones. The loop runs in
     the thread of the caller: it wakes up for each scan and for each control period. Plans are
-    computed in a third thread. If one is not ready at the deadline, the next command of the last
-    plan is sent and counted.
+    computed in a third thread, maps and fields in a fourth. If a plan is not ready at the deadline,
+    the next command of the last plan is sent and counted.
 
     Args:
         link: connection to ROS 2.
@@ -96,6 +96,7 @@ class ControlNode:
         self._parameters: dict[str, float] = {}
         self._wake = threading.Event()
         self._worker = concurrent.futures.ThreadPoolExecutor(1, "plan")
+        self._mapper = concurrent.futures.ThreadPoolExecutor(1, "map")
         self._background: concurrent.futures.Future[None] | None = None
         self._frame_name = settings.world_frame
         self._last_mode: tuple[Mode, str] | None = None
@@ -218,6 +219,7 @@ class ControlNode:
             jax.monitoring.unregister_event_duration_listener(self._count)
             # Whatever happened, the robot is told to stand.
             self._worker.shutdown(cancel_futures=True)
+            self._mapper.shutdown(cancel_futures=True)
             self._publish_command(Command(np.zeros(3), Mode.DONE, self.pilot.finished, None))
         self._publish_state(command)
 
@@ -251,11 +253,14 @@ class ControlNode:
                 return command
 
     def _submit_between(self, command: Command) -> None:
-        """Do in the worker what no command waits for; an error of it ends the drive."""
+        """Do in another thread what no command waits for; an error of it ends the drive."""
         former = self._background
-        if former is not None and former.done():
+        if former is not None:
+            # What takes longer than a period is not done twice at a time.
+            if not former.done():
+                return
             former.result()
-        self._background = self._worker.submit(self._between, command)
+        self._background = self._mapper.submit(self._between, command)
 
     def _take_messages(self) -> float | None:
         """Give the pilot what has arrived; return when the newest scan did."""
@@ -311,7 +316,7 @@ class ControlNode:
     def _between(self, command: Command) -> None:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
-        pilot.update_fields(now)
+        pilot.update_belief(now)
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
         self._tell(command)
         self.watch.after(command)

@@ -100,7 +100,7 @@ def replay(
         while due <= now:
             commands.append(pilot.command(due))
             times.append(due - began)
-            pilot.update_fields(due)
+            pilot.update_belief(due)
             pilot.log.frames.add_when_due(due - began, pilot.make_frame)
             due += pilot.period
         on_progress(each.time - began)
