@@ -79,7 +79,7 @@ def drive(options: dict[str, Any]) -> None:
         _save_drive(pilot, recording, settings, node, folder, options)
     times = driver.latencies
     rows = [("commands", str(times.num_commands)), ("late", str(times.num_late))]
-    if times.scan_ms:
+    if len(times.scan_ms):
         rows.append(
             (
                 "scan to command",

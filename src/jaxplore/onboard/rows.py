@@ -6,7 +6,8 @@ import numpy as np
 class Rows:
     """Rows of numbers in one array, which doubles when it is full.
 
-    A list of objects would take ten times the memory, and a drive goes on for hours.
+    A list of objects would take ten times the memory, and a drive goes on for hours. Another thread
+    may read while one appends.
 
     Args:
         width: number of columns.
@@ -29,4 +30,6 @@ class Rows:
     @property
     def array(self) -> np.ndarray:
         """All rows (N, width)."""
-        return self._array[: self._count]
+        # The count first: the array that is read after it has at least as many rows.
+        count = self._count
+        return self._array[:count]

@@ -1,6 +1,5 @@
 """The node that drives a robot: scans and poses in, velocity commands out."""
 
-import array
 import concurrent.futures
 import dataclasses
 import json
@@ -17,6 +16,7 @@ import numpy as np
 from jaxplore.onboard.following import Following
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.onboard.rows import Rows
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters, set_parameters
 from jaxplore.ros import map_messages, messages
@@ -49,14 +49,15 @@ class Latencies:
             delay a command by seconds.
     """
 
-    scan_ms: array.array[float] = dataclasses.field(default_factory=lambda: array.array("d"))
+    scan_ms: Rows = dataclasses.field(default_factory=lambda: Rows(1))
     num_commands: int = 0
     num_late: int = 0
     num_compiled: int = 0
 
     def percentile(self, share: float) -> float | None:
         """Return a percentile of the times [ms]; None without a scan."""
-        return float(np.percentile(self.scan_ms, share)) if self.scan_ms else None
+        times = self.scan_ms.array
+        return float(np.percentile(times, share)) if len(times) else None
 
 
 class ControlNode:
@@ -246,7 +247,7 @@ class ControlNode:
             command = self._next_command(now + self.settings.deadline * period)
             self._publish_command(command)
             if arrived is not None and command.scan_time is not None:
-                self.latencies.scan_ms.append(1e3 * (time.monotonic() - arrived))
+                self.latencies.scan_ms.add(1e3 * (time.monotonic() - arrived))
             arrived = None
             self._submit_between(command)
             if command.mode is Mode.DONE and not command.twist.any():
