@@ -34,7 +34,7 @@ class GridFrame(eqx.Module):
 
     origin: Pose
     resolution: float = eqx.field(static=True)
-    map_shape: Int[Array, "2"] | None
+    map_shape: Int[Array | np.ndarray, "2"] | None
 
     def __init__(self, resolution: float, origin: Vector = (0.0, 0.0, 0.0)) -> None:
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -114,7 +114,7 @@ class GridFrame(eqx.Module):
             return coarse
         return coarse._of_map(-(-self.map_shape // stride))
 
-    def _of_map(self, map_shape: Int[Array, "2"]) -> "GridFrame":
+    def _of_map(self, map_shape: Int[Array | np.ndarray, "2"]) -> "GridFrame":
         same: GridFrame = eqx.tree_at(
             lambda frame: frame.map_shape, self, map_shape, is_leaf=lambda leaf: leaf is None
         )

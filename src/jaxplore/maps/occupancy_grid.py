@@ -148,7 +148,7 @@ class OccupancyGrid(eqx.Module):
         return same
 
     @property
-    def map_shape(self) -> Int[Array, "2"] | None:
+    def map_shape(self) -> Int[Array | np.ndarray, "2"] | None:
         """Number of rows and columns that are on the map, of a padded map; None if all are."""
         return self.frame.map_shape
 
