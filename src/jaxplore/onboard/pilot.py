@@ -304,7 +304,10 @@ class Pilot:
         assert self._history.last is not None
         before = Driver(self.controller, self.robot, self._expected)
         place = self._local(self._history.last.pose)[:2].astype(np.float32)
-        self.controller, self.robot, self._expected = self.task.adapted(before, self._offset, place)
+        after = self.task.adapted(before, self._offset, place)
+        # Another thread may set parameters meanwhile: what has not changed is not written back.
+        if after is not before:
+            self.controller, self.robot, self._expected = after
 
     def _local(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose relative to the origin of the belief."""
