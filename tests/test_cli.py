@@ -125,6 +125,17 @@ def test_the_map_that_is_named_counts_not_that_of_the_settings_file() -> None:
     assert entries == {**file, "map": "office"}
 
 
+def test_one_file_describes_a_run_and_a_drive(fails) -> None:
+    run = {"map": "office", "seed": 4}
+    Path("robot.yaml").write_text(yaml.safe_dump({**run, "node": {"latency": 0.1}}))
+    given = {"settings_file": "robot.yaml", "map_": None, "path_file": None}
+    entries = option_entries({**given, "controller__num_samples": None, "assignments": ()})
+    assert entries == run
+    Path("robot.yaml").write_text(yaml.safe_dump({"node": {"latency": -0.1}}))
+    said = fails("run", "office", "--settings", "robot.yaml")
+    assert "setting node.latency is -0.1; accepted: greater than or equal to 0" in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -19,6 +19,8 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
+from follower import Follower
+
 PATIENCE = 300.0
 """Longest time that anything may take on a busy machine [s]."""
 
@@ -128,6 +130,16 @@ def main(folder: Path) -> dict:
         seen["map"] = [message.info.height, message.info.width, sorted(set(message.data))[:2]]
         seen["compiled"] = watcher.driver["compiled"]
         seen["plan"] = len(watcher.plans[-1].poses)
+        # Then the node chooses goals, and another program drives there.
+        drivers.append(command("node", "--mode", "goal", *node, "--out", str(folder / "goals")))
+        follower, before = Follower(watcher.node), watcher.robot["coverage"]
+        watcher.wait("two goals are reached", lambda: follower.num_reached >= 2)
+        watcher.wait("the map grows", lambda: watcher.robot["coverage"] > before)
+        drivers[2].send_signal(signal.SIGINT)
+        text, _ = drivers[2].communicate(timeout=PATIENCE)
+        follower.end()
+        seen["goals"] = [drivers[2].returncode, text, len(follower.goals)]
+        seen["grown"] = watcher.robot["coverage"] - before
         robot.send_signal(signal.SIGINT)
         text, _ = robot.communicate(timeout=PATIENCE)
         seen["robot"] = [robot.returncode, text[-2000:]]

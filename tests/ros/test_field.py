@@ -91,6 +91,14 @@ def test_belief_and_plan_are_published(field) -> None:
     assert seen["plan"] > 5
 
 
+def test_another_program_drives_to_the_goals_that_the_node_chooses(field) -> None:
+    code, text, number = field[1]["goals"]
+    assert code == 130, text
+    assert number >= 2
+    assert f"Done after {number} goals: stopped" in text
+    assert field[1]["grown"] > 0.0
+
+
 def test_the_robot_is_judged_by_its_run_folder(field) -> None:
     folder, seen = field
     assert seen["robot"][0] == 130, seen["robot"][1]

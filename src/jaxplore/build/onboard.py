@@ -21,9 +21,8 @@ from jaxplore.planning.presets.path_following import PathFollowing, mpcc
 from jaxplore.planning.strategy.target_rules import RULES, DiscountedInformation
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
-from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.settings.own import is_own
-from jaxplore.settings.sections import checked_section
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (
@@ -43,14 +42,11 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     Raises:
         ValueError: an unknown name or a value that is not accepted.
     """
-    given = dict(entries)
-    node = given.pop("node", {})
-    if not isinstance(node, dict):
-        raise ValueError(f"setting node is {node!r}; accepted: a mapping")
-    given = {name: value for name, value in given.items() if name not in NO_PART}
+    run, node = part_node(entries)
+    given = {name: value for name, value in run.items() if name not in NO_PART}
     # The office stands in for the map: a robot finds its own.
     settings = make_exploration_settings({**given, "map": OFFICE})
-    return settings, checked_section(NodeSettings, node)
+    return settings, node
 
 
 def build_goal_chooser(settings: Settings) -> GoalChooser:

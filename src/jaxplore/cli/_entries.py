@@ -14,6 +14,7 @@ from jaxplore.settings.exploration import (
     is_scenario_file,
     read_settings,
 )
+from jaxplore.settings.node import part_node
 from jaxplore.settings.path import PATH, TRACK
 
 _OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
@@ -42,7 +43,9 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     given = dict(options)
     settings_file, assignments = given.pop("settings_file"), given.pop("assignments")
     trust = given.pop("trust", False)
-    entries = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
+    # The section of the node, in a file that a drive reads too, is checked and not read.
+    file = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
+    entries, _ = part_node(file)
     entries = _with_map(entries, given.pop("map_"), given.pop("path_file", None), trust)
     along_path = PATH in entries
     for name, value in given.items():

@@ -1,12 +1,13 @@
 """Settings of the node that drives a robot, beside those of a run."""
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
-from jaxplore.settings.sections import NonNegative, Positive, Section
+from jaxplore.settings.sections import NonNegative, Positive, Section, checked_section
 
 
 class NodeContouring(ContouringNumbers):
@@ -91,3 +92,16 @@ class DriveSettings(Section):
     """
 
     node: NodeSettings = NodeSettings()
+
+
+def part_node(entries: Mapping[str, Any]) -> tuple[dict[str, Any], NodeSettings]:
+    """Return the settings entries of a run, and the checked section `node` beside them.
+
+    One settings file describes a run in simulation and a drive of the robot.
+
+    Raises:
+        ValueError: an unknown name or a value that is not accepted in the section.
+    """
+    run = dict(entries)
+    node = {"node": run.pop("node")} if "node" in run else {}
+    return run, checked_section(DriveSettings, node).node
