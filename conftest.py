@@ -18,9 +18,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-# Tests compile far more than they compute: without LLVM's optimisations a fifth is saved.
-# XLA's own passes stay. It is read when the first array is made; `XLA_FLAGS= pytest` optimises.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+# Tests compile far more than they compute: without LLVM's optimisations and expensive passes a
+# quarter is saved. XLA's own passes stay. It is read when the first array is made;
+# `XLA_FLAGS= pytest` optimises.
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true",
+)
 
 
 def compiled_programs() -> Path:

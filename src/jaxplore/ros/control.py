@@ -33,6 +33,8 @@ COMPILED = "/jax/core/compile/backend_compile_duration"
 """Event of JAX for a program that was compiled, or loaded from the cache."""
 MOST_STATE = 10_000
 """Greatest length of the state of another node that is read."""
+LEAST_SHARE = 0.25
+"""Share of the control period that is the least time between two commands."""
 ORDERS = ("start", "pause", "return", "stop")
 """Orders that the node takes."""
 
@@ -233,13 +235,14 @@ class ControlNode:
         due = time.monotonic()
         last, arrived = due - period, None
         while True:
-            self._wake.wait(max(0.0, due - time.monotonic()))
+            # A scan that came right after a command waits for a part of the period, not for all.
+            begin = due if arrived is None else min(due, last + LEAST_SHARE * period)
+            self._wake.wait(max(0.0, begin - time.monotonic()))
             self._wake.clear()
             now = time.monotonic()
             newest = self._take_messages()
             arrived = arrived if newest is None else newest
-            # A scan is answered at once, but not twice within a quarter of a period.
-            if now < due and (arrived is None or now - last < 0.25 * period):
+            if now < due and (arrived is None or now - last < LEAST_SHARE * period):
                 continue
             last, due = now, now + period
             if is_stopped.is_set():
