@@ -12,14 +12,13 @@ import time
 from pathlib import Path
 
 import rclpy
+from follower import Follower
 from geometry_msgs.msg import Twist
 from nav_msgs.msg import OccupancyGrid, Odometry
 from nav_msgs.msg import Path as RosPath
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
-
-from follower import Follower
 
 PATIENCE = 300.0
 """Longest time that anything may take on a busy machine [s]."""

@@ -75,7 +75,8 @@ class Follower:
     def _take_map(self, message: OccupancyGrid) -> None:
         info = message.info
         grid = np.array(message.data, np.int16).reshape(info.height, info.width)
-        self._map = grid, info.resolution, np.array([info.origin.position.x, info.origin.position.y])
+        corner = info.origin.position
+        self._map = grid, info.resolution, np.array([corner.x, corner.y])
 
     def _take_goal(self, message: PoseStamped) -> None:
         self.goals.append((message.pose.position.x, message.pose.position.y))
