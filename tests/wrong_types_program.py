@@ -158,6 +158,8 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "centres": [[1.0, 1.0]],
         "radii": [0.5],
         "radius": 0.5,
+        "turning_radius": 0.5,
+        "footprint": geometry.Disc(0.2),
         "points": [[0.0, 0.0], [1.0, 1.0]],
         "reference": np.zeros((4, 5), np.float32),
         "limit": 1.0,

@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import OccupancyGrid
 from jaxplore.belief.goal_field import goal_field
+from jaxplore.belief.guidance import TurnsOnTheSpot
 
 SHAPE, RESOLUTION, STRIDE, LAYERS = (22, 29), 0.1, 2, 3
 REQUIRED, FACTOR, MOST = 0.15, 0.5, 1.0
@@ -30,10 +31,10 @@ def field_of(probability, blocked, goal, required, factor):
         blocked,
         goal,
         required,
+        TurnsOnTheSpot(),
         unknown_factor=factor,
         max_clearance=MOST,
         stride=STRIDE,
-        num_layers=LAYERS,
     )
 
 

@@ -11,18 +11,18 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore.belief.guidance import (
-    TILE,
-    _by_tiles,
-    _everywhere,
+    _relax,
     descent,
     extend,
     geodesic,
 )
 from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception import safe_stride
+from jaxplore.belief.tiles import TILE, relaxed_by_tiles, relaxed_everywhere
 from jaxplore.maps.frame import GridFrame
 
 geodesic_jit = jax.jit(geodesic)
+OUTSIDE = (np.inf, np.inf)
 
 
 def by_dijkstra(initial: np.ndarray, slowness: np.ndarray, is_open: np.ndarray) -> np.ndarray:
@@ -75,7 +75,10 @@ def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> N
     initial = np.where(rng.random(shape) < 0.002, rng.uniform(-9, 9, shape), np.inf)
     start = np.where(is_open, initial, np.inf).astype(np.float32)
     half = np.where(is_open, 0.5 * slowness, np.inf).astype(np.float32)
-    tiles, whole = (np.asarray(jax.jit(find)(start, half)) for find in (_by_tiles, _everywhere))
+    tiles, whole = (
+        np.asarray(jax.jit(lambda *given, find=find: find(given, OUTSIDE, _relax, 1))(start, half))
+        for find in (relaxed_by_tiles, relaxed_everywhere)
+    )
     np.testing.assert_array_equal(tiles, whole)
     least = initial[np.isfinite(initial)].min()  # Dijkstra's lengths are not negative
     expected = by_dijkstra(initial - least, slowness, is_open) + least

@@ -13,6 +13,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
+from jaxplore.belief.guidance import TurnsOnTheSpot
 from jaxplore.planning.strategy.frontiers import find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (
@@ -58,7 +59,8 @@ init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 def look(belief, position):
     return find_frontiers(
         belief,
-        position,
+        jnp.append(position, 0.0),
+        TurnsOnTheSpot(),
         required_clearance=jnp.asarray(REQUIRED),
         min_information=jnp.asarray(NUMBERS["min_information"]),
         leftover_share=jnp.asarray(NUMBERS["leftover_share"]),

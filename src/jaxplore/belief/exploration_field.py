@@ -5,15 +5,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore._types import Flag, Position, Scalar
-from jaxplore.belief.guidance import (
-    LAYERS,
-    GuidanceField,
-    Roadmap,
-    descent_field,
-    geodesic,
-    point_sources,
-    roadmap,
-)
+from jaxplore.belief.guidance import GuidanceField, Locomotion, Roadmap, point_sources
 from jaxplore.maps.field import ScalarField
 
 LEFTOVER_DETOUR = 1e3
@@ -28,6 +20,7 @@ def exploration_field(
     clearance: ScalarField,
     worth: Float[Array, "rows columns"],
     required: Scalar,
+    locomotion: Locomotion,
     *,
     decay_length: Scalar,
     min_information: Scalar,
@@ -60,13 +53,14 @@ def exploration_field(
         clearance: distance to the nearest cell that is not free [m].
         worth: discounted information W of each node [nat].
         required: clearance that the robot needs [m].
+        locomotion: paths that the robot can drive.
         decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat].
         stride: number of cells between nodes; static.
         goal: goal position (x, y) that is one more source [m]; None without one.
         is_explored: whether the goal is the only source; without a goal it has no effect.
     """
-    roads = roadmap(clearance, required, stride)
+    roads = locomotion.roadmap(clearance, required, stride)
     # The bound keeps the logarithm finite where there is no information.
     reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
     is_leftover = worth < min_information
@@ -75,8 +69,7 @@ def exploration_field(
     source = jnp.where(is_source, detour - reward, jnp.inf)
     if goal is not None:
         source = _with_goal(source, roads, goal, is_explored)
-    distance = geodesic(source, roads.slowness, roads.is_open)
-    return descent_field(distance, roads.frame, LAYERS)
+    return roads.field(source)
 
 
 def leads_to_goal(field: GuidanceField, position: Position) -> Flag:

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from jaxplore._types import GridMask, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, descent_field, geodesic, point_sources, roadmap
+from jaxplore.belief.guidance import GuidanceField, Locomotion, point_sources
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -17,11 +17,11 @@ def goal_field(
     blocked: GridMask | None,
     goal: Position,
     required: Scalar,
+    locomotion: Locomotion,
     *,
     unknown_factor: Scalar,
     max_clearance: float,
     stride: int,
-    num_layers: int,
 ) -> GuidanceField:
     """Return the cost-to-go to a goal [m] and the direction of its descent.
 
@@ -41,22 +41,24 @@ def goal_field(
         blocked: mask (H, W) of further cells that may not be entered, or None.
         goal: goal position (x, y) [m].
         required: clearance that the robot needs [m].
+        locomotion: paths that the robot can drive.
         unknown_factor: additional cost per metre in unknown space.
         max_clearance: upper bound of the clearance [m]; static.
         stride: number of cells between nodes; static.
-        num_layers: number of layers of closed nodes into which the field is extended; static.
     """
     solid = grid.is_occupied if blocked is None else grid.is_occupied | blocked
     clearance = clearance_field(solid, grid.frame, max_clearance)
-    roads = roadmap(clearance, required, stride)
-    rows, columns = roads.is_open.shape
+    rows, columns = (-(-side // stride) for side in grid.shape)
     height, width = grid.shape
     # A node stands for a block of cells: weight it by the share of unknown cells in its block.
     is_unknown = ~grid.is_free & ~grid.is_occupied
     padded = jnp.pad(is_unknown, ((0, rows * stride - height), (0, columns * stride - width)))
     share = jnp.mean(padded.reshape(rows, stride, columns, stride), axis=(1, 3), dtype=jnp.float32)
-    slowness = roads.frame.resolution * (1.0 + TIGHT * roads.tightness**4)
-    slowness = slowness * (1.0 + unknown_factor * share)
-    source = point_sources(goal, roads.frame, roads.is_open)
-    distance = geodesic(source, slowness, roads.is_open)
-    return descent_field(distance, roads.frame, num_layers)
+    roads = locomotion.roadmap(
+        clearance,
+        required,
+        stride,
+        lambda tightness: 1.0 + TIGHT * tightness**4,
+        1.0 + unknown_factor * share,
+    )
+    return roads.field(point_sources(goal, roads.frame, roads.is_open))

@@ -1,7 +1,9 @@
 """Compute cost-to-go fields over known free space, which lead to remaining information."""
 
+import abc
 import functools
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -9,7 +11,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxplore._types import Position, Scalar
+from jaxplore._types import Pose, Position, Scalar
+from jaxplore.belief.tiles import relaxed
+from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.vectors import length
 from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.lattice_figure import lattice_figure
@@ -21,10 +26,6 @@ DIAGONAL = 2.0**0.5
 """Length of a step to a diagonal neighbour [node spacings]."""
 ROOMY = 3.0
 """Ratio of clearance to required clearance above which a path has no extra cost."""
-TILE = 24
-"""Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
-SWEEPS = 4
-"""Sweeps between two checks for convergence; a check costs as much as a sweep."""
 LAYERS = 4
 """Number of layers of closed nodes into which the fields of the robot are extended."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -50,6 +51,24 @@ class GuidanceField(eqx.Module):
         """Return the cost-to-go at a world position (x, y) [m]."""
         return gather(self.values, self._around(position), self.outside)
 
+    def at_pose(
+        self, position: Position, heading: Scalar, speed: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Return the cost-to-go of a robot [m], its descent along the heading, and all of it.
+
+        The descent is `direction`, of length 1 or shorter. A robot that faces it has as much along
+        its heading as there is.
+
+        Args:
+            position: position of the robot (x, y) [m].
+            heading: its heading [rad].
+            speed: its forward speed [m/s].
+        """
+        direction = self.direction(position)
+        sin, cos = sin_cos(heading)
+        along = cos * direction[0] + sin * direction[1]
+        return self(position), along, length(direction[0], direction[1])
+
     def plot(self) -> "Figure":
         """Draw the cost-to-go in the world, with a colour bar."""
         return lattice_figure(self.values, self.frame, "cost to go [m]")
@@ -68,44 +87,121 @@ class GuidanceField(eqx.Module):
         return stencil((height, width), self.frame.to_grid(position))
 
 
-class Roadmap(NamedTuple):
-    """Lattice of the places in which a disc robot fits.
+class Roadmap(eqx.Module):
+    """Lattice of the places in which a robot fits that can turn on the spot, with paths on it.
 
-    `frame` is the pose and node spacing of the lattice. `tightness` (H, W) is 0 in open space and 1
-    where the robot just fits. `is_open` (H, W) is the mask of the nodes at which it fits.
+    Args:
+        frame: pose and node spacing of the lattice.
+        slowness: cost (H, W) of a step of one node spacing [m].
+        is_open: mask (H, W) of the nodes at which the robot fits.
     """
 
     frame: GridFrame
-    tightness: Float[Array, "H W"]
+    slowness: Float[Array, "H W"]
     is_open: Bool[Array, "H W"]
 
-    @property
-    def slowness(self) -> Float[Array, "H W"]:
-        """Cost of a step of one node spacing (H, W) [m], doubled where the robot just fits."""
-        return self.frame.resolution * (1.0 + self.tightness)
+    def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
+
+        Args:
+            source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
+        """
+        return geodesic(source, self.slowness, self.is_open)
+
+    def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
+        """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
+        return self.lengths(point_sources(pose[:2], self.frame, self.is_open))
+
+    def field(self, source: Float[Array, "H W"]) -> GuidanceField:
+        """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
+        return descent_field(self.lengths(source), self.frame, LAYERS)
 
 
-def roadmap(clearance: ScalarField, required: Scalar, stride: int) -> Roadmap:
-    """Build the lattice of places in which the robot fits, with one node per block of cells.
+Price = Callable[[Array], Array]
+"""Function that returns the cost of a metre for a tightness: 0 in open space, 1 where the robot
+just fits."""
 
-    A node is open if the robot fits at any cell of its block. The tightness lets costs keep paths
-    in the middle of passages.
+
+def doubled_where_tight(tightness: Array) -> Array:
+    """Return the cost of a metre that is doubled where the robot just fits."""
+    return 1.0 + tightness
+
+
+class Locomotion(eqx.Module):
+    """What paths a robot can drive between the nodes of a lattice."""
+
+    @abc.abstractmethod
+    def roadmap(
+        self,
+        clearance: ScalarField,
+        required: Scalar,
+        stride: int,
+        price: Price = doubled_where_tight,
+        factor: Float[Array, "H W"] | None = None,
+    ) -> Roadmap:
+        """Build the lattice of places in which the robot fits, with one node per block of cells.
+
+        A node is open if the robot fits at any cell of its block. The price keeps paths in the
+        middle of passages.
+
+        Args:
+            clearance: distance to the nearest blocked cell [m].
+            required: clearance that the robot's discs need [m].
+            stride: number of cells on a side of a block; static.
+            price: cost of a metre by tightness.
+            factor: further factor (H, W) of the cost of each node; 1 when absent.
+        """
+
+    @abc.abstractmethod
+    def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
+        """Return a field of such a road map that is 0 everywhere.
+
+        Args:
+            frame: pose and node spacing of the lattice.
+            shape: rows and columns of the lattice.
+        """
+
+
+class TurnsOnTheSpot(Locomotion):
+    """Locomotion of a robot whose paths do not depend on its heading."""
+
+    def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
+        """Return a field that is 0 everywhere."""
+        return descent_field(jnp.zeros(shape), frame, LAYERS)
+
+    def roadmap(
+        self,
+        clearance: ScalarField,
+        required: Scalar,
+        stride: int,
+        price: Price = doubled_where_tight,
+        factor: Float[Array, "H W"] | None = None,
+    ) -> Roadmap:
+        """Build the lattice of places in which the robot fits; see `Locomotion`."""
+        frame = clearance.frame.coarsen(stride, stride / 2.0)
+        is_open, tightness = fit(block_maximum(clearance.values, stride), required)
+        slowness = frame.resolution * price(tightness)
+        return Roadmap(frame, slowness if factor is None else slowness * factor, is_open)
+
+
+def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "rows columns"]:
+    """Return the maximum over each block of cells; the map's last blocks are completed with 0."""
+    height, width = values.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    padded = jnp.pad(values, ((0, rows * stride - height), (0, columns * stride - width)))
+    return padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
+
+
+def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], Float[Array, "*S"]]:
+    """Return where a robot fits, and how tightly: 0 in open space, 1 where it just fits.
 
     Args:
-        clearance: distance to the nearest blocked cell [m].
+        room: clearance [m].
         required: clearance that the robot needs [m].
-        stride: number of cells on a side of a block; static.
     """
-    frame = clearance.frame.coarsen(stride, stride / 2.0)
-    height, width = clearance.values.shape
-    rows, columns = -(-height // stride), -(-width // stride)
-    # Pad with 0, which is closed, so that the map's last blocks are complete.
-    padded = jnp.pad(clearance.values, ((0, rows * stride - height), (0, columns * stride - width)))
-    room = padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
     spare = (room - required) / required
-    tightness = jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
     # The tolerance absorbs rounding: a passage of exactly the required width is open.
-    return Roadmap(frame, tightness, room >= required - 1e-4)
+    return room >= required - 1e-4, jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
 
 
 def descent_field(
@@ -163,11 +259,6 @@ def geodesic(
     by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
     of shifted arrays.
 
-    On accelerators all nodes are relaxed at once; the number of sweeps is the number of steps of
-    the longest shortest path. On a CPU tiles are relaxed one after another, the tile with the
-    smallest new value at its edge first, so most tiles are visited only a few times. Both give the
-    same bits, because the sum along a path does not depend on when it is computed.
-
     Args:
         initial: cost (H, W) at the sources; infinite elsewhere.
         slowness: cost (H, W) per node spacing, > 0.
@@ -176,93 +267,26 @@ def geodesic(
     # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
     start = jnp.where(is_open, initial, jnp.inf)
-    # Under `vmap` the maps are processed one after another: each has its own order of tiles.
-    by_tiles = jax.custom_batching.sequential_vmap(_by_tiles)  # type: ignore[no-untyped-call]
-    value: Array = jax.lax.platform_dependent(start, half, cpu=by_tiles, default=_everywhere)
-    return value
+    return relaxed(start, [(half, jnp.inf)], _relax, 1)
 
 
-def _everywhere(start: Array, half: Array) -> Array:
-    """Relax all nodes at once until none changes."""
-    padded = [jnp.pad(part, 1, constant_values=jnp.inf) for part in (start, half)]
-    return _settled(*padded)[1:-1, 1:-1]
-
-
-def _by_tiles(start: Array, half: Array) -> Array:
-    """Relax tile by tile until no tile has a neighbour that changed since its last visit."""
-    height, width = start.shape
-    rows, columns = -(-height // TILE), -(-width // TILE)
-    # The closed margin gives every tile neighbours on all sides, and completes the last tiles.
-    margins = ((1, 1 + rows * TILE - height), (1, 1 + columns * TILE - width))
-    start, half = (jnp.pad(part, margins, constant_values=jnp.inf) for part in (start, half))
-    tiles = start[1:-1, 1:-1].reshape(rows, TILE, columns, TILE)
-    # Priority of each tile: the smallest changed value next to it, initially the smallest value in
-    # it; infinite if nothing changed.
-    due = jnp.pad(tiles.min(axis=(1, 3)), 1, constant_values=jnp.inf)
-    is_tile = jnp.pad(jnp.ones((rows, columns), bool), 1)
-
-    def visit(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        value, due = carry
-        first = jnp.argmin(due[1:-1, 1:-1])
-        row, column = first // columns, first % columns
-        corner = (row * TILE, column * TILE)
-        before, own = (
-            jax.lax.dynamic_slice(part, corner, (TILE + 2, TILE + 2)) for part in (value, half)
-        )
-        after = _settled(before, own)[1:-1, 1:-1]
-        # Values that fell at the edge of the tile become due in the neighbours on that side.
-        fallen = jnp.where(after < before[1:-1, 1:-1], after, jnp.inf)
-        above, below = fallen[0], fallen[-1]
-        left, right = fallen[:, 0].min(), fallen[:, -1].min()
-        around = [
-            [above[0], above.min(), above[-1]],
-            [left, jnp.inf, right],
-            [below[0], below.min(), below[-1]],
-        ]
-        # The tile is settled. Only a value that falls in a neighbour makes it due again.
-        due = due.at[row + 1, column + 1].set(jnp.inf)
-        others = jnp.minimum(jax.lax.dynamic_slice(due, (row, column), (3, 3)), jnp.asarray(around))
-        due = jax.lax.dynamic_update_slice(due, others, (row, column))
-        value = jax.lax.dynamic_update_slice(value, after, (corner[0] + 1, corner[1] + 1))
-        # The margin holds no tiles: a value that falls at the map's edge makes nothing due.
-        return value, jnp.where(is_tile, due, jnp.inf)
-
-    value, _ = jax.lax.while_loop(lambda carry: jnp.isfinite(carry[1]).any(), visit, (start, due))
-    return value[1 : 1 + height, 1 : 1 + width]
-
-
-def _settled(start: Array, half: Array) -> Array:
-    """Relax all nodes except the outermost until none changes."""
-    height, width = start.shape[0] - 2, start.shape[1] - 2
+def _relax(value: Array, half: Array) -> Array:
+    """Return the least cost-to-go by a step to a neighbour."""
+    height, width = value.shape[0] - 2, value.shape[1] - 2
 
     def shifted(values: Array, down: int, right: int) -> Array:
         return values[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
     own = shifted(half, 0, 0)
-
-    def relax(value: Array) -> Array:
-        # Take the minimum over straight and over diagonal neighbours before adding the node's own
-        # half, which saves an addition per neighbour.
-        leaving, leaving_diagonally = value + half, value + DIAGONAL * half
-        along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
-        across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
-        nearest = jnp.minimum(
-            functools.reduce(jnp.minimum, along) + own,
-            functools.reduce(jnp.minimum, across) + DIAGONAL * own,
-        )
-        return jax.lax.dynamic_update_slice(
-            value, jnp.minimum(shifted(value, 0, 0), nearest), (1, 1)
-        )
-
-    def sweep(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        before, _ = carry
-        after = before
-        for _ in range(SWEEPS):
-            after = relax(after)
-        return after, jnp.any(after < before)
-
-    value, _ = jax.lax.while_loop(lambda carry: carry[1], sweep, (start, jnp.array(True)))
-    return value
+    # Take the minimum over straight and over diagonal neighbours before adding the node's own half,
+    # which saves an addition per neighbour.
+    leaving, leaving_diagonally = value + half, value + DIAGONAL * half
+    along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
+    across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
+    return jnp.minimum(
+        functools.reduce(jnp.minimum, along) + own,
+        functools.reduce(jnp.minimum, across) + DIAGONAL * own,
+    )
 
 
 def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:

@@ -12,10 +12,11 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.car import CarMotion
 from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import LAYERS, ROOMY, GuidanceField
+from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTheSpot
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
@@ -75,6 +76,7 @@ class Perception(eqx.Module):
         is_goal_apart: whether the goal gets a cost-to-go of its own, `Belief.to_goal`, instead of
             being a source of the guidance field; static.
         unknown_factor: additional cost per metre of unknown space in that cost-to-go.
+        car: how a robot moves that cannot turn on the spot; by default it can.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -84,6 +86,7 @@ class Perception(eqx.Module):
     sensors: tuple[Sensor, ...]
     sensor_model: InverseSensorModel
     field_sensor: FieldSensor
+    locomotion: Locomotion
     resolution: float = eqx.field(static=True)
     max_clearance: float = eqx.field(static=True)
     required_clearance: Scalar
@@ -122,11 +125,13 @@ class Perception(eqx.Module):
         watch: IdlenessMap | None = None,
         is_goal_apart: bool = False,
         unknown_factor: ArrayLike = 0.5,
+        car: CarMotion | None = None,
     ) -> None:
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
         _kinds.instance("watch", watch, IdlenessMap, may_be_none=True)
         _kinds.flag("is_goal_apart", is_goal_apart)
+        _kinds.instance("car", car, CarMotion, may_be_none=True)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -140,6 +145,8 @@ class Perception(eqx.Module):
             num_directions,
             safe_stride(spacing, resolution, float(radius)),
         )
+        nodes = self.field_sensor.stride * self.resolution
+        self.locomotion = TurnsOnTheSpot() if car is None else car.lattice(nodes)
         margin = _checks.scalar("margin", margin, at_least=0.0)
         self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
@@ -317,10 +324,10 @@ class Perception(eqx.Module):
             None if self.ground is None else ~self.ground.is_traversable,
             self.goal,
             self.required_clearance,
+            self.locomotion,
             unknown_factor=self.unknown_factor,
             max_clearance=self.max_clearance,
             stride=self.field_sensor.stride,
-            num_layers=LAYERS,
         )
 
     def _is_known(self, grid: OccupancyGrid) -> Flag:
@@ -352,6 +359,7 @@ class Perception(eqx.Module):
             clearance,
             information.total * dwell_discount(dwell, self.patience),
             self.required_clearance,
+            self.locomotion,
             decay_length=self.decay_length,
             min_information=self.min_information,
             stride=self.field_sensor.stride,
@@ -361,11 +369,7 @@ class Perception(eqx.Module):
 
 
 def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Return one sensor or several as a tuple.
-
-    Raises:
-        ValueError: no sensor, or something that is not a sensor.
-    """
+    """Return one sensor or several as a tuple; something else is a `ValueError`."""
     if isinstance(sensors, Sensor):
         return (sensors,)
     if not isinstance(sensors, (list, tuple)):

@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 
+from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
@@ -108,6 +109,7 @@ def _perception(
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
+        car=car_motion(robot),
         **arguments(settings.fields, Perception),
         **unknown,
     )

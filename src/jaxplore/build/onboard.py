@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from jaxplore import _checks
+from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import Perception
 from jaxplore.build.exploration import build_in, build_scenario
 from jaxplore.build.own import own_rule
@@ -61,6 +62,7 @@ def build_goal_chooser(settings: Settings) -> GoalChooser:
         settings.resolution,
         robot.radius,
         sensor_model=build_sensor_model(settings.sensor_model),
+        car=car_motion(robot),
         **arguments(settings.fields, Perception),
     )
     if is_own(settings.architecture):

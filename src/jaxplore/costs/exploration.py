@@ -13,7 +13,6 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.costs._distance import offset
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
-from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
@@ -85,13 +84,11 @@ class GuidanceCost(Cost):
         """Compute the bounded cost to go plus the cost of the heading."""
         position, heading = state.position, state.heading
         guidance: GuidanceField = part(belief, "guidance")
-        direction = guidance.direction(position)
-        sin, cos = sin_cos(heading)
-        facing = cos * direction[0] + sin * direction[1]
+        cost, facing, _ = guidance.at_pose(position, heading, state.speed)
         here = guidance(belief.pose[:2])
         # Outside the field there is no cost to go at the robot that could bound it.
         least = jnp.where(here < guidance.outside, here - self.reach, -jnp.inf)
-        return jnp.maximum(guidance(position), least) + self.turning * (1.0 - facing)
+        return jnp.maximum(cost, least) + self.turning * (1.0 - facing)
 
 
 class PotentialCost(Cost):

@@ -35,11 +35,8 @@ class ToGoalCost(Cost):
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
         """Compute the cost to go plus the cost of the heading."""
         to_goal: GuidanceField = part(belief, "to_goal")
-        position, heading = state.position, state.heading
-        direction = to_goal.direction(position)
-        sin, cos = sin_cos(heading)
-        facing = cos * direction[0] + sin * direction[1]
-        return to_goal(position) + self.turning * (length(direction[0], direction[1]) - facing)
+        cost, facing, most = to_goal.at_pose(state.position, state.heading, state.speed)
+        return cost + self.turning * (most - facing)
 
 
 class RegionCost(Cost):

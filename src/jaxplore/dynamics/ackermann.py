@@ -118,6 +118,18 @@ class Ackermann(ContinuousDynamics):
         """Radius of the discs that cover the car [m]."""
         return self.outline.radius
 
+    @property
+    def turning_radius(self) -> Scalar:
+        """Radius of the smallest circle of the middle of the rear axle [m]."""
+        return computed(
+            lambda xp, length, angle: length / xp.tan(angle), self.wheelbase, self.max_steering
+        )
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether it can drive backwards."""
+        return bool(self.min_speed < 0.0)
+
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (5,)."""
         # The inner stages of an integrator may leave the bounds that the car itself never leaves.

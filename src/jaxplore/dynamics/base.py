@@ -121,6 +121,17 @@ class Dynamics(eqx.Module):
         sin, cos = sin_cos(pose[2])
         return jnp.stack([cos * x_rate + sin * y_rate, cos * y_rate - sin * x_rate, turn_rate])
 
+    @property
+    def turning_radius(self) -> Scalar:
+        """Radius of the smallest circle that its position can drive [m]; 0 by default, for a robot
+        that turns on the spot."""
+        return jnp.zeros(())
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether it can drive backwards; true by default."""
+        return True
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:

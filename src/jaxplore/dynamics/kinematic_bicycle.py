@@ -81,6 +81,21 @@ class KinematicBicycle(ContinuousDynamics):
         self.radius = radius_of_robot(radius)
         self.integrator = RK4() if integrator is None else integrator
 
+    @property
+    def turning_radius(self) -> Scalar:
+        """Radius of the smallest circle of the centre of gravity [m]."""
+        return computed(
+            lambda xp, front, rear, bound: xp.hypot((front + rear) / xp.tan(bound[1]), rear),
+            self.front_length,
+            self.rear_length,
+            self.control_max,
+        )
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether it can drive backwards."""
+        return bool(self.min_speed < 0.0)
+
     def derivative(self, state: StateVector, control: ControlVector) -> StateVector:
         """Return dx/dt (4,)."""
         return self.derivative_under(control)(state, control)

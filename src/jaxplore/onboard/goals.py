@@ -70,7 +70,8 @@ def choose(
     belief = perception.init(grid, pose)
     frontiers = find_frontiers(
         belief,
-        pose[:2],
+        pose,
+        perception.locomotion,
         required_clearance=perception.required_clearance,
         min_information=perception.min_information,
         leftover_share=jnp.asarray(LEFTOVER_SHARE, jnp.float32),

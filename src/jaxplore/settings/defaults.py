@@ -68,6 +68,9 @@ DIFFERENCES: dict[str, DefaultDifference] = {
     "path.robot.wheelbase": DefaultDifference(0.33, "a race car of F1TENTH's size"),
     "path.robot.max_steering": DefaultDifference(0.42, "a race car of F1TENTH's size"),
     "path.robot.max_steering_rate": DefaultDifference(3.2, "a race car of F1TENTH's size"),
+    "car.robot.min_speed": DefaultDifference(
+        -0.5, "a car that explores drives out of dead ends backwards"
+    ),
     "quadrotor.robot.model": DefaultDifference("quadrotor", "what its architectures control"),
     "quadrotor.robot.radius": DefaultDifference(
         parameter_default(Quadrotor, "radius"), "that of `Quadrotor`"
@@ -96,7 +99,7 @@ DIFFERENCES: dict[str, DefaultDifference] = {
 }
 """Settings whose default is not their owner's, by kind of run and name.
 
-Those of `quadrotor` hold for the quadrotor architectures."""
+Those of `quadrotor` hold for the quadrotor architectures, those of `car` for cars that explore."""
 
 
 def descriptions(owner: Owner) -> dict[str, str]:

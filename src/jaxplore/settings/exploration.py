@@ -306,6 +306,9 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
         entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
+    robot = entries.get("robot")
+    if isinstance(robot, dict) and robot.get("model") == "ackermann":
+        entries = merge_entries(difference_entries("car"), entries)
     if entries.get("architecture") not in QUADROTOR:
         return entries
     return merge_entries(difference_entries("quadrotor"), entries)

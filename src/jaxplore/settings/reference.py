@@ -198,13 +198,16 @@ def _row(task: str, section: type[BaseModel], name: str, field: FieldInfo) -> Ro
 
 
 def _other_defaults(task: str, name: str, default: Any, given: dict[str, Any]) -> Iterator[str]:
-    """Yield the defaults of the owner, of quadrotors and of scenarios where they differ."""
+    """Yield the defaults of the owner, of quadrotors, cars and scenarios where they differ."""
     if f"{task}.{name}" in DIFFERENCES:
         reason = DIFFERENCES[f"{task}.{name}"].reason
         yield f"`{given['owner']}` has {plain(given['own'])}; here: {reason}."
     flying = DIFFERENCES.get(f"quadrotor.{name}") if task == "exploration" else None
     if flying is not None:
         yield f"Quadrotors: {plain(flying.value)}, {flying.reason}."
+    driving = DIFFERENCES.get(f"car.{name}") if task == "exploration" else None
+    if driving is not None:
+        yield f"Cars: {plain(driving.value)}, {driving.reason}."
     own = []
     for place in () if name in _UNNAMED else _places(task):
         settings = place_settings(place)

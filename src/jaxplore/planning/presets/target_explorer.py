@@ -60,4 +60,5 @@ def target_explorer(
         min_information=perception.min_information,
         every=every,
         stays=not looks_around,
+        locomotion=perception.locomotion,
     )

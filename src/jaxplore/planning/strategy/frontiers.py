@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Position, Scalar
+from jaxplore._types import Pose, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import Roadmap, geodesic, point_sources, roadmap
+from jaxplore.belief.guidance import Locomotion, Roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
@@ -40,7 +40,8 @@ class Frontiers(NamedTuple):
 
 def find_frontiers(
     belief: Belief,
-    position: Position,
+    pose: Pose,
+    locomotion: Locomotion,
     *,
     required_clearance: Scalar,
     min_information: Scalar,
@@ -53,7 +54,8 @@ def find_frontiers(
 
     Args:
         belief: what the robot knows of the world.
-        position: position of the robot (x, y) [m].
+        pose: pose of the robot (x, y, yaw) [m, m, rad].
+        locomotion: paths that the robot can drive.
         required_clearance: clearance that the robot needs [m].
         min_information: discounted information below which a place is not visited [nat].
         leftover_share: share of `min_information` below which a place has nothing left.
@@ -62,9 +64,8 @@ def find_frontiers(
         near: largest number of nodes between a frontier node and its frontier cells; static.
     """
     # The same road map as the guidance uses, so that every candidate can be driven to.
-    roads = roadmap(belief.clearance, required_clearance, stride)
-    start = point_sources(position, roads.frame, roads.is_open)
-    distance = geodesic(start, roads.slowness, roads.is_open)
+    roads = locomotion.roadmap(belief.clearance, required_clearance, stride)
+    distance = roads.lengths_from(pose)
     worth = belief.worth
     can_reach = roads.is_open & jnp.isfinite(distance)
     length = _frontier_length(belief.grid, stride, near, roads.is_open.shape)

@@ -13,7 +13,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
-from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field, geodesic
+from jaxplore.belief.guidance import GuidanceField, Locomotion, TurnsOnTheSpot
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.model_checks import checked_call
 from jaxplore.control.mppi import MPPI
@@ -69,6 +69,8 @@ class TargetExplorer(Controller):
         stays: whether the robot stays at a target until its information is seen or discounted. This
             suits a robot with a limited field of view, whose tracker turns it towards the
             information; static.
+        locomotion: paths that the robot can drive; those of a robot that turns on the spot when
+            absent.
 
     Raises:
         ValueError: a number outside its range.
@@ -77,6 +79,7 @@ class TargetExplorer(Controller):
     tracker: MPPI
     rule: TargetRule
     frame: GridFrame
+    locomotion: Locomotion
     required_clearance: Scalar
     min_information: Scalar
     leftover_share: Scalar
@@ -103,10 +106,12 @@ class TargetExplorer(Controller):
         near: ArrayLike = 0.4,
         every: int,
         stays: bool = False,
+        locomotion: Locomotion | None = None,
     ) -> None:
         _kinds.instance("tracker", tracker, MPPI)
         _kinds.instance("rule", rule, TargetRule)
         _kinds.instance("frame", frame, GridFrame)
+        _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
         if not isinstance(shape, tuple) or len(shape) != 2:
             raise ValueError(f"shape is {_kinds.described(shape)}; accepted: (H, W)")
         self.tracker, self.rule, self.frame = tracker, rule, frame
@@ -119,6 +124,7 @@ class TargetExplorer(Controller):
         # The robot keeps its clearance from unknown cells, so a node from which a frontier is
         # visited is at least that far away from it.
         spacing = frame.resolution * self.stride
+        self.locomotion = TurnsOnTheSpot() if locomotion is None else locomotion
         self.nodes_to_unknown = 1 + math.ceil(float(self.required_clearance) / spacing)
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.leftover_share = _checks.scalar(
@@ -134,7 +140,7 @@ class TargetExplorer(Controller):
         rows, columns = (-(-side // self.stride) for side in self.shape)
         lattice = self.frame.coarsen(self.stride, self.stride / 2.0)
         # The loop needs a state of fixed shapes; a flat cost to go attracts the robot nowhere.
-        flat = descent_field(jnp.zeros((rows, columns)), lattice, LAYERS)
+        flat = self.locomotion.level_field(lattice, (rows, columns))
         return TargetState(
             self.tracker.init(),
             jnp.zeros(2, jnp.int32),
@@ -198,7 +204,6 @@ class TargetExplorer(Controller):
         is_due = state.since % self.every == 0
 
         def choose(state: TargetState) -> TargetState:
-            position = self.tracker.dynamics.position(observation)
             if self.shape != belief.grid.shape:
                 raise ValueError(
                     f"shape is {self.shape}; accepted: that of the belief's map, which has arrays "
@@ -206,7 +211,8 @@ class TargetExplorer(Controller):
                 )
             frontiers = find_frontiers(
                 belief,
-                position,
+                self.tracker.dynamics.pose(observation),
+                self.locomotion,
                 required_clearance=self.required_clearance,
                 min_information=self.min_information,
                 leftover_share=self.leftover_share,
@@ -244,7 +250,6 @@ class TargetExplorer(Controller):
         # Without a target the cost to go is 0 everywhere, so that nothing attracts the robot.
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
-        distance = geodesic(source, frontiers.roads.slowness, frontiers.roads.is_open)
         # The lattice is that of the state, whose frame a caller may have made without padding.
-        guidance = descent_field(distance, state.guidance.frame, LAYERS)
+        guidance = dataclasses.replace(frontiers.roads.field(source), frame=state.guidance.frame)
         return state._replace(node=node, has_target=has_target, guidance=guidance)

@@ -9,7 +9,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Key, Scalar
-from jaxplore.belief.guidance import geodesic
 from jaxplore.planning.strategy.frontiers import Frontiers
 
 Scores = Float[Array, "H W"]
@@ -173,7 +172,7 @@ class DistanceAdvantage(TargetRule):
 
         def path_lengths(node: Array) -> Array:
             source = jnp.full(is_frontier.size, jnp.inf).at[node].set(0.0)
-            return geodesic(source.reshape(is_frontier.shape), roads.slowness, roads.is_open)
+            return roads.lengths(source.reshape(is_frontier.shape))
 
         lengths = jax.lax.map(path_lengths, index)
         # Places in the sample that are no frontier do not count, nor does a frontier for itself.

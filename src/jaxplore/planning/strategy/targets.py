@@ -15,9 +15,8 @@ from jaxplore.belief.guidance import (
     LAYERS,
     GuidanceField,
     Roadmap,
+    TurnsOnTheSpot,
     descent_field,
-    geodesic,
-    roadmap,
 )
 from jaxplore.belief.zones import Zones
 from jaxplore.maps.field import ScalarField
@@ -127,7 +126,7 @@ class Targets(eqx.Module):
             ValueError: a target of another shape than the map.
         """
         roads = self._roads(belief)
-        return descent_field(self._cost(belief, roads, target), roads.frame, LAYERS)
+        return roads.field(self._sources(belief, roads, target))
 
     def route(
         self, belief: Belief, target: GridMask, position: Position
@@ -143,7 +142,7 @@ class Targets(eqx.Module):
             ValueError: a target of another shape than the map.
         """
         roads = self._roads(belief)
-        cost = self._cost(belief, roads, target)
+        cost = roads.lengths(self._sources(belief, roads, target))
         is_near, _ = _nearest(roads, position)
         is_reachable = (is_near & jnp.isfinite(cost)).any()
         return descent_field(cost, roads.frame, LAYERS), is_reachable
@@ -164,7 +163,7 @@ class Targets(eqx.Module):
         roads = self._roads(belief)
         is_near, away = _nearest(roads, position)
         # The robot stands between nodes: it starts from all nearest nodes at their distance.
-        from_robot = geodesic(jnp.where(is_near, away, jnp.inf), roads.slowness, roads.is_open)
+        from_robot = roads.lengths(jnp.where(is_near, away, jnp.inf))
 
         def to_target(target: GridMask) -> Scalar:
             return jnp.where(self._ends(belief, roads, target), from_robot, jnp.inf).min()
@@ -194,14 +193,14 @@ class Targets(eqx.Module):
 
     def _roads(self, belief: Belief) -> Roadmap:
         """Return the road map of the places where the robot fits."""
-        return roadmap(belief.clearance, self.required_clearance, self.stride)
+        return TurnsOnTheSpot().roadmap(belief.clearance, self.required_clearance, self.stride)
 
-    def _cost(self, belief: Belief, roads: Roadmap, target: GridMask) -> Float[Array, "H W"]:
-        """Compute the cost to go to a target from each node; infinite where there is no path."""
+    def _sources(self, belief: Belief, roads: Roadmap, target: GridMask) -> Float[Array, "H W"]:
+        """Return the sources of the paths to a target: 0 at its nodes, infinite elsewhere."""
         if target.shape != belief.grid.shape:
             raise ValueError(f"target has shape {target.shape}; accepted: {belief.grid.shape}")
         at_target = self._ends(belief, roads, target)
-        return geodesic(jnp.where(at_target, 0.0, jnp.inf), roads.slowness, roads.is_open)
+        return jnp.where(at_target, 0.0, jnp.inf)
 
     def _ends(
         self, belief: Belief, roads: Roadmap, target: GridMask

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import LAYERS, GuidanceField
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.dynamics.base import Dynamics
@@ -158,10 +158,10 @@ class WaypointMode(ActionMode):
             None if ground is None else ~ground.is_traversable,
             pose[:2] + offset,
             perception.required_clearance,
+            perception.locomotion,
             unknown_factor=perception.unknown_factor,
             max_clearance=perception.max_clearance,
             stride=perception.field_sensor.stride,
-            num_layers=LAYERS,
         )
         return WaypointController(self.drive, way)
 

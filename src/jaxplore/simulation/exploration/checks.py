@@ -9,6 +9,7 @@ from jaxtyping import Float
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, GridMask, Position, Rows, Scalar, StateVector
 from jaxplore._xla import on_device
+from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.ground import Ground
@@ -162,6 +163,7 @@ def checked_perception(
             goal=goal,
             max_unknown=max_unknown,
             ground=ground,
+            car=car_motion(robot),
         )
     # Arrays compare element by element, so their values are compared as lists.
     goals = [None if each is None else each.tolist() for each in (perception.goal, goal)]

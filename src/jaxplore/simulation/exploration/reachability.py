@@ -5,7 +5,12 @@ import functools
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from jaxplore.belief.guidance import Locomotion, TurnsOnTheSpot
+from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
@@ -80,6 +85,63 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             f"accepted: free space{_nearest(world, free, radius, start)}"
         )
     return np.isin(labels, beginnings)
+
+
+def drivable_cells(
+    world: OccupancyGrid, start: np.ndarray, robot: Dynamics, perception: Perception
+) -> np.ndarray:
+    """Compute the cells (H, W) that the position of a robot can reach from a start.
+
+    They are those of `reachable_cells`. If the robot cannot turn on the spot, they are also those
+    of the road map of its fields on the true map that it can drive to.
+
+    Args:
+        world: true map.
+        start: start pose (x, y, yaw) [m, m, rad].
+        robot: model of the robot.
+        perception: perception of the robot, with its locomotion.
+
+    Raises:
+        ValueError: a start where the robot cannot stand, or from which it cannot drive.
+    """
+    cells = reachable_cells(world, start, float(robot.radius))
+    if isinstance(perception.locomotion, TurnsOnTheSpot):
+        return cells
+    padded = world.padded()
+    lengths = np.asarray(
+        _car_lengths(
+            padded,
+            jnp.asarray(start, jnp.float32),
+            robot.footprint.radius,
+            perception.locomotion,
+            perception.max_clearance,
+            perception.field_sensor.stride,
+        )
+    )
+    is_reached = np.isfinite(lengths)
+    if is_reached.sum() < 2:
+        raise ValueError(
+            f"start is ({start[0]:g}, {start[1]:g}, {start[2]:g}), from where a car with a turning "
+            f"radius of {float(robot.turning_radius):.2f} m cannot drive anywhere; accepted: a "
+            "start with room to turn"
+        )
+    stride = perception.field_sensor.stride
+    by_cell: np.ndarray = np.repeat(np.repeat(is_reached, stride, axis=0), stride, axis=1)
+    both: np.ndarray = cells & by_cell[: cells.shape[0], : cells.shape[1]]
+    return both
+
+
+@functools.partial(jax.jit, static_argnames=("reach", "stride"))
+def _car_lengths(
+    world: OccupancyGrid,
+    pose: Array,
+    radius: Array,
+    locomotion: Locomotion,
+    reach: float,
+    stride: int,
+) -> Array:
+    clearance = clearance_field(~world.is_free, world.frame, reach)
+    return locomotion.roadmap(clearance, radius, stride).lengths_from(pose)
 
 
 to_grid = jax.jit(GridFrame.to_grid)

@@ -50,7 +50,7 @@ from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import map_progress
-from jaxplore.simulation.exploration.reachability import reachable_cells, with_closed
+from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
 from jaxplore.simulation.exploration.senses import Senses
 from jaxplore.simulation.exploration.state import ExplorationState, max_ranges
@@ -186,7 +186,7 @@ class ExplorationScenario(Scenario):
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
-        reachable = on_device(reachable_cells(passable, pose, float(robot.radius)))
+        reachable = on_device(drivable_cells(passable, pose, robot, perception))
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius))
         self.targets = checks.checked_targets(targets, world)

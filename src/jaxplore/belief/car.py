@@ -1,0 +1,153 @@
+"""Locomotion of a robot that cannot turn on the spot."""
+
+import functools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Scalar
+from jaxplore.belief.car_roads import CarGuidance, CarRoadmap, with_headings
+from jaxplore.belief.guidance import (
+    LAYERS,
+    Locomotion,
+    Price,
+    block_maximum,
+    descent_field,
+    doubled_where_tight,
+    fit,
+)
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.footprint import Footprint
+from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, rounded_radius
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.frame import GridFrame
+
+
+class CarMotion(eqx.Module):
+    """How a robot moves that cannot turn on the spot.
+
+    Args:
+        turning_radius: radius of the smallest circle that its position can drive [m].
+        footprint: area that it covers.
+        can_reverse: whether it can drive backwards; static.
+        reversal_cost: price of a change between forwards and backwards [m].
+
+    Raises:
+        ValueError: a radius that is not positive, a negative price, an argument of another class.
+    """
+
+    turning_radius: Scalar
+    footprint: Footprint
+    reversal_cost: Scalar
+    can_reverse: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        turning_radius: ArrayLike,
+        footprint: Footprint,
+        *,
+        can_reverse: bool = True,
+        reversal_cost: ArrayLike = 1.0,
+    ) -> None:
+        _kinds.instance("footprint", footprint, Footprint)
+        self.turning_radius = _checks.scalar("turning_radius", turning_radius, above=0.0)
+        self.footprint = footprint
+        self.reversal_cost = _checks.scalar("reversal_cost", reversal_cost, at_least=0.0)
+        self.can_reverse = _kinds.flag("can_reverse", can_reverse)
+
+    def lattice(self, spacing: float) -> "CarLattice":
+        """Return the motions between nodes at a distance [m].
+
+        Raises:
+            ValueError: a turning radius that is too large for the distance.
+        """
+        radius = rounded_radius(float(self.turning_radius), spacing)
+        # Whole metres, because the reach is static: similar cars share a compiled program.
+        reach = math.ceil(float(np.abs(np.asarray(self.footprint.offsets)).max()))
+        return CarLattice(self.footprint, self.reversal_cost, radius, reach, self.can_reverse)
+
+
+def car_motion(robot: Dynamics) -> CarMotion | None:
+    """Return how a robot moves that cannot turn on the spot; None for one that can.
+
+    Args:
+        robot: model of the robot.
+    """
+    radius = float(robot.turning_radius)
+    if radius == 0.0:
+        return None
+    return CarMotion(radius, robot.footprint, can_reverse=robot.can_reverse)
+
+
+class CarLattice(Locomotion):
+    """Motions of a car between the nodes and headings of a lattice.
+
+    Args:
+        footprint: area that it covers.
+        reversal_cost: price of a change between forwards and backwards [m].
+        radius: turning radius [node spacings]; static.
+        reach: bound of the distance from its position to its discs [m]; static.
+        can_reverse: whether it can drive backwards; static.
+    """
+
+    footprint: Footprint
+    reversal_cost: Scalar
+    radius: float = eqx.field(static=True)
+    reach: int = eqx.field(static=True)
+    can_reverse: bool = eqx.field(static=True)
+
+    def roadmap(
+        self,
+        clearance: ScalarField,
+        required: Scalar,
+        stride: int,
+        price: Price = doubled_where_tight,
+        factor: Float[Array, "H W"] | None = None,
+    ) -> CarRoadmap:
+        """Build the lattice of poses in which the car fits; see `Locomotion`."""
+        frame = clearance.frame.coarsen(stride, stride / 2.0)
+        is_open, tightness = fit(self._room(clearance, stride), required)
+        slowness = frame.resolution * price(tightness)
+        slowness = slowness if factor is None else slowness * factor
+        return CarRoadmap(
+            frame,
+            slowness.min(axis=0),
+            is_open.any(axis=0),
+            slowness,
+            is_open,
+            self.reversal_cost,
+            self.radius,
+            self.can_reverse,
+        )
+
+    def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> CarGuidance:
+        """Return a field that is 0 everywhere."""
+        directions = 2 if self.can_reverse else 1
+        planar = descent_field(jnp.zeros(shape), frame, LAYERS)
+        return with_headings(planar, jnp.zeros((directions, NUM_HEADINGS, *shape)))
+
+    def _room(self, clearance: ScalarField, stride: int) -> Float[Array, "N H W"]:
+        """Return the least clearance of the discs by heading; the best cell of each block [m]."""
+        cell = clearance.frame.resolution
+        margin = math.ceil(self.reach / cell) + 1
+        # Off the map everything is closed.
+        padded = jnp.pad(clearance.values, margin)
+        angles = jnp.asarray(HEADINGS, jnp.float32)
+        along = jnp.stack([jnp.sin(angles), jnp.cos(angles)], axis=-1)
+
+        def at_heading(direction: Array) -> Array:
+            def at_disc(ahead: Array) -> Array:
+                shift = jnp.round(ahead / cell * direction).astype(jnp.int32)
+                return jax.lax.dynamic_slice(padded, shift + margin, clearance.values.shape)
+
+            discs = [at_disc(ahead) for ahead in self.footprint.offsets]
+            return block_maximum(functools.reduce(jnp.minimum, discs), stride)
+
+        room: Array = jax.lax.map(at_heading, along)
+        return room

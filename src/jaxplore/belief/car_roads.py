@@ -1,0 +1,305 @@
+"""Costs to go of a car over position, heading and direction of travel."""
+
+import functools
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxplore._types import Pose, Position, Scalar
+from jaxplore.belief.guidance import LAYERS, GuidanceField, Roadmap, descent_field
+from jaxplore.belief.tiles import relaxed
+from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
+from jaxplore.maps.field import gather, stencil
+
+HALF = NUM_HEADINGS // 2
+HEADING_LAYERS = 2
+"""Number of layers of closed poses into which a cost-to-go is extended."""
+QUARTER = tuple(angle / (0.5 * math.pi) for angle in HEADINGS[: NUM_HEADINGS // 4 + 1])
+"""Headings of the first quadrant [quarter turns]."""
+
+
+class CarRoadmap(Roadmap):
+    """Lattice of the poses in which a car fits, with the paths that it can drive.
+
+    A state is a node, a heading of motion and a direction of travel: forwards, or backwards if the
+    car can, with the body the other way round. Motions are those of `geometry.state_lattice`, which
+    are closed where a pose that they pass is closed. The cost of a motion is its length times the
+    mean price of a metre at its two ends. A change of the direction of travel has a price. The
+    values are those of Dijkstra's algorithm.
+
+    `slowness` and `is_open` of the base class are the best of each node over headings.
+
+    Args:
+        slowness_at: cost (N, H, W) of a step of one node spacing by heading of the body [m].
+        is_open_at: mask (N, H, W) of the poses in which the car fits.
+        reversal_cost: price of a change between forwards and backwards [m].
+        radius: turning radius [node spacings]; static.
+        can_reverse: whether the car can drive backwards; static.
+    """
+
+    slowness_at: Float[Array, "N H W"]
+    is_open_at: Bool[Array, "N H W"]
+    reversal_cost: Scalar
+    radius: float = eqx.field(static=True)
+    can_reverse: bool = eqx.field(static=True)
+
+    def costs(
+        self,
+        source: Float[Array, "N H W"],
+        *,
+        is_from_source: bool = False,
+        is_between: bool = False,
+    ) -> Float[Array, "D N H W"]:
+        """Return the cost-to-go (D, N, H, W) by direction of travel and heading of the body [m].
+
+        Forwards is direction 0, and backwards is direction 1 of a car that can reverse.
+
+        Args:
+            source: cost (N, H, W) of the poses where paths may end [m]; infinite elsewhere.
+            is_from_source: whether paths lead from the source instead of to it; static.
+            is_between: whether a pose that a motion passes also costs at most the rest of that
+                motion; static. A car that is on its way between two nodes then finds the cost fall
+                along its motion, although a pose near it may be no start of a motion there.
+        """
+        # A path from the source is a path to it that is driven in the other direction of travel.
+        first = HALF if is_from_source and not self.can_reverse else 0
+        bodies = (0, HALF) if self.can_reverse else (first,)
+
+        def by_motion(values: Array) -> Array:
+            """Return (N, D, H, W) by heading of motion from (N, H, W) by heading of the body."""
+            return jnp.stack([jnp.roll(values, -body, axis=0) for body in bodies], axis=1)
+
+        is_closed = by_motion(~self.is_open_at)
+        half = jnp.where(is_closed, jnp.inf, 0.5 * by_motion(self.slowness_at))
+        start = jnp.where(is_closed, jnp.inf, by_motion(source))
+        found = motions(self.radius)
+        margin = max(max(abs(each.down), abs(each.right)) for each in found)
+        is_blocked = self._is_blocked(is_closed)
+        value = relaxed(
+            start,
+            [(half, jnp.inf), (is_blocked, True)],
+            functools.partial(_relax, self.radius, margin),
+            margin,
+            [self.reversal_cost],
+        )
+        if is_between:
+            value = self._between(value, half, is_blocked, margin)
+        by_body = [jnp.roll(value[:, each], body, axis=0) for each, body in enumerate(bodies)]
+        return jnp.stack(by_body)
+
+    def _between(
+        self,
+        value: Float[Array, "N D H W"],
+        half: Float[Array, "N D H W"],
+        is_blocked: Bool[Array, "M D H W"],
+        margin: int,
+    ) -> Float[Array, "N D H W"]:
+        """Return the least of the cost-to-go and the cost of the rest of a motion."""
+        _, directions, height, width = value.shape
+        beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
+        costs, halves = (jnp.pad(each, beside, constant_values=jnp.inf) for each in (value, half))
+        blocked = jnp.pad(is_blocked, beside, constant_values=True)
+        table, left = _rests(self.radius)
+
+        def shifted(array: Array, index: Array, down: Array, right: Array) -> Array:
+            corner = (index, 0, margin + down, margin + right)
+            part = jax.lax.dynamic_slice(array, corner, (1, directions, height, width))
+            return part[0]
+
+        def at_heading(given: tuple[Array, Array, Array, Array]) -> Array:
+            own, own_half, rests, lengths = given
+
+            def add(best: Array, rest: tuple[Array, Array]) -> tuple[Array, None]:
+                (number, end, over, across, down, right), length = rest
+                price = own_half + shifted(halves, end, down, right)
+                cost = shifted(costs, end, down, right) + length * price
+                is_shut = shifted(blocked, number, -over, -across)
+                return jnp.minimum(best, jnp.where(is_shut, jnp.inf, cost)), None
+
+            return jax.lax.scan(add, own, (rests, lengths))[0]
+
+        best: Array = jax.lax.map(at_heading, (value, half, jnp.asarray(table), jnp.asarray(left)))
+        return best
+
+    def _is_blocked(self, is_closed: Bool[Array, "N D H W"]) -> Bool[Array, "M D H W"]:
+        """Return which motions pass a closed pose between their ends."""
+        found = motions(self.radius)
+        longest = max(len(each.via) for each in found)
+        # The first pose fills up the list: a motion from a closed pose is blocked anyway.
+        passed = np.array(
+            [
+                [
+                    *(state[:3] for state in each.via),
+                    *[(0, 0, each.start)] * (longest - len(each.via)),
+                ]
+                for each in found
+            ],
+            np.int32,
+        )
+        margin = int(np.abs(passed[..., :2]).max(initial=0))
+        beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
+        padded = jnp.pad(is_closed, beside, constant_values=True)
+        _, directions, height, width = is_closed.shape
+
+        def of_motion(each: Array) -> Array:
+            def add(blocked: Array, state: Array) -> tuple[Array, None]:
+                down, right, heading = state
+                corner = (heading, 0, down + margin, right + margin)
+                pose = jax.lax.dynamic_slice(padded, corner, (1, directions, height, width))
+                return blocked | pose[0], None
+
+            none = jnp.zeros((directions, height, width), bool)
+            return jax.lax.scan(add, none, each)[0]
+
+        blocked: Array = jax.lax.map(of_motion, jnp.asarray(passed))
+        return blocked
+
+    def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """Return the least cost-to-go of each node over headings and directions [m]."""
+        return self.costs(self._at_all_headings(source)).min(axis=(0, 1))
+
+    def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
+        """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
+        frame, spacing = self.frame, self.frame.resolution
+        rows, columns = self.is_open.shape
+        centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
+        offset = centres - pose[:2]
+        turn = jnp.asarray(HEADINGS, jnp.float32) - (pose[2] - frame.origin[2])
+        turn = jnp.abs(jnp.mod(turn + math.pi, math.tau) - math.pi)
+        away = jnp.sqrt((offset * offset).sum(axis=-1)) + (
+            self.radius * spacing * turn[:, None, None]
+        )
+        away = jnp.where(self.is_open_at, away, jnp.inf)
+        start = jnp.where(away <= away.min() + spacing, away, jnp.inf)
+        return self.costs(start, is_from_source=True).min(axis=(0, 1))
+
+    def field(self, source: Float[Array, "H W"]) -> "CarGuidance":
+        """Return the cost-to-go as a field over positions and headings."""
+        costs = self.costs(self._at_all_headings(source), is_between=True)
+        step = jnp.asarray(3.0 * self.frame.resolution)
+        planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS)
+        return with_headings(planar, _extended(costs, step))
+
+    def _at_all_headings(self, source: Float[Array, "H W"]) -> Float[Array, "N H W"]:
+        return jnp.broadcast_to(source, self.is_open_at.shape)
+
+
+class CarGuidance(GuidanceField):
+    """Cost-to-go over position, heading and direction of travel, read in O(1).
+
+    The fields of the base class are those of the best heading.
+
+    Args:
+        by_heading: cost-to-go (D, N, H, W) by direction of travel and heading of the body [m].
+    """
+
+    by_heading: Float[Array, "D N H W"]
+
+    def at_pose(
+        self, position: Position, heading: Scalar, speed: Scalar
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Return the cost-to-go of a car [m], and twice 1: the cost depends on the heading."""
+        directions, count, height, width = self.by_heading.shape
+        around = stencil((height, width), self.frame.to_grid(position))
+        angle = heading - self.frame.origin[2]
+        # An angle that is not finite has no index; its cost is that off the lattice.
+        is_finite = jnp.isfinite(angle)
+        quarters = jnp.where(is_finite, angle, 0.0) / (0.5 * math.pi)
+        whole = jnp.floor(quarters)
+        rest = quarters - whole
+        lower, index, gap = jnp.zeros(()), jnp.zeros((), jnp.int32), jnp.asarray(QUARTER[1])
+        for number in range(1, count // 4):
+            is_beyond = rest >= QUARTER[number]
+            lower = jnp.where(is_beyond, QUARTER[number], lower)
+            index = jnp.where(is_beyond, number, index)
+            gap = jnp.where(is_beyond, QUARTER[number + 1] - QUARTER[number], gap)
+        first = jnp.mod(whole.astype(jnp.int32) * (count // 4) + index, count)
+        second = jnp.mod(first + 1, count)
+        share = (rest - lower) / gap
+        layer = jnp.where(speed < 0.0, count * (directions - 1), 0)
+        values = self.by_heading.reshape(directions * count, height, width)
+        before, after = (
+            gather(values, around, self.outside, layer + each) for each in (first, second)
+        )
+        cost = before + share * (after - before)
+        return jnp.where(is_finite, cost, self.outside), jnp.ones(()), jnp.ones(())
+
+
+@functools.cache
+def _rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rests of motions by the heading at which they begin.
+
+    Returns:
+        Number of the motion, heading of its end, rows and columns from its start, and rows and
+        columns to its end (N, R, 6); and the length of the rest (N, R) [node spacings], infinite
+        where a heading has fewer rests than others.
+    """
+    by_heading: list[list[tuple[tuple[int, ...], float]]] = [[] for _ in HEADINGS]
+    for number, each in enumerate(motions(radius)):
+        for at in each.via:
+            to_end = (each.down - at.down, each.right - at.right)
+            row = (number, each.end, at.down, at.right, *to_end)
+            by_heading[at.heading].append((row, at.left))
+    most = max(map(len, by_heading))
+    rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
+    left = np.full((NUM_HEADINGS, most), np.inf, np.float32)
+    for heading, rests in enumerate(by_heading):
+        for place, (given, length) in enumerate(rests):
+            rows[heading, place], left[heading, place] = given, length
+    return rows, left
+
+
+def with_headings(planar: GuidanceField, costs: Float[Array, "D N H W"]) -> CarGuidance:
+    """Return a field with the costs by direction of travel and heading beside the planar ones."""
+    return CarGuidance(planar.values, planar.descent, planar.frame, planar.outside, costs)
+
+
+def _relax(
+    radius: float, margin: int, value: Array, half: Array, is_blocked: Array, reversal: Array
+) -> Array:
+    """Return the least cost-to-go (N, D, h, w) by a motion, in either direction of travel."""
+
+    def shifted(values: Array, down: int = 0, right: int = 0) -> Array:
+        top, left = margin + down, margin + right
+        bottom, end = values.shape[-2] - margin + down, values.shape[-1] - margin + right
+        return values[..., top:bottom, left:end]
+
+    least: list[list[Array]] = [[] for _ in range(NUM_HEADINGS)]
+    for number, each in enumerate(motions(radius)):
+        there = (each.down, each.right)
+        price = shifted(half[each.start]) + shifted(half[each.end], *there)
+        cost = shifted(value[each.end], *there) + each.length * price
+        least[each.start].append(jnp.where(shifted(is_blocked[number]), jnp.inf, cost))
+    nearest = jnp.stack([functools.reduce(jnp.minimum, each) for each in least])
+    if nearest.shape[1] == 1:
+        return nearest
+    # With the body as it is, the other direction of travel is the opposite heading of motion.
+    turned = jnp.roll(nearest, HALF, axis=0)[:, ::-1]
+    return jnp.minimum(nearest, turned + reversal)
+
+
+def _extended(costs: Float[Array, "D N H W"], step: Scalar) -> Float[Array, "D N H W"]:
+    """Fill closed poses from the poses around them, so that interpolation stays finite.
+
+    Each layer gets the greatest finite value around it plus `step`. Poses that are still infinite
+    get the greatest finite value of all. Costs without a finite value become 0.
+    """
+    greatest = jnp.max(jnp.where(jnp.isfinite(costs), costs, -jnp.inf))
+
+    def layer(_: Array, current: Array) -> Array:
+        around = jnp.where(jnp.isfinite(current), current, -jnp.inf)
+        for axis in (1, 2, 3):
+            # Headings are a circle; positions are not, but a wall is at the end of every map.
+            up, down = jnp.roll(around, 1, axis), jnp.roll(around, -1, axis)
+            around = jnp.maximum(around, jnp.maximum(up, down))
+        ridge = jnp.where(jnp.isfinite(around), around + step, jnp.inf)
+        return jnp.where(jnp.isfinite(current), current, ridge)
+
+    filled = jax.lax.fori_loop(0, HEADING_LAYERS, layer, costs)
+    beyond = jnp.where(jnp.isfinite(greatest), greatest + HEADING_LAYERS * step, 0.0)
+    return jnp.where(jnp.isfinite(filled), filled, beyond)

@@ -1,0 +1,261 @@
+"""Costs to go of a car, against Dijkstra's algorithm and Reeds and Shepp's lengths."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from ompl import base as ompl
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+import jaxplore as jx
+from jaxplore.belief import CarMotion
+from jaxplore.belief.car import car_motion
+from jaxplore.belief.guidance import TurnsOnTheSpot
+from jaxplore.geometry import Rectangle
+from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
+from jaxplore.maps.clearance import clearance_field
+
+CELL, STRIDE, SPACING = 0.1, 2, 0.2
+REQUIRED = 0.25
+BODY = Rectangle(0.6, 0.1, 0.3, 2)
+REVERSAL = 0.7
+SHAPE = (60, 80)
+
+
+def lattice_of(radius=0.7, **options):
+    return CarMotion(radius, BODY, reversal_cost=REVERSAL, **options).lattice(SPACING)
+
+
+@eqx.filter_jit
+def roads_of(blocked, lattice):
+    grid = jx.OccupancyGrid(blocked.astype(jnp.float32), CELL)
+    return lattice.roadmap(clearance_field(blocked, grid.frame, 1.0), jnp.asarray(REQUIRED), STRIDE)
+
+
+@eqx.filter_jit
+def costs_of(roads, source, is_from_source=False):
+    return roads.costs(source, is_from_source=is_from_source)
+
+
+@eqx.filter_jit
+def field_of(roads, source):
+    return roads.field(source)
+
+
+def rooms() -> np.ndarray:
+    """Return a hall with a wall that has a gap, a room with a door, and a narrow dead end."""
+    blocked = np.pad(np.zeros((SHAPE[0] - 2, SHAPE[1] - 2), bool), 1, constant_values=True)
+    blocked[30, :50] = True
+    blocked[30, 20:28] = False
+    blocked[40:, 55] = True
+    blocked[48:54, 55] = False
+    blocked[8:14, 60:] = True
+    blocked[8, 60:] = blocked[14, 60:] = True
+    return blocked
+
+
+def graph_of(roads, radius, can_reverse):
+    """Return the edges between the states (direction, heading, row, column), one by one."""
+    is_open, slowness = np.asarray(roads.is_open_at), np.asarray(roads.slowness_at, np.float64)
+    _, rows, columns = is_open.shape
+    ends: list[tuple[int, int]] = []
+    costs: list[float] = []
+
+    def state(direction, heading, row, column) -> int:
+        return ((direction * NUM_HEADINGS + heading) * rows + row) * columns + column
+
+    for direction in range(1 + can_reverse):
+        turn = direction * NUM_HEADINGS // 2
+        for each in motions(radius):
+            first, last = (each.start + turn) % NUM_HEADINGS, (each.end + turn) % NUM_HEADINGS
+            for row, column in np.argwhere(is_open[first]):
+                poses = [(each.down, each.right, each.end), *(at[:3] for at in each.via)]
+                inside = [
+                    (0 <= row + down < rows and 0 <= column + right < columns)
+                    and is_open[(heading + turn) % NUM_HEADINGS, row + down, column + right]
+                    for down, right, heading in poses
+                ]
+                if not all(inside):
+                    continue
+                there = (row + each.down, column + each.right)
+                ends.append((state(direction, first, row, column), state(direction, last, *there)))
+                mean = 0.5 * (slowness[first, row, column] + slowness[(last, *there)])
+                costs.append(each.length * mean)
+    if can_reverse:
+        for heading, row, column in np.argwhere(is_open):
+            for direction in (0, 1):
+                pose = (heading, row, column)
+                ends.append((state(direction, *pose), state(1 - direction, *pose)))
+                costs.append(REVERSAL)
+    return np.array(ends), np.array(costs)
+
+
+def dijkstra_costs(roads, source, radius, can_reverse, is_from_source):
+    """Return the cost (D, N, H, W) to or from the sources by SciPy."""
+    ends, costs = graph_of(roads, radius, can_reverse)
+    shape = (1 + can_reverse, *source.shape)
+    number = math.prod(shape)
+    at = np.broadcast_to(np.where(np.asarray(roads.is_open_at), source, np.inf), shape).reshape(-1)
+    sources = np.flatnonzero(np.isfinite(at))
+    # One more node, from which all sources are reached at their cost.
+    tails = np.concatenate([ends[:, 0 if is_from_source else 1], np.full(sources.size, number)])
+    heads = np.concatenate([ends[:, 1 if is_from_source else 0], sources])
+    lengths = np.concatenate([costs, at[sources] + 1e-9])
+    graph = coo_array((lengths, (tails, heads)), shape=(number + 1, number + 1)).tocsr()
+    return np.asarray(dijkstra(graph, indices=number))[:number].reshape(shape)
+
+
+@pytest.mark.parametrize(
+    ("can_reverse", "is_from_source"), [(True, False), (False, False), (False, True)]
+)
+def test_costs_are_those_of_dijkstra(can_reverse: bool, is_from_source: bool) -> None:
+    lattice = lattice_of(can_reverse=can_reverse)
+    roads = roads_of(jnp.asarray(rooms()), lattice)
+    source = np.full(roads.is_open_at.shape, np.inf, np.float32)
+    source[:, 22, 10], source[3, 5, 20] = 0.0, 1.5
+    found = np.asarray(costs_of(roads, jnp.asarray(source), is_from_source))
+    expected = dijkstra_costs(roads, source, lattice.radius, can_reverse, is_from_source)
+    assert 0.2 < np.isfinite(expected).mean() < 0.9
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+
+
+def test_a_path_from_a_pose_is_one_to_it_driven_the_other_way() -> None:
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    source = jnp.full(roads.is_open_at.shape, jnp.inf).at[3, 22, 10].set(0.0)
+    to_it = np.asarray(costs_of(roads, source))
+    # A car that can reverse drives every path in both directions of travel.
+    expected = dijkstra_costs(roads, np.asarray(source), roads.radius, True, True)
+    np.testing.assert_allclose(to_it[::-1], expected, atol=1e-4)
+
+
+def test_lengths_in_free_space_are_near_those_of_reeds_and_shepp() -> None:
+    size, radius = 40, 0.75
+    lattice = CarMotion(radius, BODY, reversal_cost=0.0).lattice(SPACING)
+    roads = roads_of(jnp.zeros((2 * STRIDE * size, 2 * STRIDE * size), bool), lattice)
+    is_open = np.asarray(roads.is_open_at)
+    slowness = jnp.full(is_open.shape, SPACING)
+    roads = eqx.tree_at(lambda each: each.slowness_at, roads, slowness)
+    source = jnp.full(is_open.shape, jnp.inf).at[:, size, size].set(0.0)
+    found = np.asarray(costs_of(roads, source)).min(axis=0)
+    space = ompl.ReedsSheppStateSpace(radius)
+    start, end = space.allocState(), space.allocState()
+    end.setXY(0.0, 0.0)
+    ratios = []
+    for heading in (0, 1, 2):
+        for row, column in np.random.default_rng(0).integers(-24, 25, (150, 2)).tolist():
+            start.setXY(column * SPACING, row * SPACING)
+            start.setYaw((HEADINGS[heading] + math.pi) % math.tau - math.pi)
+            least = math.inf
+            for yaw in np.linspace(-math.pi, math.pi, 64, endpoint=False):
+                end.setYaw(float(yaw))
+                least = min(least, space.distance(start, end))
+            if least > 4.0 * radius:
+                ratios.append(found[heading, size + row, size + column] / least)
+    assert len(ratios) > 150
+    # The end has any heading. Beyond four radii no path of the lattice is shorter, nor much longer.
+    assert min(ratios) > 0.999
+    assert np.mean(ratios) < 1.025
+    assert max(ratios) < 1.085
+
+
+def test_a_dead_end_is_left_backwards_and_turned_around_in_three_moves() -> None:
+    lattice, forwards = lattice_of(), lattice_of(can_reverse=False)
+    blocked = np.ones(SHAPE, bool)
+    blocked[1:31, 1:40] = False
+    blocked[12:20, 40:70] = False  # 0.8 m wide
+    roads, one_way = (roads_of(jnp.asarray(blocked), each) for each in (lattice, forwards))
+    source = jnp.full(roads.is_open_at.shape, jnp.inf).at[:, 8, 8].set(0.0)
+    both, single = (np.asarray(costs_of(each, source)) for each in (roads, one_way))
+    into_it, out_of_it = 0, NUM_HEADINGS // 2
+    node = (8, 29)
+    assert np.asarray(roads.is_open_at)[into_it][node]
+    # With its front to the end it backs out, which costs a reversal at most, and cannot turn.
+    assert both[1, into_it][node] < both[0, out_of_it][node] + 3.0
+    assert both[0, into_it][node] == pytest.approx(both[1, into_it][node] + REVERSAL, abs=1e-4)
+    assert np.isinf(single[0, into_it][node])
+    assert np.isfinite(single[0, out_of_it][node])
+
+
+def test_a_gap_is_open_for_the_heading_that_fits() -> None:
+    blocked = np.zeros(SHAPE, bool)
+    blocked[:26, 38:42] = blocked[33:, 38:42] = True  # a gap 0.7 m wide, in a wall 0.4 m thick
+    roads = roads_of(jnp.asarray(blocked), lattice_of())
+    at_gap = np.asarray(roads.is_open_at)[:, 14:16, 18:21].any(axis=(1, 2))
+    assert at_gap[0]
+    assert not at_gap[NUM_HEADINGS // 4]
+
+
+def test_the_cost_falls_along_every_motion_of_the_best_path() -> None:
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
+    field = field_of(roads, source)
+    costs = np.asarray(costs_of(roads, jnp.broadcast_to(source, roads.is_open_at.shape)))
+    ends, prices = graph_of(roads, roads.radius, True)
+    flat, between = costs.reshape(-1), np.asarray(field.by_heading).reshape(-1)
+    assert (between[np.isfinite(flat)] <= flat[np.isfinite(flat)] + 1e-4).all()
+    ends, prices = ends[np.isfinite(flat[ends]).all(axis=1)], prices[np.isfinite(flat[ends]).all(1)]
+    is_best = np.abs(flat[ends[:, 0]] - prices - flat[ends[:, 1]]) < 1e-4
+    assert is_best.sum() > 1000
+    by_ends = {each[:4]: each for each in motions(roads.radius)}
+    rng = np.random.default_rng(1)
+    for first, last in rng.permutation(ends[is_best])[:300]:
+        (d, k, row, column), (_, other, there, across) = (
+            np.unravel_index(each, costs.shape) for each in (first, last)
+        )
+        turn = d * NUM_HEADINGS // 2
+        name = ((k - turn) % NUM_HEADINGS, (other - turn) % NUM_HEADINGS)
+        motion = by_ends.get((*name, there - row, across - column))
+        for at in () if motion is None else motion.via:
+            pose = (d, (at.heading + turn) % NUM_HEADINGS, row + at.down, column + at.right)
+            # What is left of the motion, at the higher price of its two ends.
+            most = np.asarray(roads.slowness_at).max() * at.left
+            assert np.asarray(field.by_heading)[pose] <= flat[last] + most + 1e-4
+    assert np.isfinite(between).all()
+
+
+def test_a_field_is_read_at_its_nodes_and_between_headings() -> None:
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
+    field = field_of(roads, source)
+    node = field.frame.cell_centre(jnp.asarray([8, 12]))
+    for direction, speed in ((0, 1.0), (0, 0.0), (1, -1.0)):
+        values = np.asarray(field.by_heading)[direction, :, 8, 12]
+        for k, heading in enumerate(HEADINGS):
+            gap = (HEADINGS[(k + 1) % NUM_HEADINGS] - heading) % math.tau
+            for share in (0.0, 0.25):
+                angle = jnp.asarray(heading + share * gap - math.tau, jnp.float32)
+                cost, facing, most = field.at_pose(node, angle, jnp.asarray(speed))
+                expected = values[k] + share * (values[(k + 1) % NUM_HEADINGS] - values[k])
+                assert float(cost) == pytest.approx(expected, abs=2e-3)
+                assert float(facing) == float(most) == 1.0
+    lost = field.at_pose(node, jnp.asarray(jnp.nan), jnp.asarray(1.0))[0]
+    assert float(lost) == float(field.outside)
+
+
+def test_robots_that_turn_on_the_spot_have_no_car_motion() -> None:
+    assert car_motion(jx.DifferentialDrive()) is None
+    car = car_motion(jx.Ackermann(wheelbase=0.5, max_steering=0.6))
+    assert car is not None
+    assert float(car.turning_radius) == pytest.approx(0.5 / math.tan(0.6))
+    assert not car.can_reverse
+    reversing = jx.Ackermann(min_speed=-1.0)
+    assert car_motion(reversing).can_reverse
+    lidar = jx.Lidar(num_beams=8, max_range=2.0)
+    assert isinstance(jx.Perception(lidar, 0.1, 0.2).locomotion, TurnsOnTheSpot)
+
+
+@pytest.mark.parametrize(
+    ("radius", "message"),
+    [(0.0, "turning_radius is 0.0; accepted: a finite number > 0"), (-1.0, "turning_radius is -1")],
+)
+def test_bad_radii_are_refused(radius, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        CarMotion(radius, BODY)
+
+
+def test_a_turning_radius_beyond_the_lattice_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"turning_radius is 50 m; accepted: .* at most 8 m"):
+        CarMotion(50.0, BODY).lattice(SPACING)
