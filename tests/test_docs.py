@@ -7,6 +7,9 @@ import runpy
 from collections import Counter
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+
 import jaxplore
 from jaxplore.cli import _known
 
@@ -40,6 +43,24 @@ def test_the_api_page_lists_every_public_name_once() -> None:
     further = {"jaxplore.report.compute.Compute"}  # what a field of Metrics holds
     assert set(listed) == public | further
     assert max(listed.values()) == 1
+
+
+def test_the_code_beside_the_names_of_the_design_notes_runs() -> None:
+    """Each line of the tables, in the names that the section defines."""
+    page = (PAGE.parent / "coming_from.md").read_text(encoding="utf-8")
+    section = page.split("\n## The design notes\n")[1].split("\n## ")[0]
+    names = {"jx": jaxplore, "jnp": jnp}
+    exec(section.split("```python\n")[1].split("```")[0], names)
+    lines = re.findall(r"^\| .* \| `([^`]*)` \|$", section, re.MULTILINE)
+    lines = [line for line in lines if line.startswith(("jx.", "grid.", "lidar.", "10.", "2."))]
+    assert len(lines) > 55
+    for line in lines:
+        assert eval(line, names) is not None, line
+    # To compile the information of a scan takes as long as all of the others.
+    traced = re.findall(r"`(information\([^`]*)`", section)
+    assert len(traced) == 2
+    for line in traced:
+        assert jax.eval_shape(lambda line=line: eval(line, names)).ndim <= 1
 
 
 def test_the_page_of_settings_is_up_to_date() -> None:

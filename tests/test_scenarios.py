@@ -1,10 +1,12 @@
 """The scenarios of ground vehicles: their settings, and the command line that runs them."""
 
+import itertools
 import json
 import math
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import yaml
@@ -15,6 +17,7 @@ from jaxplore.build.tasks import build, make_settings
 from jaxplore.cli import main
 from jaxplore.settings.exploration import SCENARIOS, is_scenario_file, read_settings
 from jaxplore.settings.exploration import scenario_path as path_of
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +76,24 @@ def test_a_camera_leads_in_the_search(made) -> None:
     assert 0.01 < closed.mean() < 0.5
     rows, columns = np.asarray(search.world.frame.to_cell(search.targets)).T
     assert not closed[rows, columns].any()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_roles_plan_differently(name: str) -> None:
+    """The diversity test of the design notes, for each pair of roles and each scenario."""
+    entries, steps = read_settings(path_of(name)), 50
+    portfolio = {**entries.get("portfolio", {}), "num_samples": 128}
+    given = {**entries, "portfolio": portfolio, "time_limit": steps / 50.0}
+    controller, scenario, _, key = build(make_settings(given))
+    assert isinstance(controller, jx.Portfolio)
+    state = initial_loop_state(controller, scenario, key)
+    count = jnp.asarray(steps, jnp.int32)
+    _, record, _ = run_chunk(controller, scenario, state, key, count, steps)
+    controls = np.asarray(record.members.controls / controller.members.half_range)
+    for one, other in itertools.combinations(range(controls.shape[1]), 2):
+        away = np.sqrt(np.mean((controls[:, one] - controls[:, other]) ** 2, axis=-1))
+        pair = controller.member_names[one], controller.member_names[other]
+        assert away.mean() > 0.05, pair
 
 
 def test_a_scenario_is_told_from_a_map_and_a_world(tmp_path: Path) -> None:
@@ -214,6 +235,8 @@ def test_options_win_over_a_scenario(monkeypatch: pytest.MonkeyPatch) -> None:
         ("average", jx.planning.Average),
         ("median", jx.planning.Median),
         ("trust-weighted", jx.planning.TrustWeighted),
+        ("trust_weighted", jx.planning.TrustWeighted),
+        ("information_density", jx.planning.InformationDensity),
         ("contextual", jx.planning.Contextual),
     ],
 )
@@ -226,6 +249,44 @@ def test_fusions_by_name(fusion: str, kind: type, is_safe: bool) -> None:
         assert isinstance(found, jx.planning.SafeFusion)
         found = found.fusion
     assert type(found) is kind
+
+
+def test_words_have_two_spellings_in_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def note(settings: Any) -> None:
+        asked.append(settings)
+        raise ValueError("enough")
+
+    monkeypatch.setattr("jaxplore.cli._run.build", note)
+    for place, robot, fusion in (
+        ("search-rescue", "differential_drive", "best-only"),
+        ("search_rescue", "differential-drive", "best_only"),
+    ):
+        words = ["--set", f"robot.model={robot}", "--set", f"portfolio.fusion={fusion}"]
+        with pytest.raises(SystemExit):
+            main(["run", place, *words])
+    assert asked[0] == asked[1]
+    assert asked[1].robot.model == "differential_drive"
+    assert asked[1].portfolio.fusion == "best-only"
+    flights = [
+        make_settings({"map": "zones", "architecture": word}) for word in ("two-layer", "two_layer")
+    ]
+    assert flights[0] == flights[1]
+    with pytest.raises(ValueError, match=r"setting portfolio.fusion is 'best__only'; accepted"):
+        make_settings({**SMALL, "map": "yard", "portfolio": {"fusion": "best__only"}})
+
+
+def test_roles_of_members_of_one_s_own_in_settings() -> None:
+    given = {
+        "members": None,
+        "weights": {"scout": {"information": 1.0}, "guard": {"safety": 1.0}},
+        "fusion": "contextual",
+        "roles": {"balanced": "guard", "explorer": "scout"},
+        "is_safe": False,
+    }
+    found = build(make_settings({**SMALL, "map": "yard", "portfolio": given})).controller
+    assert found.fusion.members == (0, 1, None, None)
 
 
 @pytest.mark.parametrize(

@@ -247,6 +247,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "enable_compilation_cache": {"path": str(folder / "programs")},
         "clothoid_path": {"pieces": [(1.0, 0.0, 0.5)]},
         "find_parameter": {"path": "temperature"},
+        "fuse_actions": {"actions": np.ones((2, 2)), "costs": np.ones(2)},
         "fusion_by_name": {"name": "median"},
         "generate_map": {"kind": "open"},
         "line_path": {"start": (0.0, 0.0)},

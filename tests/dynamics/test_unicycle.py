@@ -76,5 +76,6 @@ def test_state_is_read_by_name() -> None:
     np.testing.assert_array_equal(state.position, [1.0, 2.0])
     assert float(state.heading) == 0.5
     assert float(state.speed) == 0.0
+    assert float(State(state.values, ROBOT, jnp.asarray([0.7, -0.3])).speed) == np.float32(0.7)
     with pytest.raises(ValueError, match="no state component 'v'; accepted: x, y, yaw"):
         state["v"]

@@ -1,6 +1,7 @@
 """Fusions against numbers by hand, whoever comes first, whatever is not finite, and in worlds."""
 
 import itertools
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -12,21 +13,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxplore import Ackermann, DifferentialDrive, State
+from jaxplore import Ackermann, DifferentialDrive, State, Unicycle
 from jaxplore.planning import (
     FUSIONS,
     ROLES,
     Average,
     BestOnly,
     Candidates,
+    ContextRule,
     Contextual,
     Fused,
     Fusion,
+    InformationDensity,
     Median,
     SafeFusion,
     Situation,
     TrustWeighted,
     WeightedVote,
+    fuse_actions,
     fusion_by_name,
 )
 
@@ -395,3 +399,150 @@ def test_a_contextual_fusion_needs_its_roles() -> None:
 def test_numbers_that_make_no_sense(make, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+# Names and rules of one's own
+
+
+class NearWall(ContextRule):
+    """Holds within a distance of the wall, and until it is twice as far away."""
+
+    least: jax.Array
+
+    def __call__(self, situation, held):
+        room = situation.belief.clearance(situation.state.position)
+        return room < self.least * jnp.where(held, 2.0, 1.0)
+
+
+OWN = ("search", "patrol", "warehouse")
+
+
+def told_to(context: Contextual, memory, **situation) -> tuple[str, Any]:
+    number = len(OWN)
+    plans = of(np.arange(number, dtype=float)[:, None, None], np.zeros(number))
+    fused, memory = context(memory, plans, here(**situation))
+    return OWN[int(fused.controls[0, 0])], memory
+
+
+def test_roles_of_one_s_own_names() -> None:
+    context = Contextual(OWN, roles={"explorer": "search", "balanced": "warehouse"})
+    memory = context.init()
+    assert memory.shape == (1,)
+    assert told_to(context, memory, told=9e9)[0] == "search"
+    # Nobody is cautious, so that an obstacle changes nothing.
+    assert told_to(context, memory, room=0.0)[0] == "warehouse"
+
+
+def test_rules_of_one_s_own_come_first_and_remember() -> None:
+    roles = {"explorer": "search", "balanced": "warehouse"}
+    context = Contextual(OWN, roles=roles, rules={"patrol": NearWall(jnp.asarray(1.0))})
+    memory, chosen = context.init(), []
+    for room in (5.0, 1.5, 0.9, 1.5, 2.5):
+        name, memory = told_to(context, memory, room=room, told=9e9)
+        chosen.append(name)
+    assert chosen == ["search", "search", "patrol", "patrol", "search"]
+    context.check(OWN)
+    with pytest.raises(ValueError, match="those it was made for"):
+        context.check(OWN[::-1])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, "without 'explorer'.*or roles"),
+        ({"roles": {"explorer": "search"}}, "accepted: members by role, with 'balanced'"),
+        ({"roles": {"balanced": "nobody"}}, r"roles\['balanced'\] is 'nobody'; accepted: search"),
+        ({"roles": {"balanced": "search", "boss": "search"}}, "roles has 'boss'; accepted: expl"),
+        (
+            {"roles": {"balanced": "search"}, "rules": {"x": NearWall(jnp.ones(()))}},
+            "rules has 'x'; accepted: search",
+        ),
+    ],
+)
+def test_bad_roles_and_rules_are_named(arguments, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Contextual(OWN, **arguments)
+
+
+# Plain actions
+
+ACTIONS = np.array([[1.0, -0.5], [0.2, 0.4], [0.6, 0.1]])
+PRICES, DOUBTS = np.array([0.3, 0.1, 0.2]), np.array([0.5, 0.1, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("weighted_vote", np.exp(-PRICES / 0.1) @ ACTIONS / np.exp(-PRICES / 0.1).sum()),
+        ("best_only", ACTIONS[1]),
+        ("average", ACTIONS.mean(axis=0)),
+        ("median", np.median(ACTIONS, axis=0)),
+        ("trust_weighted", (1 / DOUBTS) @ ACTIONS / (1 / DOUBTS).sum()),
+    ],
+)
+def test_plain_actions_are_fused_by_name_in_both_spellings(name: str, expected) -> None:
+    for spelling in (name, name.replace("_", "-")):
+        found = fuse_actions(ACTIONS, PRICES, spelling, uncertainties=DOUBTS)
+        np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6)
+
+
+def test_a_temperature_and_a_situation_of_plain_actions() -> None:
+    votes = np.exp(-PRICES / 2.0)
+    found = fuse_actions(ACTIONS, PRICES, temperature=2.0)
+    np.testing.assert_allclose(found, votes @ ACTIONS / votes.sum(), rtol=1e-5)
+    context = Contextual(OWN, roles={"cautious": "patrol", "balanced": "search"})
+    found = fuse_actions(ACTIONS, PRICES, context, situation=here(room=0.0))
+    np.testing.assert_allclose(found, ACTIONS[1], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"costs": PRICES[:2]}, r"costs is an array of shape \(2,\); accepted: \(3,\)"),
+        ({"actions": ACTIONS[0]}, "actions has shape"),
+        ({"fusion": "vote"}, "'vote'; accepted: weighted-vote"),
+        ({"fusion": "average", "temperature": 1.0}, "temperature is 1.0 beside the fusion Average"),
+        ({"fusion": "trust-weighted"}, "uncertainties is None; accepted: 3 numbers"),
+        ({"fusion": "safe"}, "situation is None; accepted: a Situation, for SafeFusion"),
+    ],
+)
+def test_bad_plain_actions_are_named(arguments, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        fuse_actions(**{"actions": ACTIONS, "costs": PRICES, **arguments})
+
+
+# Information density
+
+
+class East:
+    """A field in which a scan tells more the further east it is."""
+
+    num_beams = 4
+
+    def __call__(self, position, heading):
+        return 4.0 * position[0]
+
+
+def test_the_plan_into_the_densest_region_is_selected_and_kept() -> None:
+    """A robot that keeps its speed of 1 m/s, 0 or a little more or less."""
+    robot = Unicycle(max_speed=2.0)
+    plans = np.zeros((3, 10, 2))
+    plans[:, :, 0] = [[0.0], [1.0], [1.1]]
+    situation = Situation(
+        State(jnp.zeros(3), robot), SimpleNamespace(information=East()), evaluate, jnp.asarray(0.1)
+    )
+    fusion, candidates = InformationDensity(0.2), of(plans, np.zeros(3))
+    # The mean of x over the steps: v dt (1 + ... + 10) / 10.
+    np.testing.assert_allclose(
+        fusion.densities(candidates, situation), [0.0, 0.55, 0.605], rtol=1e-5, atol=1e-6
+    )
+    first, memory = fusion(fusion.init(), candidates, situation)
+    np.testing.assert_array_equal(first.shares, [0.0, 0.0, 1.0])
+    # The second one had it before: a tenth more is no reason to change.
+    kept, _ = fusion(jnp.asarray(1, jnp.int32), candidates, situation)
+    np.testing.assert_array_equal(kept.shares, [0.0, 1.0, 0.0])
+    unsafe = of(plans, np.zeros(3), hazards=np.array([0.0, 1.0, np.nan]))
+    safe, _ = fusion(memory, unsafe, situation)
+    np.testing.assert_array_equal(safe.shares, [1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match="dt of the situation is None"):
+        fusion(memory, candidates, situation._replace(dt=None))

@@ -85,6 +85,8 @@ def test_objectives_follow_the_mission(goal, terrain: bool, movers: bool) -> Non
         "InformationCost",
         "GuidanceCost",
     ]
+    alone = objectives(mission, is_guided=False)["information"]
+    assert [name for name, _ in alone.terms()] == ["InformationCost"]
     assert isinstance(found["effort"], ControlCost)
     assert ("MovingObstacleCost" in kinds) is movers
     # What all pay alike is no member's objective.
@@ -108,6 +110,24 @@ def test_roles_are_normal_with_the_effort_of_all() -> None:
     found = rows(ground_portfolio(DRIVE, members=mine, **SMALL))
     assert found["quick"] == normal(information=0.0, goal=1.0, safety=0.0, effort=0.5)
     assert found["shy"] == normal(information=0.0, goal=0.0, safety=3.0, effort=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mission", "members", "is_guided"),
+    [
+        (Mission(), None, False),
+        (Mission(GOAL), None, True),
+        (Mission(), {"a": {"information": 1.0}, "b": {"goal": 1.0}}, True),
+        (Mission(), {"a": {"information": 1.0, "goal": 0.1}, "b": {"goal": 1.0}}, False),
+    ],
+    ids=["roles", "goal", "a member without a goal", "own"],
+)
+def test_guidance_is_one_objective_where_all_weigh_it(mission, members, is_guided: bool) -> None:
+    """Else an explorer and an exploiter without a goal would both follow the guidance."""
+    found = ground_portfolio(DRIVE, mission, members=members, **SMALL).members.shared
+    information, goal = found[:2]
+    assert ("GuidanceCost" in [name for name, _ in information.terms()]) is is_guided
+    assert ("GuidanceCost" in [name for name, _ in goal.terms()]) is (mission.goal is None)
 
 
 def test_horizons_of_a_temporal_decomposition() -> None:

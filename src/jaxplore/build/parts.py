@@ -45,7 +45,10 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
         return Quadrotor(given.mass, radius=given.radius)
     if given.model == "unicycle":
         return Unicycle(
-            max_speed=given.max_speed, max_turn_rate=given.max_turn_rate, radius=given.radius
+            max_speed=given.max_speed,
+            max_turn_rate=given.max_turn_rate,
+            min_speed=given.min_speed,
+            radius=given.radius,
         )
     if given.model == "ackermann":
         # The body reaches equally far beyond both axles. The origin is the middle of the rear axle.

@@ -6,6 +6,7 @@ from typing import Any
 
 import yaml
 
+from jaxplore._spelling import spelled
 from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.settings.exploration import (
     OFFICE,
@@ -102,6 +103,7 @@ def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
     Raises:
         ValueError: a file that is missing, or that names code and is not trusted.
     """
+    name = spelled(name, SCENARIOS)
     if name in (OFFICE, ZONES, *SCENARIOS):
         return {"map": name}
     _check_file(Path(name))

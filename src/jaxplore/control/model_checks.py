@@ -112,8 +112,8 @@ def check_costs(dynamics: Dynamics, cost: Cost, horizon: int, belief: Any) -> No
     arrays, others = eqx.partition(belief, eqx.is_array_like)
     for name, term in cost.terms():
         calls: dict[str, Callable[..., Array]] = {
-            "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics), u, t, b),
-            "terminal": lambda x, u, us, t, b, term=term: term.terminal(State(x, dynamics), b),
+            "stage": lambda x, u, us, t, b, term=term: term.stage(State(x, dynamics, u), u, t, b),
+            "terminal": lambda x, u, us, t, b, term=term: term.terminal(State(x, dynamics, u), b),
             "sequence": lambda x, u, us, t, b, term=term: term.sequence(us, u, t, dynamics),
         }
         for method, call in calls.items():

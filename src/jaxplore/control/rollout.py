@@ -227,7 +227,7 @@ class _RolloutTask(NamedTuple):
         # Costs read the new state. If XLA fused them with the model, each would compute the model's
         # step again.
         reached = jnp.stack(cut(tuple(reached)))
-        here, known = State(reached, dynamics), self.belief_in(draw)
+        here, known = State(reached, dynamics, control), self.belief_in(draw)
         paid = tuple(self.number(cost, cost.stage, here, control, t, known) for cost in self.costs)
         return reached, paid
 
@@ -252,24 +252,27 @@ class _RolloutTask(NamedTuple):
     ) -> Float[Array, " K"]:
         """Add the terminal and the sequence cost to a sum of stage costs."""
 
-        def terminal(components: _Values, draw: Any) -> Array:
-            state = State(jnp.stack(components), self.dynamics)
+        def terminal(components: _Values, control: Array, draw: Any) -> Array:
+            state = State(jnp.stack(components), self.dynamics, control)
             return self.number(cost, cost.terminal, state, self.belief_in(draw))
 
         def sequence(planned: Array) -> Array:
             return self.number(cost, cost.sequence, planned, before, self.dt, self.dynamics)
 
-        ending = jax.vmap(terminal, in_axes=(0, None))
+        num_samples, lanes = controls.shape[-1], last[0].shape[-1]
+        ending = jax.vmap(terminal, in_axes=(0, -1, None))
         if self.outcomes is not None:
-            ending = jax.vmap(ending, in_axes=(self.outcome_axis, 0))
+            ending = jax.vmap(ending, in_axes=(self.outcome_axis, None, 0))
+        # Only a model whose speed is a control reads it; for the others XLA removes it.
+        final = jnp.pad(controls[-1], ((0, 0), (0, lanes - num_samples)))
         # The terminal cost reads the belief of the last step.
-        total = total + ending(last, jax.tree.map(lambda rows: rows[-1], self.drawn))
+        total = total + ending(last, final, jax.tree.map(lambda rows: rows[-1], self.drawn))
         if self.outcomes is not None:
             # One outcome that diverges makes the sequence infinitely expensive under any risk.
             is_finite = jnp.all(jnp.isfinite(total), axis=0)
             total = jnp.where(is_finite, self.outcomes.risk.costs(total, variation), jnp.inf)
         # The sequence cost depends on the controls alone, which no outcome changes.
-        return total[: controls.shape[-1]] + jax.vmap(sequence, in_axes=-1)(controls)
+        return total[:num_samples] + jax.vmap(sequence, in_axes=-1)(controls)
 
 
 def _lanes(num_samples: int) -> int:

@@ -100,13 +100,14 @@ class SpeedLimitCost(Cost):
 class BackwardsCost(Cost):
     """Speed backwards, `(-v)_+ / scale`, for a robot that prefers to drive forwards.
 
-    v is the forward component of the velocity: the state `v`, or `vx` of an `Omnidirectional`.
+    v is the forward component of the velocity: `vx` of an `Omnidirectional`, the speed of any other
+    robot.
 
     Args:
         scale: speed backwards that costs 1 [m/s].
 
     Raises:
-        ValueError: a scale that is not positive. When traced, a model with neither state.
+        ValueError: a scale that is not positive. When traced, a model without a speed.
     """
 
     scale: Scalar
@@ -116,5 +117,5 @@ class BackwardsCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Compute the speed backwards, in units of the scale."""
-        forward = state["vx" if "vx" in state.dynamics.state_names else "v"]
+        forward = state["vx"] if "vx" in state.dynamics.state_names else state.speed
         return jnp.maximum(-forward, 0.0) / self.scale

@@ -102,13 +102,11 @@ class _Part(eqx.Module):
     def __call__(self, state: State) -> Any:
         model = state.dynamics
         if isinstance(model, Augmented):
-            physical, virtual = model.split_state(state.values)
-            part = (
-                State(physical, model.physical)
-                if self.is_physical
-                else State(virtual, model.virtual)
-            )
-            return self.extractor(part)
+            controls = None if state.control is None else model.split_control(state.control)
+            models, index = (model.physical, model.virtual), 0 if self.is_physical else 1
+            values = model.split_state(state.values)[index]
+            given = None if controls is None else controls[index]
+            return self.extractor(State(values, models[index], given))
         if self.is_physical:
             return self.extractor(state)
         raise ValueError(

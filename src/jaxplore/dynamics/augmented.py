@@ -121,6 +121,10 @@ class Augmented(Dynamics):
         """Return the physical part's forward speed [m/s]."""
         return self.physical.speed(self.split_state(state)[0])
 
+    def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
+        """Return the physical part's forward speed [m/s] under its part of a control (nu,)."""
+        return self.physical.speed_under(self.split_state(state)[0], self.split_control(control)[0])
+
     def at_pose(self, x: float, y: float, yaw: float) -> StateVector:
         """Return the state of a robot at rest at a pose, with the virtual state at zero."""
         return jnp.concatenate(

@@ -102,6 +102,14 @@ class Dynamics(eqx.Module):
         """Return the forward speed [m/s]."""
         return self.component(state, "v")
 
+    def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
+        """Return the forward speed [m/s] at a state (nx,) that a control (nu,) leads to.
+
+        Costs read it. The default is `speed` of the state. A model whose speed is a control
+        overrides it.
+        """
+        return self.speed(state)
+
     def twist(self, state: StateVector, control: ControlVector) -> Twist:
         """Return the velocity (vx, vy, omega) in the body frame [m/s, m/s, rad/s].
 
@@ -264,10 +272,17 @@ class State(eqx.Module):
 
     Costs receive it and read `state.position`, `state.heading`, `state.speed` or `state["omega"]`
     instead of an index, so that one cost works for every model.
+
+    Args:
+        values: state (nx,).
+        dynamics: model of the robot.
+        control: control (nu,) that led to the state, where one is known. `speed` reads it for a
+            model whose speed is a control, such as `Unicycle`.
     """
 
     values: StateVector
     dynamics: Dynamics
+    control: ControlVector | None = None
 
     @property
     def position(self) -> Position:
@@ -282,7 +297,9 @@ class State(eqx.Module):
     @property
     def speed(self) -> Scalar:
         """Forward speed [m/s]."""
-        return self.dynamics.speed(self.values)
+        if self.control is None:
+            return self.dynamics.speed(self.values)
+        return self.dynamics.speed_under(self.values, self.control)
 
     def __getitem__(self, name: str) -> Scalar:
         return self.dynamics.component(self.values, name)

@@ -66,5 +66,9 @@ class Unicycle(ContinuousDynamics):
         return jnp.stack([v * cos, v * sin, omega])
 
     def speed(self, state: StateVector) -> Scalar:
-        """Return 0 [m/s]: the speed is a control, not part of the state."""
+        """Return 0 [m/s]: the speed is a control, see `speed_under`."""
         return jnp.zeros(())
+
+    def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
+        """Return the commanded forward speed v [m/s]."""
+        return control[self.control_names.index("v")]

@@ -1,11 +1,16 @@
 """Controllers put together for a task."""
 
+from jaxplore.planning.portfolio.actions import fuse_actions as fuse_actions
 from jaxplore.planning.portfolio.contextual import ROLES as ROLES
+from jaxplore.planning.portfolio.contextual import ContextRule as ContextRule
 from jaxplore.planning.portfolio.contextual import Contextual as Contextual
 from jaxplore.planning.portfolio.fusion import Candidates as Candidates
 from jaxplore.planning.portfolio.fusion import Fused as Fused
 from jaxplore.planning.portfolio.fusion import Fusion as Fusion
 from jaxplore.planning.portfolio.fusion import Situation as Situation
+from jaxplore.planning.portfolio.information_density import (
+    InformationDensity as InformationDensity,
+)
 from jaxplore.planning.portfolio.portfolio import Portfolio as Portfolio
 from jaxplore.planning.portfolio.portfolio import PortfolioState as PortfolioState
 from jaxplore.planning.portfolio.portfolio import diversity as diversity

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from jaxplore._spelling import spelled
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.maps.generators.office import office
@@ -146,8 +147,15 @@ class PortfolioSettings(Section):
     weights: dict[str, dict[str, NonNegative]] | None = None
     common: dict[str, NonNegative] | None = setting(ground_portfolio, "common")
     fusion: Literal[
-        "weighted-vote", "best-only", "average", "median", "trust-weighted", "contextual"
+        "weighted-vote",
+        "best-only",
+        "average",
+        "median",
+        "trust-weighted",
+        "information-density",
+        "contextual",
     ] = "weighted-vote"
+    roles: dict[str, str] | None = setting(Contextual, "roles")
     is_safe: bool = True
     regret: NonNegative | None = setting(SafeFusion, "regret")
     vote_temperature: Positive = setting(WeightedVote, "temperature")
@@ -301,6 +309,10 @@ def make_exploration_settings(entries: dict[str, Any]) -> Settings:
 
 def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     """Merge the entries over the defaults of their architecture and map."""
+    entries = {**entries}
+    for name, words in (("map", SCENARIOS), ("architecture", ARCHITECTURES)):
+        if name in entries:
+            entries[name] = spelled(entries[name], words)
     # Saved settings contain the world beside the name of the scenario, which is then not read.
     if entries.get("map") in SCENARIOS and entries.get("world") is None:
         entries = merge_entries(read_settings(scenario_path(entries["map"])), entries)

@@ -13,6 +13,8 @@ from typing import Any
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
+from jaxplore._spelling import spelled
+
 OWN = "MODULE:NAME"
 """How messages and the reference write such a name."""
 SETTINGS = ("architecture", "robot.model")
@@ -47,6 +49,7 @@ class WordsOrOwn:
         return {**handler(schema), "enum": list(self.words), "code": OWN}
 
     def _checked(self, value: str) -> str:
+        value = spelled(value, self.words)
         if value not in self.words and not is_own(value):
             expected = ", ".join(map(repr, self.words))
             raise PydanticCustomError(

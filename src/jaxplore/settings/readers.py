@@ -112,7 +112,7 @@ def _of_robot(section: type[RobotSettings]) -> dict[str, Reader]:
         "width": ("ackermann",),
         "max_steering": cars,
         "max_steering_rate": ("ackermann",),
-        "min_speed": (omni, *cars),
+        "min_speed": (omni, "unicycle", *cars),
         "max_lateral_speed": (omni,),
     }
     return {f"robot.{name}": _models(section, *names) for name, names in models.items()}

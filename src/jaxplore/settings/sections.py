@@ -2,11 +2,19 @@
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
 
+from jaxplore._spelling import spelled
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
@@ -30,6 +38,13 @@ class Section(BaseModel):
     """A section of settings. It rejects unknown names and values that are not finite."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _spelled(cls, value: Any, info: ValidationInfo) -> Any:
+        """Accept words in either spelling, `weighted_vote` and `weighted-vote`."""
+        annotation = cls.model_fields[str(info.field_name)].annotation
+        return spelled(value, get_args(annotation)) if get_origin(annotation) is Literal else value
 
 
 class FaultSettings(Section):

@@ -1,5 +1,7 @@
 """Contextual fusion: select a member by the situation of the robot."""
 
+import abc
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -8,11 +10,24 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Scalar, Vector
+from jaxplore._types import ArrayLike, Flag, Scalar, Vector
 from jaxplore.planning.portfolio.fusion import Candidates, Fused, Fusion, Situation, select_member
 
 ROLES = ("explorer", "balanced", "exploiter", "cautious")
-"""Names of the members that a contextual fusion selects from."""
+"""Roles of the members that a contextual fusion selects from."""
+
+
+class ContextRule(eqx.Module):
+    """A rule of one's own for `Contextual`; abstract."""
+
+    @abc.abstractmethod
+    def __call__(self, situation: Situation, held: Flag) -> Flag:
+        """Return whether the rule holds.
+
+        Args:
+            situation: current state and belief of the robot.
+            held: whether the rule held in the last step, for a hysteresis.
+        """
 
 
 class Contextual(Fusion):
@@ -25,13 +40,20 @@ class Contextual(Fusion):
     | a scan from here has more information than `rich_information` | explorer |
     | otherwise | balanced |
 
+    Rules of one's own come before these. `roles` says which member plays each role; the rule of a
+    role that nobody plays is left out.
+
     A rule that holds stops holding only when its quantity is `hysteresis` beyond the threshold.
     This keeps a robot near a threshold from switching at every step.
 
     Source: the design notes for ground vehicles, "contextual switching".
 
     Args:
-        names: names of all members in their order; each of `ROLES` must be among them.
+        names: names of all members in their order.
+        roles: member by role, of which "balanced" must be given; when absent each role is played by
+            the member of its name.
+        rules: rules of one's own by the name of the member that they select, in the order in which
+            they are asked.
         goal: goal position (x, y) [m]; without one the first rule never holds.
         near_goal: distance to the goal below which it is near [m].
         near_obstacle: distance from the discs that cover the robot to the nearest cell not known to
@@ -40,8 +62,8 @@ class Contextual(Fusion):
         hysteresis: width of the hysteresis, as a share of each threshold.
 
     Raises:
-        ValueError: a role that is not among the names, a threshold that is not positive, a
-            negative hysteresis.
+        ValueError: a role or a rule of a member that is not among the names, a threshold that is
+            not positive, a negative hysteresis.
     """
 
     goal: Float[Array, "2"] | None
@@ -49,12 +71,17 @@ class Contextual(Fusion):
     near_obstacle: Scalar
     rich_information: Scalar
     hysteresis: Scalar
-    members: tuple[int, ...] = eqx.field(static=True)
+    rules: tuple[ContextRule, ...]
+    members: tuple[int | None, ...] = eqx.field(static=True)
+    rule_members: tuple[int, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
 
     def __init__(
         self,
         names: tuple[str, ...] = ROLES,
         *,
+        roles: Mapping[str, str] | None = None,
+        rules: Mapping[str, ContextRule] | None = None,
         goal: Vector | None = None,
         near_goal: ArrayLike = 2.0,
         near_obstacle: ArrayLike = 0.3,
@@ -64,65 +91,124 @@ class Contextual(Fusion):
         if not isinstance(names, (list, tuple)):
             given = _kinds.described(names)
             raise ValueError(f"names is {given}; accepted: the names of the members")
-        for role in ROLES:
-            if role not in names:
-                raise ValueError(
-                    f"names is {tuple(names)}, without {role!r}; accepted: names that include "
-                    f"{', '.join(ROLES)}"
-                )
-        self.members = tuple(names.index(role) for role in ROLES)
+        self.names = tuple(names)
+        self.members = _members(self.names, roles)
+        self.rules, self.rule_members = _rules(self.names, rules)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         self.near_goal = _checks.scalar("near_goal", near_goal, above=0.0)
         self.near_obstacle = _checks.scalar("near_obstacle", near_obstacle, above=0.0)
         self.rich_information = _checks.scalar("rich_information", rich_information, above=0.0)
         self.hysteresis = _checks.scalar("hysteresis", hysteresis, at_least=0.0)
 
-    def init(self) -> Bool[Array, "3"]:
+    def init(self) -> Bool[Array, " R"]:
         """Return the initial memory: no rule holds."""
-        return jnp.zeros(3, bool)
+        return jnp.zeros(len(self.rules) + len(self._active), bool)
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
         """Select the plan of the member whose rule holds first."""
         holds = self.situations(memory, situation)
-        explorer, balanced, exploiter, cautious = self.members
-        roles = jnp.asarray([exploiter, cautious, explorer, balanced])
+        played = [self._of_rules[rule] for rule in self._active]
+        chosen = jnp.asarray([*self.rule_members, *played, self.members[ROLES.index("balanced")]])
         # The appended true selects `balanced` where no rule holds.
         first = jnp.argmax(jnp.append(holds, True))
-        return select_member(candidates, roles[first]), holds
+        return select_member(candidates, chosen[first]), holds
 
-    def situations(self, held: Bool[Array, "3"], situation: Situation) -> Bool[Array, "3"]:
-        """Evaluate the three rules: near the goal, near an obstacle, rich in information.
+    @property
+    def _of_rules(self) -> tuple[int | None, ...]:
+        """Member of each of the three rules of the library: near goal, near obstacle, rich."""
+        explorer, _, exploiter, cautious = self.members
+        return exploiter, cautious, explorer
+
+    @property
+    def _active(self) -> tuple[int, ...]:
+        """Rules of the library whose role somebody plays."""
+        return tuple(rule for rule, member in enumerate(self._of_rules) if member is not None)
+
+    def situations(self, held: Bool[Array, " R"], situation: Situation) -> Bool[Array, " R"]:
+        """Evaluate the rules: one's own, near the goal, near an obstacle, rich in information.
 
         Args:
-            held: (3,) which rules held in the last step.
+            held: (R,) which rules held in the last step.
             situation: current state and belief of the robot.
         """
+        own = [rule(situation, held[number]) for number, rule in enumerate(self.rules)]
+        known = (self._near_goal, self._near_obstacle, self._is_rich)
+        rest = [
+            known[rule](situation, held[len(own) + number])
+            for number, rule in enumerate(self._active)
+        ]
+        return jnp.stack([*own, *rest]) if own or rest else jnp.zeros(0, bool)
+
+    def _near_goal(self, situation: Situation, held: Flag) -> Flag:
+        if self.goal is None:
+            return jnp.asarray(False)
+        distance = jnp.linalg.norm(situation.state.position - self.goal)
+        is_near: Flag = distance < self.near_goal * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        return is_near
+
+    def _near_obstacle(self, situation: Situation, held: Flag) -> Flag:
         state, belief = situation.state, situation.belief
         position, heading = state.position, state.heading
         footprint = state.dynamics.footprint
-        distance = jnp.asarray(jnp.inf)
-        if self.goal is not None:
-            distance = jnp.linalg.norm(position - self.goal)
         ahead = jnp.stack([jnp.cos(heading), jnp.sin(heading)])
         # The discs of the footprint lie along the heading.
         centres = position + footprint.offsets[:, None] * ahead
         room = jnp.min(jax.vmap(belief.clearance)(centres)) - footprint.radius
-        field = belief.information
-        # Per beam, so that the threshold holds for sensors with any number of beams.
-        information = field(position, heading) / field.num_beams
         # A rule that holds gets a threshold that is easier to meet.
-        wider, narrower = 1.0 + self.hysteresis, 1.0 / (1.0 + self.hysteresis)
-        near_goal = distance < self.near_goal * jnp.where(held[0], wider, 1.0)
-        near_obstacle = room < self.near_obstacle * jnp.where(held[1], wider, 1.0)
-        is_rich = information > self.rich_information * jnp.where(held[2], narrower, 1.0)
-        return jnp.stack([near_goal, near_obstacle, is_rich])
+        is_near: Flag = room < self.near_obstacle * jnp.where(held, 1.0 + self.hysteresis, 1.0)
+        return is_near
+
+    def _is_rich(self, situation: Situation, held: Flag) -> Flag:
+        field, state = situation.belief.information, situation.state
+        # Per beam, so that the threshold holds for sensors with any number of beams.
+        information = field(state.position, state.heading) / field.num_beams
+        least = self.rich_information * jnp.where(held, 1.0 / (1.0 + self.hysteresis), 1.0)
+        is_rich: Flag = information > least
+        return is_rich
 
     def check(self, names: tuple[str, ...]) -> None:
         """Raise a `ValueError` if the fusion was made for other member names."""
-        chosen = [names[index] if index < len(names) else None for index in self.members]
-        if chosen != list(ROLES):
+        used = [index for index in (*self.members, *self.rule_members) if index is not None]
+        if any(index >= len(names) or names[index] != self.names[index] for index in used):
             raise ValueError(
                 f"names is {names}; accepted for this contextual fusion: those it was made for"
             )
+
+
+def _members(names: tuple[str, ...], roles: Mapping[str, str] | None) -> tuple[int | None, ...]:
+    """Return the index of the member of each of `ROLES`; None for one that nobody plays."""
+    if roles is None:
+        for role in ROLES:
+            if role not in names:
+                raise ValueError(
+                    f"names is {names}, without {role!r}; accepted: names that include "
+                    f"{', '.join(ROLES)}, or roles, which say who plays them"
+                )
+        return tuple(names.index(role) for role in ROLES)
+    if not isinstance(roles, Mapping) or "balanced" not in roles:
+        raise ValueError(
+            f"roles is {_kinds.described(roles)}; accepted: members by role, with 'balanced' for "
+            "where no rule holds"
+        )
+    for role, name in roles.items():
+        if role not in ROLES:
+            raise ValueError(f"roles has {role!r}; accepted: {', '.join(ROLES)}")
+        if name not in names:
+            raise ValueError(f"roles[{role!r}] is {name!r}; accepted: {', '.join(names)}")
+    return tuple(names.index(roles[role]) if role in roles else None for role in ROLES)
+
+
+def _rules(
+    names: tuple[str, ...], rules: Mapping[str, ContextRule] | None
+) -> tuple[tuple[ContextRule, ...], tuple[int, ...]]:
+    """Return rules of one's own and the index of the member of each."""
+    given = {} if rules is None else rules
+    if not isinstance(given, Mapping):
+        raise ValueError(f"rules is {_kinds.described(rules)}; accepted: rules by member")
+    for name, rule in given.items():
+        if name not in names:
+            raise ValueError(f"rules has {name!r}; accepted: {', '.join(names)}")
+        _kinds.instance(f"rules[{name!r}]", rule, ContextRule)
+    return tuple(given.values()), tuple(names.index(name) for name in given)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count
+from jaxplore._types import Count, Scalar
 from jaxplore.dynamics.base import State
 
 Sequences = Float[Array, "N T nu"]
@@ -42,11 +42,13 @@ class Situation(NamedTuple):
         state: state of the robot.
         belief: what the robot knows of the world.
         evaluate: function that evaluates other control sequences under the same objective.
+        dt: model step of the plans [s]; None where no fusion rolls them out.
     """
 
     state: State
     belief: Any
     evaluate: Evaluate
+    dt: Scalar | None = None
 
 
 class Fused(NamedTuple):

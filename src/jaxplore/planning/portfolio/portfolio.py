@@ -269,7 +269,9 @@ class Portfolio(Controller):
         objective = self._common_objective(state, spread, observation, belief)
         costs, hazards = objective(plans.controls)
         candidates = Candidates(plans.controls, costs, hazards, plans.uncertainties)
-        situation = Situation(State(observation, self.members.mppi.dynamics), belief, objective)
+        # The fused control of the last step, which is the same in all members.
+        here = State(observation, self.members.mppi.dynamics, state.members.applied[0])
+        situation = Situation(here, belief, objective, self.members.mppi.dt)
         fused, memory = self.fusion(state.fusion, candidates, situation)
         return candidates, fused, memory
 

@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
+from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike, Count, Scalar
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import (
@@ -16,6 +17,7 @@ from jaxplore.planning.portfolio.fusion import (
     least_finite,
     select_member,
 )
+from jaxplore.planning.portfolio.information_density import InformationDensity
 from jaxplore.planning.portfolio.voting import (
     Average,
     BestOnly,
@@ -113,6 +115,7 @@ FUSIONS: Mapping[str, Callable[[], Fusion]] = {
     "average": Average,
     "median": Median,
     "trust-weighted": TrustWeighted,
+    "information-density": InformationDensity,
     "contextual": Contextual,
     "safe": SafeFusion,
 }
@@ -122,10 +125,14 @@ FUSIONS: Mapping[str, Callable[[], Fusion]] = {
 def fusion_by_name(name: str) -> Fusion:
     """Return the fusion of a name, with its default parameters.
 
+    Args:
+        name: name in `FUSIONS`, with hyphens or with underscores.
+
     Raises:
         ValueError: a name that is not in `FUSIONS`.
     """
-    if not isinstance(name, str) or name not in FUSIONS:
+    known = spelled(name, FUSIONS)
+    if not isinstance(known, str) or known not in FUSIONS:
         given = _kinds.described(name)
         raise ValueError(f"name of the fusion is {given}; accepted: {', '.join(FUSIONS)}")
-    return FUSIONS[name]()
+    return FUSIONS[known]()

@@ -76,12 +76,14 @@ class Mission(NamedTuple):
     has_moving_obstacles: bool = False
 
 
-def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
+def objectives(
+    mission: Mission, clearance: ArrayLike = 0.4, *, is_guided: bool = True
+) -> dict[str, Cost]:
     """Build the objectives of a mission by name.
 
     | name | cost | when |
     | --- | --- | --- |
-    | information | 2 `InformationCost`, fading, + `GuidanceCost` | always |
+    | information | 2 `InformationCost`, fading, + `GuidanceCost` if guided | always |
     | goal | `ToGoalCost`; without a goal `GuidanceCost` | always |
     | safety | `ObstacleCost` without its hard part | always |
     | terrain | `TerrainCost` + `TraversabilityCost` | on terrain |
@@ -93,9 +95,12 @@ def objectives(mission: Mission, clearance: ArrayLike = 0.4) -> dict[str, Cost]:
     Args:
         mission: task of the vehicle.
         clearance: distance kept from obstacles [m].
+        is_guided: whether `information` includes the guidance to the remaining information.
     """
+    _kinds.flag("is_guided", is_guided)
+    seen = 2.0 * InformationCost(is_fading=True)
     chosen: dict[str, Cost] = {
-        "information": 2.0 * InformationCost(is_fading=True) + GuidanceCost(),
+        "information": seen + GuidanceCost() if is_guided else seen,
         "goal": GuidanceCost() if mission.goal is None else ToGoalCost(),
         # Collisions are part of the hard cost instead, which no weight can reduce.
         "safety": ObstacleCost(clearance, collision=0.0),
@@ -137,6 +142,10 @@ def ground_portfolio(
     | "temporal" | short, middle, long | horizons (`HORIZONS`), weights of balanced |
     | "regional" | left, forward, right | regions (`REGIONS`), weights of balanced |
 
+    Without a goal, "goal" is the guidance to the remaining information, and "information" is what a
+    scan from the robot's pose sees. Where a member has no weight for "goal", "information" includes
+    the guidance for all members.
+
     The function has more than 60 lines because it is the one place of these numbers.
 
     Args:
@@ -173,8 +182,11 @@ def ground_portfolio(
     if not _kinds.is_traced(effort):
         effort = _checks.number("effort", effort, at_least=0.0)
     mission = Mission() if mission is None else mission
-    terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance)}
     weights, horizons = _weights(decomposition, members, mission, effort), None
+    # Without a goal, the guidance is the objective "goal". As a part of "information" as well, it
+    # would make all roles plan alike. A member without a weight for "goal" needs it there.
+    is_guided = mission.goal is not None or not all(row.get("goal") for row in weights.values())
+    terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance, is_guided=is_guided)}
     steps = _checks.positive_int("horizon", horizon)
     length = computed(lambda _, dt: dt * steps, _checks.scalar("dt", dt, above=0.0))
     if decomposition == "temporal":

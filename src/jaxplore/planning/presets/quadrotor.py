@@ -3,6 +3,7 @@
 from typing import Any
 
 from jaxplore import _checks, _kinds
+from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.perception import Perception
@@ -113,6 +114,7 @@ def informative_mppi(
     _kinds.instance("target_choice", target_choice, TargetChoice, may_be_none=True)
     _kinds.flag("goal_when_explored", goal_when_explored)
     _kinds.flag("likelihood_ratio", likelihood_ratio)
+    architecture = spelled(architecture, ARCHITECTURES)
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
     for name, given in (("reference", reference), ("target_choice", target_choice)):

@@ -232,7 +232,7 @@ class PathScenario(Scenario):
         moved = model.step(state.robot, control, period)
         # A control that is not finite does not move the robot.
         robot = jnp.where(jnp.all(jnp.isfinite(moved)), moved, state.robot)
-        here = State(robot, model)
+        here = State(robot, model, control)
         progress = path.nearest(here.position, near=state.progress)
         room = gap = jnp.full((), jnp.inf)
         if path.has_room:

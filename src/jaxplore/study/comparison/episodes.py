@@ -8,6 +8,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from jaxplore._spelling import spelled
 from jaxplore.build.own import own_code, own_robot, own_rule
 from jaxplore.settings.exploration import (
     ARCHITECTURES,
@@ -174,10 +175,11 @@ def variant_entries(
     """
     known = ARCHITECTURES
     found: dict[str, dict[str, Any]] = {}
-    for name in variants:
-        entries = {} if not isinstance(variants, Mapping) else dict(variants[name])
+    for given in variants:
+        name = spelled(given, known)
+        entries = {} if not isinstance(variants, Mapping) else dict(variants[given])
         # An architecture that repeats the name of its variant would change the id of its runs.
-        if entries.get("architecture") == name:
+        if spelled(entries.get("architecture"), known) == name:
             del entries["architecture"]
         if name not in known and not is_own(name) and "architecture" not in entries:
             if not entries:
