@@ -22,6 +22,7 @@ from jaxplore.settings.defaults import (
     unit,
 )
 from jaxplore.settings.exploration import BASELINES, SCENARIOS, Settings, scenario_path
+from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.path import PathSettings
 from jaxplore.settings.sections import Section, read_settings, section_class
 
@@ -248,9 +249,9 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.maps.Ground: {"elevation", "resolution", "origin", "traversability"},
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
-        *("ground", "watch", "is_goal_apart", "unknown_factor"),
+        *("ground", "watch", "is_goal_apart", "unknown_factor", "car"),
     },
-    jx.planning.Contextual: {"names", "goal"},
+    jx.planning.Contextual: {"names", "goal", "rules"},
     jx.planning.WeightedVote: set(),
 }
 """Parameters that are no settings: parts, or what follows from other settings."""
@@ -265,19 +266,34 @@ def test_every_number_of_a_preset_is_a_setting(owner: Callable[..., Any]) -> Non
 
 
 def test_differences_are_differences_and_have_a_reason() -> None:
-    owned = {"exploration": Settings, "quadrotor": Settings, "path": PathSettings}
+    owned = {"exploration": Settings, "path": PathSettings, "drive": DriveSettings}
+    owners = {
+        "exploration.robot": jx.DifferentialDrive,
+        "path.robot": jx.Ackermann,
+        "exploration.lidar": jx.Lidar,
+        "drive.node.contouring": jx.mpcc,
+    }
     ground = make_settings({"map": "office"})
     for name, difference in DIFFERENCES.items():
-        kind, section, last = name.split(".")
-        field = section_class(owned[kind].model_fields[section].annotation).model_fields[last]
+        kind, *sections, last = name.split(".")
         assert difference.reason
-        if kind == "quadrotor":
+        if kind in ("quadrotor", "car"):
+            (section,) = sections
             assert getattr(getattr(ground, section), last) != difference.value
-        else:
-            assert field.default == difference.value
-            model = {"robot": {"exploration": jx.DifferentialDrive, "path": jx.Ackermann}[kind],
-                     "lidar": jx.Lidar}[section]  # fmt: skip
-            assert parameter_default(model, last) != difference.value
+            continue
+        settings = owned[kind]
+        for section in sections:
+            settings = section_class(settings.model_fields[section].annotation)
+        assert settings.model_fields[last].default == difference.value
+        owner = owners[".".join([kind, *sections])]
+        assert parameter_default(owner, last) != difference.value
+
+
+def test_a_car_that_explores_can_reverse_unless_it_is_told_otherwise() -> None:
+    given = {"map": "office", "robot": {"model": "ackermann"}}
+    assert make_settings(given).robot.min_speed == -0.5
+    forwards = make_settings({**given, "robot": {"model": "ackermann", "min_speed": 0.0}})
+    assert forwards.robot.min_speed == 0.0
 
 
 def test_the_owner_s_signature_is_the_default() -> None:
