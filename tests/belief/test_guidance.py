@@ -17,7 +17,7 @@ from jaxplore.belief.guidance import (
     geodesic,
 )
 from jaxplore.belief.guidance import descent_field as to_go
-from jaxplore.belief.perception import safe_stride
+from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.belief.tiles import TILE, relaxed_by_tiles, relaxed_everywhere
 from jaxplore.maps.frame import GridFrame
 

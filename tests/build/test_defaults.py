@@ -249,7 +249,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.maps.Ground: {"elevation", "resolution", "origin", "traversability"},
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
-        *("ground", "watch", "is_goal_apart", "unknown_factor", "car"),
+        *("ground", "watch", "anomalies", "is_goal_apart", "unknown_factor", "car"),
     },
     jx.planning.Contextual: {"names", "goal", "rules"},
     jx.planning.WeightedVote: set(),

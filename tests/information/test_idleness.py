@@ -55,6 +55,17 @@ def test_what_was_never_seen_is_worth_one_bit_and_what_is_seen_nothing(memory) -
     np.testing.assert_array_equal(interest(watch, jnp.zeros((2, 3))), 0.0)
 
 
+def test_with_a_time_of_doubling_the_interest_grows_up_to_32_times() -> None:
+    plain, growing = IdlenessMap(60.0, 2.0), IdlenessMap(60.0, 2.0, 20.0)
+    idleness = jnp.asarray([[0.0, 10.0, 20.0], [60.0, 100.0, 1e4]])
+    factor = [[1.0, math.sqrt(2.0), 2.0], [8.0, 32.0, 32.0]]
+    expected = np.asarray(interest(plain, idleness)) * factor
+    np.testing.assert_allclose(interest(growing, idleness), expected, rtol=1e-5)
+    np.testing.assert_array_equal(growing.init((2, 3)), 60.0)
+    with pytest.raises(ValueError, match="memory is None; accepted: a time"):
+        IdlenessMap(doubling=20.0)
+
+
 def test_with_an_infinite_memory_one_look_is_enough() -> None:
     idleness = jnp.asarray([[0.0, 1e-3, 1.0], [1e3, 1e30, jnp.inf]])
     found = np.asarray(interest(IdlenessMap(None, 3.0), idleness))

@@ -1,5 +1,7 @@
 """The robot's belief: its map, the fields derived from it, and the obstacles that it tracks."""
 
+from jaxplore.belief.anomalies import Anomalies as Anomalies
+from jaxplore.belief.anomalies import AnomalyTest as AnomalyTest
 from jaxplore.belief.belief import Belief as Belief
 from jaxplore.belief.belief import StrategicBelief as StrategicBelief
 from jaxplore.belief.car import CarMotion as CarMotion

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import Flag, GridValues, Pose, Scalar
+from jaxplore.belief.anomalies import Anomalies
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
@@ -49,6 +50,7 @@ class Belief(eqx.Module):
         obstacles: known moving obstacles; none when absent.
         idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
             an idleness map.
+        anomalies: what differs from the known map; absent without a test for it.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -63,6 +65,7 @@ class Belief(eqx.Module):
     to_goal: GuidanceField | None = None
     obstacles: Obstacles | None = None
     idleness: GridValues | None = None
+    anomalies: Anomalies | None = None
 
     @property
     def pull(self) -> ScalarField:

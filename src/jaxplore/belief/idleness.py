@@ -9,6 +9,8 @@ from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar
 
 NEVER = float("inf")
 """Idleness of a cell that was never observed [s]."""
+MOST_DOUBLINGS = 5.0
+"""Number of doublings after which the interest of a cell stays the same."""
 
 
 class IdlenessMap(eqx.Module):
@@ -23,27 +25,52 @@ class IdlenessMap(eqx.Module):
     cell is `weight * ln 2` until it is observed, and 0 afterwards. With a finite memory (patrol),
     it grows again. t is the *idleness* of the patrolling literature.
 
+    With a finite memory the interest of a cell does not grow beyond `weight * ln 2`, and a small
+    corner far away stays less attractive than the large yard nearby. With `doubling`, the interest
+    is multiplied by
+
+        min(2^(t / doubling), 32)
+
+    so that what was not seen for long becomes worth the way. A cell that was never seen then begins
+    with an idleness of `memory`.
+
     Source: Machado, Ramalho, Zucker, Drogoul, "Multi-agent patrolling: an empirical analysis of
     alternative architectures", MABS 2002.
 
     Args:
         memory: time constant of forgetting [s]; by default observations are never forgotten.
         weight: weight of this information, relative to information on the occupancy.
+        doubling: time in which the interest of an unobserved cell doubles [s]; it does not grow
+            beyond `weight * ln 2` when absent.
 
     Raises:
-        ValueError: a memory that is not positive, a negative weight.
+        ValueError: a time that is not positive, a negative weight, a time of doubling without a
+            memory.
     """
 
     memory: Scalar | None
     weight: Scalar
+    doubling: Scalar | None
 
-    def __init__(self, memory: ArrayLike | None = None, weight: ArrayLike = 1.0) -> None:
+    def __init__(
+        self,
+        memory: ArrayLike | None = None,
+        weight: ArrayLike = 1.0,
+        doubling: ArrayLike | None = None,
+    ) -> None:
         self.memory = None if memory is None else _checks.scalar("memory", memory, above=0.0)
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
+        self.doubling = None
+        if doubling is not None:
+            self.doubling = _checks.scalar("doubling", doubling, above=0.0)
+            if self.memory is None:
+                raise ValueError("memory is None; accepted: a time [s], with a time of doubling")
 
     def init(self, shape: tuple[int, int]) -> GridValues:
         """Return the idleness (H, W) of cells that were never observed [s]."""
-        return jnp.full(shape, NEVER)
+        if self.doubling is None or self.memory is None:
+            return jnp.full(shape, NEVER)
+        return jnp.full(shape, self.memory)
 
     def seen(self, idleness: GridValues, is_seen: GridMask, elapsed: Scalar) -> GridValues:
         """Return the idleness (H, W) after a scan [s].
@@ -63,4 +90,7 @@ class IdlenessMap(eqx.Module):
             chance = jnp.where(jnp.isinf(idleness), 0.5, 0.0)
         else:
             chance = -0.5 * jnp.expm1(-idleness / self.memory)
-        return self.weight * (entr(chance) + entr(1.0 - chance))
+        interest = self.weight * (entr(chance) + entr(1.0 - chance))
+        if self.doubling is None:
+            return interest
+        return interest * jnp.exp2(jnp.minimum(idleness / self.doubling, MOST_DOUBLINGS))

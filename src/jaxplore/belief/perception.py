@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
+from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.car import CarMotion
 from jaxplore.belief.dwell import add_dwell, dwell_discount
@@ -18,6 +19,7 @@ from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTheSpot
 from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.belief.perception_checks import as_sensors, checked_test, safe_stride
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
@@ -50,6 +52,9 @@ class Perception(eqx.Module):
     With a `watch`, the belief also tracks the idleness of each cell. The interest of observing it
     is added to the information field, so that guidance leads there as well.
 
+    With `anomalies`, each scan of the first sensor is tested for what differs from the prior map,
+    and the information field leads to a second look (`AnomalyTest`).
+
     Args:
         sensors: sensor of the robot, or several. All of them update the map. Information and
             idleness are those of the first.
@@ -77,10 +82,12 @@ class Perception(eqx.Module):
             being a source of the guidance field; static.
         unknown_factor: additional cost per metre of unknown space in that cost-to-go.
         car: how a robot moves that cannot turn on the spot; by default it can.
+        anomalies: test for what differs from the prior map; none by default.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
-            goal.
+            goal; `anomalies` without a watch, with a ground, or with a first sensor that is no
+            lidar.
     """
 
     sensors: tuple[Sensor, ...]
@@ -99,6 +106,7 @@ class Perception(eqx.Module):
     max_unknown: Scalar
     ground: Ground | None
     watch: IdlenessMap | None
+    anomalies: AnomalyTest | None
     unknown_factor: Scalar
     is_goal_apart: bool = eqx.field(static=True)
     is_batched: bool = eqx.field(static=True)
@@ -126,6 +134,7 @@ class Perception(eqx.Module):
         is_goal_apart: bool = False,
         unknown_factor: ArrayLike = 0.5,
         car: CarMotion | None = None,
+        anomalies: AnomalyTest | None = None,
     ) -> None:
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
@@ -165,6 +174,7 @@ class Perception(eqx.Module):
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
         self.ground, self.watch = ground, watch
+        self.anomalies = checked_test(anomalies, self.sensors[0], ground, watch)
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
         if is_goal_apart and goal is None:
             raise ValueError("goal is None; accepted: a position, for a goal apart")
@@ -212,6 +222,7 @@ class Perception(eqx.Module):
         probability = jnp.where(stands_on, freed, grid.probability)
         grid = grid.with_probability(probability)
         clearance = self._clearance(grid)
+        anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
@@ -231,6 +242,7 @@ class Perception(eqx.Module):
             self._to_goal(grid),
             None,
             idleness,
+            anomalies,
         )
 
     def observe(
@@ -239,14 +251,19 @@ class Perception(eqx.Module):
         scans: Scan | Sequence[Scan],
         pose: Pose,
         elapsed: ArrayLike = 0.1,
+        time: ArrayLike | None = None,
     ) -> Belief:
         """Update the map, the clearance and the idleness of the belief by a scan of each sensor.
+
+        With a test for anomalies, the first scan is tested as well.
 
         Args:
             belief: belief before the scans.
             scans: one scan for each sensor.
             pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
             elapsed: time since the last scans [s], for the idleness.
+            time: time since the start [s], for reports of anomalies; the sum of the times elapsed
+                when absent.
 
         Raises:
             ValueError: another number of scans than there are sensors, an argument of another kind
@@ -255,6 +272,8 @@ class Perception(eqx.Module):
         _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.shaped("elapsed", elapsed, ())
+        if time is not None:
+            _checks.shaped("time", time, ())
         scans = (scans,) if isinstance(scans, Scan) else scans
         if not isinstance(scans, (list, tuple)):
             _kinds.instance("scans", scans, Scan, hint="or a list of one for each sensor")
@@ -262,7 +281,7 @@ class Perception(eqx.Module):
         if len(scans) != len(self.sensors):
             number = len(self.sensors)
             raise ValueError(f"scans has {len(scans)} scans; accepted: {number}, one per sensor")
-        grid, idleness = belief.grid, belief.idleness
+        grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
         # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
@@ -270,8 +289,14 @@ class Perception(eqx.Module):
             if index == 0 and self.watch is not None and idleness is not None:
                 step = jnp.asarray(elapsed, jnp.float32)
                 idleness = self.watch.seen(idleness, sighting.is_seen, step)
+            if index == 0 and self.anomalies is not None and anomalies is not None:
+                now = anomalies.time + elapsed if time is None else time
+                args = (sensor, grid, scan, sighting.is_seen, pose, jnp.asarray(now, jnp.float32))
+                anomalies = self.anomalies.update(anomalies, *args)
         clearance = self._clearance(grid)
-        return dataclasses.replace(belief, grid=grid, clearance=clearance, idleness=idleness)
+        return dataclasses.replace(
+            belief, grid=grid, clearance=clearance, idleness=idleness, anomalies=anomalies
+        )
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Update the information and guidance fields of the belief.
@@ -288,6 +313,8 @@ class Perception(eqx.Module):
         pose = _checks.pose("pose", pose)
         _checks.shaped("elapsed", elapsed, ())
         information = self._information(belief.grid, belief.idleness, belief.information)
+        if self.anomalies is not None and belief.anomalies is not None:
+            information = self.anomalies.attended(belief.anomalies, information, belief.grid)
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)
         guidance = self._guidance(belief.clearance, information, dwell, is_known)
@@ -366,33 +393,3 @@ class Perception(eqx.Module):
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
         )
-
-
-def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
-    """Return one sensor or several as a tuple; something else is a `ValueError`."""
-    if isinstance(sensors, Sensor):
-        return (sensors,)
-    if not isinstance(sensors, (list, tuple)):
-        _kinds.instance("sensors", sensors, Sensor, hint="or a list of them")
-    if not sensors:
-        raise ValueError("sensors is empty; accepted: a Sensor, or a list of them")
-    _kinds.instances("sensors", sensors, Sensor)
-    return tuple(sensors)
-
-
-def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
-    """Return the largest stride <= node_spacing / resolution at which no path can jump a wall.
-
-    A node of the guidance field is open if the robot fits at any cell of its block. Two such cells
-    in adjacent blocks are at most `sqrt(2) (2 s - 1)` cells apart. On two sides of a wall one cell
-    thick they are at least `2 radius` plus a cell apart.
-
-    Args:
-        node_spacing: wanted distance between nodes [m].
-        resolution: side of a map cell [m].
-        radius: radius of the robot's disc [m].
-    """
-    stride = max(1, round(node_spacing / resolution))
-    while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) * resolution >= 2 * radius + resolution:
-        stride -= 1
-    return stride

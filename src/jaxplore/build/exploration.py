@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 
+from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
@@ -85,6 +86,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         targets=world.targets or None,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
+        planted=None if settings.anomalies is None else world.planted,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     )
@@ -94,7 +96,7 @@ def _perception(
     settings: Settings, robot: Dynamics, world: RunWorld, sensors: tuple[Sensor, ...]
 ) -> Perception:
     goal = None if world.goal is None else world.goal[:2]
-    watch = settings.watch
+    watch, test = settings.watch, settings.anomalies
     # When absent, the default of `Perception` applies, not that of the scenario.
     unknown: dict[str, Any] = (
         {} if settings.max_unknown is None else {"max_unknown": settings.max_unknown}
@@ -107,6 +109,11 @@ def _perception(
         goal=goal,
         ground=world.ground,
         watch=None if watch is None else IdlenessMap(**arguments(watch, IdlenessMap)),
+        anomalies=(
+            None
+            if test is None
+            else AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest))
+        ),
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         car=car_motion(robot),

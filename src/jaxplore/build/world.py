@@ -9,6 +9,7 @@ from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
+from jaxplore.simulation.exploration.planted import PlantedAnomalies, planted_anomalies
 from jaxplore.simulation.exploration.reachability import open_spot, with_closed
 
 ENOUGH = 1.0 - 1e-6
@@ -28,6 +29,8 @@ class RunWorld(NamedTuple):
         ground: terrain; level when absent.
         targets: positions (x, y) of the targets [m].
         movers: moving obstacles.
+        forbidden: rectangles in which nobody may be [m].
+        planted: what differs from the prior map.
     """
 
     grid: OccupancyGrid
@@ -38,6 +41,8 @@ class RunWorld(NamedTuple):
     ground: Ground | None = None
     targets: tuple[tuple[float, ...], ...] = ()
     movers: tuple[MovingObstacle, ...] = ()
+    forbidden: tuple[tuple[float, ...], ...] = ()
+    planted: PlantedAnomalies | None = None
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
@@ -89,6 +94,8 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.ground(**options),
         world.targets,
         world.movers,
+        world.forbidden,
+        planted_anomalies(world),
     )
 
 

@@ -31,44 +31,25 @@ from jaxplore.maps.hills import hill_elevation, is_on_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
 from jaxplore.maps.resample import CELL_LIMIT, SLIVER
+from jaxplore.maps.shapes import Shapes as Shapes
+from jaxplore.maps.shapes import shape_lists, shapes_under
 
 FREE_PROBABILITY = 0.01
 """Probability of a free cell (quadrotor design notes)."""
+UNEXPECTED = ("hidden", "gone")
+"""Entries with the shapes in which the true world differs from the prior map."""
 UNKNOWN_PROBABILITY = 0.5
 """Prior probability of a cell in a zone."""
 SOLID_PROBABILITY = 0.99
 """Probability of a solid cell (quadrotor design notes)."""
 
 
-@dataclass(frozen=True)
-class Shapes:
-    """Solid obstacles: walls, rectangles and discs.
-
-    Args:
-        walls: segments (x1, y1, x2, y2) [m], whose half thickness is the world's `wall_reach`.
-        rectangles: rectangles (x_min, y_min, x_max, y_max) [m].
-        discs: discs (x, y, radius) [m].
-
-    Raises:
-        ValueError: an entry with a wrong count of numbers, a number that is not finite, a wall of
-            length 0, a rectangle with a minimum that is not below its maximum, a radius that is not
-            positive.
-    """
-
-    walls: tuple[Row, ...] = ()
-    rectangles: tuple[Row, ...] = ()
-    discs: tuple[Row, ...] = ()
-
-    def __post_init__(self) -> None:
-        for name in SHAPES:
-            object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
-
-
 @dataclass(frozen=True, kw_only=True)
 class World:
     """True world and the robot's prior knowledge of it, as two maps with the same cells.
 
-    Known obstacles are solid in both maps. Zones are unknown in the prior. Hidden obstacles are
+    Known obstacles are solid in both maps. Those that are gone are solid in the prior only, if no
+    other obstacle has their cells. Zones are unknown in the prior. Hidden obstacles are
     solid in the true world only; in the prior their cells are free, or unknown inside a zone. A
     cell belongs to a shape if its centre does; `jaxplore.maps.rasterise` explains how shapes
     smaller than a cell are kept.
@@ -88,6 +69,9 @@ class World:
             pit. See `jaxplore.maps.hills.hill_elevation`.
         targets: points (x, y) [m] that the robot has to see.
         movers: moving obstacles, discs on closed paths; they are in neither of the two maps.
+        gone: obstacles of the prior map that are not there: free in the true world.
+        forbidden: rectangles (x_min, y_min, x_max, y_max) in which nobody may be [m]. Whoever walks
+            there is an anomaly.
 
     Raises:
         ValueError: one line that names the entry, such as `hidden.walls[2]`: numbers that are not
@@ -112,10 +96,12 @@ class World:
     hills: tuple[Row, ...] = ()
     targets: tuple[Row, ...] = ()
     movers: tuple[MovingObstacle, ...] = ()
+    gone: Shapes = field(default_factory=Shapes)
+    forbidden: tuple[Row, ...] = ()
 
     def __post_init__(self) -> None:
         # The class is frozen, so checked values are written with `object.__setattr__`.
-        for name in ("known", "hidden"):
+        for name in ("known", "hidden", "gone"):
             _kinds.instance(name, getattr(self, name), Shapes)
         for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
@@ -136,29 +122,21 @@ class World:
         """Build a world from a mapping whose keys are the arguments of the class.
 
         `walls`, `rectangles` and `discs` at the top level are the known obstacles, those under
-        `hidden` the hidden ones. A mover is a mapping with `path`, `speed` and `radius`. `size` and
-        `start` are required.
+        `hidden` and `gone` the hidden ones and those that are gone. A mover is a mapping with
+        `path`, `speed` and `radius`. `size` and `start` are required.
 
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
         """
-        refuse_unknown("", entries, (*WORLD_ENTRIES, *SHAPES, "hidden"))
+        refuse_unknown("", entries, (*WORLD_ENTRIES, *SHAPES, *UNEXPECTED))
         for key in ("size", "start"):
             if key not in entries:
                 raise ValueError(f"{key} is missing; accepted: a world with size and start")
-        hidden = entries.get("hidden", {})
-        if not isinstance(hidden, Mapping):
-            raise ValueError(
-                f"hidden is {untrusted.short_repr(hidden)}; accepted: a mapping with "
-                + ", ".join(SHAPES)
-            )
-        refuse_unknown("hidden: ", hidden, SHAPES)
-        try:
-            hidden_shapes = Shapes(**checked(hidden, SHAPES))
-        except ValueError as error:
-            raise ValueError(f"hidden.{error}") from None
+        unexpected: dict[str, Any] = {
+            name: shapes_under(name, entries.get(name, {})) for name in UNEXPECTED
+        }
         known = Shapes(**checked(entries, SHAPES))
-        return cls(known=known, hidden=hidden_shapes, **checked(entries, WORLD_ENTRIES))
+        return cls(known=known, **unexpected, **checked(entries, WORLD_ENTRIES))
 
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> "World":
@@ -181,13 +159,15 @@ class World:
             "size": list(self.size),
             "resolution": self.resolution,
             "wall_reach": self.wall_reach,
-            **_lists(self.known),
+            **shape_lists(self.known),
             "zones": [list(zone) for zone in self.zones],
-            "hidden": _lists(self.hidden),
+            "hidden": shape_lists(self.hidden),
             "start": list(self.start),
         }
         if self.goal is not None:
             entries["goal"] = list(self.goal)
+        if self.gone != Shapes():
+            entries["gone"] = shape_lists(self.gone)
         # Empty lists are left out, so that a file lists only what its world has.
         extras = {kind: [_plain(row) for row in getattr(self, kind)] for kind in OPTIONAL_LISTS}
         return entries | {kind: rows for kind, rows in extras.items() if rows}
@@ -224,12 +204,13 @@ class World:
     def prior(self) -> OccupancyGrid:
         """Return the robot's map at the start.
 
-        It is 0.99 in known obstacles, else 0.5 in zones, else 0.01. Hidden obstacles are absent.
+        It is 0.99 in known obstacles and those that are gone, else 0.5 in zones, else 0.01. Hidden
+        obstacles are absent.
         """
         return self._painted(
             # Later layers cover earlier ones: known obstacles inside a zone are known.
             (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
-            (self._solid(self.known), SOLID_PROBABILITY),
+            (self._solid(self.known) | self._solid(self.gone), SOLID_PROBABILITY),
         )
 
     def ground(self, **options: Any) -> Ground | None:
@@ -299,7 +280,11 @@ class World:
     def _checked_solid(self) -> NDArray[np.bool_]:
         """Return the solid cells of the true world; raise if a shape covers no cell."""
         solid = np.zeros(self.shape, bool)
-        for prefix, shapes in (("", self.known), ("hidden.", self.hidden)):
+        for prefix, shapes in (
+            ("", self.known),
+            ("hidden.", self.hidden),
+            ("gone.", self.gone),
+        ):
             for kind in SHAPES:
                 for index, row in enumerate(getattr(shapes, kind)):
                     # One shape at a time, so that the message can name the one that is off the map.
@@ -309,7 +294,8 @@ class World:
                             f"{prefix}{kind}[{index}] is {list(row)}, off the map; accepted: "
                             f"something with a cell on the map, {self._extent()}"
                         )
-                    solid |= mask
+                    if shapes is not self.gone:
+                        solid |= mask
         return solid
 
     def _check_place(self, name: str, place: Row, solid: NDArray[np.bool_]) -> None:
@@ -386,10 +372,6 @@ def three_zones() -> World:
         start=(0.8, 3.2, 0.0),
         goal=(9.0, 5.0, -2.0),
     )
-
-
-def _lists(shapes: Shapes) -> dict[str, list[list[float]]]:
-    return {kind: [list(row) for row in getattr(shapes, kind)] for kind in SHAPES}
 
 
 def _plain(entry: Row | MovingObstacle) -> object:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from jaxplore._spelling import spelled
+from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.maps.generators.office import office
@@ -85,6 +86,21 @@ class WatchSettings(Section):
 
     memory: Positive | None = setting(IdlenessMap, "memory")
     weight: NonNegative = setting(IdlenessMap, "weight")
+    doubling: Positive | None = setting(IdlenessMap, "doubling")
+
+
+class AnomalySettings(Section):
+    """The test for what differs from the known map: see `jaxplore.belief.AnomalyTest`."""
+
+    false_alarms: Probability = setting(AnomalyTest, "false_alarms")
+    outliers: Probability = setting(AnomalyTest, "outliers")
+    near: Positive = setting(AnomalyTest, "near")
+    baseline: NonNegative = setting(AnomalyTest, "baseline")
+    looks: Count = setting(AnomalyTest, "looks")
+    expiry: Positive = setting(AnomalyTest, "expiry")
+    attention: Annotated[float, Field(ge=0, lt=1)] = setting(AnomalyTest, "attention")
+    radius: Positive = setting(AnomalyTest, "radius")
+    range_noise: Positive | None = setting(AnomalyTest, "range_noise")
 
 
 class TerrainSettings(Section):
@@ -244,6 +260,7 @@ class Settings(RunSettings):
         lidar: the lidar of the robot.
         camera: the camera, which becomes the primary sensor; no camera when absent.
         watch: settings of the idleness map, for search and patrol; none when absent.
+        anomalies: the test for what differs from the known map; none when absent. It needs a watch.
         terrain: the ground.
         sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
@@ -269,6 +286,7 @@ class Settings(RunSettings):
     lidar: LidarSettings = LidarSettings()
     camera: CameraSettings | None = None
     watch: WatchSettings | None = None
+    anomalies: AnomalySettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()

@@ -190,6 +190,9 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         ),
         "camera": Reader("runs with a camera", lambda settings: settings.camera is not None),
         "watch": Reader("runs with a watch", lambda settings: settings.watch is not None),
+        "anomalies": Reader(
+            "runs that test for anomalies", lambda settings: settings.anomalies is not None
+        ),
         "terrain.height_map": Reader("ROS maps, worlds", lambda settings: not _is_office(settings)),
         "portfolio": _PORTFOLIO,
         "portfolio.members": _also(

@@ -20,7 +20,7 @@ from jaxplore.maps.rasterise import TOLERANCE
 Row = tuple[float, ...]
 
 SHAPES = ("walls", "rectangles", "discs")
-OPTIONAL_LISTS = ("hills", "targets", "movers")
+OPTIONAL_LISTS = ("hills", "targets", "movers", "forbidden")
 WORLD_ENTRIES = (
     *("origin", "size", "resolution", "wall_reach", "zones", "start", "goal"),
     *OPTIONAL_LISTS,
@@ -168,6 +168,7 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {
     "rectangles": _rectangles,
     "discs": _discs,
     "zones": _rectangles,
+    "forbidden": _rectangles,
     "origin": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
     "size": _size,
     "resolution": lambda name, value: _number(name, value, above=0.0),

@@ -12,6 +12,8 @@ CLOSED, CLOSED_SHARE = (112, 68, 30), 0.5
 """Colour of untraversable ground, and its opacity over the belief."""
 TARGET = (91, 42, 134)
 """Colour of targets."""
+ALARM = (190, 24, 93)
+"""Colour of anomalies."""
 MOVER, MOVER_EDGE = (43, 48, 58), (250, 204, 21)
 """Colours of a moving obstacle and of its edge."""
 SERIES = ("#1c64be", "#d1495b", "#2b5625", "#b5651d", "#7d5690", "#3f334e")

@@ -7,6 +7,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing.colours import (
+    ALARM,
     CLOSED,
     CLOSED_SHARE,
     FREE,
@@ -38,6 +39,7 @@ from jaxplore.report.drawing.palette import (
 )
 from jaxplore.report.drawing.picture import SUPERSAMPLING, WIDTH, pairs
 from jaxplore.report.drawing.shapes import draw_body, draw_line, draw_rollouts, draw_targets
+from jaxplore.report.exploration.anomalies import found_at, middles
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
@@ -140,6 +142,9 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
+    if recording.anomalies is not None:
+        is_found = found_at(recording.anomalies) <= frame.time
+        draw_targets(canvas, draw, middles(recording.anomalies), is_found, ALARM)
     _draw_moving_obstacles(canvas, frame, draw)
     draw_rollouts(canvas, draw, frame.samples, frame.weights)
     if len(frame.reference) > 1:
@@ -204,6 +209,8 @@ def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) 
         given += [blend(CLOSED, ground, CLOSED_SHARE) for ground in (FREE, UNKNOWN)]
     if len(recording.targets):
         given.append(TARGET)
+    if recording.anomalies is not None:
+        given.append(ALARM)
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
     return fitted_palette(given, pictures)

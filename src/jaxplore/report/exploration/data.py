@@ -63,6 +63,28 @@ class ExplorationRecord(NamedTuple):
     members: Members | None
 
 
+class AnomalyData(NamedTuple):
+    """What differs from the known map, and what the robot found of it.
+
+    Args:
+        boxes: (P, 4) rectangles (x_min, y_min, x_max, y_max) of what differs [m].
+        kinds: (P,) kinds, the keys of `belief.anomaly_reports.KIND_NAMES`.
+        place: (R, 2) places that the robot suspected [m].
+        kind: (R,) their kinds.
+        suspected: (R,) times of the suspicions [s].
+        reported: (R,) times of the reports [s]; infinite without a second look.
+        num_cleared: number of suspicions that the second look did not confirm.
+    """
+
+    boxes: np.ndarray
+    kinds: np.ndarray
+    place: np.ndarray
+    kind: np.ndarray
+    suspected: np.ndarray
+    reported: np.ndarray
+    num_cleared: int
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExplorationFrame(Frame):
     """A snapshot of an exploration run.
@@ -128,6 +150,7 @@ class ExplorationData(RunData):
             idleness map.
         mover_radii: (M,) radii of the moving obstacles [m].
         member_names: names of the members of a controller that holds several.
+        anomalies: what differs from the known map, and what was found of it; None without a test.
     """
 
     records: ExplorationRecord
@@ -156,6 +179,7 @@ class ExplorationData(RunData):
     idleness: np.ndarray | None
     mover_radii: np.ndarray
     member_names: tuple[str, ...]
+    anomalies: AnomalyData | None = None
 
     @property
     def positions(self) -> np.ndarray:

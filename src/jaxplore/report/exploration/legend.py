@@ -1,6 +1,7 @@
 """The legend of an exploration animation: an entry for everything that its frames show."""
 
 from jaxplore.report.drawing.colours import (
+    ALARM,
     CLOSED,
     CLOSED_SHARE,
     FREE,
@@ -35,6 +36,7 @@ def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Ent
         has_closed: whether the picture shows untraversable ground.
     """
     frames = recording.frames
+    has_anomalies = recording.anomalies is not None and len(recording.anomalies.boxes) > 0
     entries = (
         (Entry("robot", ROBOT, "disc"), True),
         (Entry("trail", TRAIL, "line"), recording.num_steps > 0),
@@ -49,6 +51,8 @@ def legend_entries(recording: ExplorationData, *, has_closed: bool) -> tuple[Ent
         (Entry("goal", REFERENCE, "disc"), recording.goal is not None),
         (Entry("target", TARGET, "star"), len(recording.targets) > 0),
         (Entry("target found", TARGET, "found"), len(recording.targets) > 0),
+        (Entry("anomaly", ALARM, "star"), has_anomalies),
+        (Entry("reported", ALARM, "found"), has_anomalies),
         (Entry("mover", MOVER, "disc", MOVER_EDGE), len(recording.mover_radii) > 0),
         (Entry("untraversable", blend(CLOSED, FREE, CLOSED_SHARE)), has_closed),
     )

@@ -2,11 +2,13 @@
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
 from jaxplore.report._numbers import finite, numbers, percent, text
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.anomalies import anomaly_rows, false_alarms, found_at
+from jaxplore.report.exploration.data import AnomalyData, ExplorationData
 from jaxplore.report.exploration.missions import (
     fusion_means,
     idleness,
@@ -63,6 +65,14 @@ class ExplorationMetrics(Metrics):
             they were finite. None of any other controller.
         diversity: mean distance between two members' controls [half ranges].
         replaced: share of the steps in which a member's plan took the place of the mixture.
+        num_anomalies: number of places where the world differs from the known map; 0 without a test
+            for anomalies.
+        anomalies_found: number of them that were reported after a second look, with their kind.
+        false_alarms: number of reports of places where nothing differs.
+        cleared: number of suspicions that the second look did not confirm.
+        last_anomaly_at: time at which the last anomaly was reported [s]; None if some were not.
+        reports: the reports by time: `kind`, `place` [m], `suspected_at` and `reported_at` [s], and
+            whether something `is_planted` there; None without a test for anomalies.
         reachable_area: area of the reachable cells [m^2].
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
@@ -99,6 +109,12 @@ class ExplorationMetrics(Metrics):
     members: dict[str, dict[str, float | None]] | None
     diversity: float | None
     replaced: float | None
+    num_anomalies: int
+    anomalies_found: int
+    false_alarms: int
+    cleared: int
+    last_anomaly_at: float | None
+    reports: list[dict[str, Any]] | None
     reachable_area: float
     longest_stall: float
     coverage_curve: dict[str, list[float | None]] = dataclasses.field(repr=False)
@@ -155,6 +171,10 @@ class ExplorationMetrics(Metrics):
         Column.quartiles(
             "worst_idleness", "idle worst [s]", applies=lambda spread: math.isfinite(spread[0])
         ),
+        Column.quartiles(
+            "anomalies_found", "anomalies found", applies=lambda spread: spread[2] > 0.0
+        ),
+        Column.total("false_alarms", "false alarms", applies=lambda total: total > 0),
         Column.total("collisions", "collisions"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
@@ -247,6 +267,18 @@ class ExplorationMetrics(Metrics):
         elif self.mean_idleness is not None:
             both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
             rows.append(("idleness", f"{both}, in the second half"))
+        return [*rows, *self._anomaly_rows()]
+
+    def _anomaly_rows(self) -> list[tuple[str, str]]:
+        if self.reports is None:
+            return []
+        alarms = f"{self.false_alarms} false alarms, {self.cleared} suspicions dropped"
+        rows = [("anomalies", f"{self.anomalies_found} of {self.num_anomalies} found; {alarms}")]
+        for each in self.reports:
+            x, y = each["place"]
+            where = f"({x:.1f}, {y:.1f}) m after {each['reported_at']:.1f} s"
+            known = "" if each["is_planted"] else ", a false alarm"
+            rows.append((f"  {each['kind']}", where + known))
         return rows
 
     def _member_rows(self) -> list[tuple[str, str]]:
@@ -325,6 +357,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         members=member_means(recording),
         diversity=diversity,
         replaced=replaced,
+        **_anomalies(recording.anomalies),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
         coverage_curve=sampled_series(curve, period),
@@ -345,6 +378,18 @@ def _goal_distance(recording: ExplorationData) -> float | None:
     if recording.goal is None:
         return None
     return float(np.hypot(*(recording.positions[-1] - recording.goal)))
+
+
+def _anomalies(found: AnomalyData | None) -> dict[str, Any]:
+    times = np.zeros(0) if found is None else found_at(found)
+    return {
+        "num_anomalies": len(times),
+        "anomalies_found": int(np.isfinite(times).sum()),
+        "false_alarms": 0 if found is None else false_alarms(found),
+        "cleared": 0 if found is None else found.num_cleared,
+        "last_anomaly_at": finite(times.max()) if len(times) else None,
+        "reports": anomaly_rows(found),
+    }
 
 
 def _first(mask: np.ndarray) -> int | None:

@@ -17,6 +17,7 @@ from jaxplore.report.drawing.colours import (
 )
 from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import style_count
+from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.overlays import (
@@ -144,6 +145,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
     add_moving_obstacles(axes, recording, window)
+    add_anomalies(axes, recording.anomalies, window)
     add_footprint(axes, recording, window)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""

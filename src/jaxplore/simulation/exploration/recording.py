@@ -6,12 +6,14 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore._types import Position, Scalar, StateVector
+from jaxplore.belief.anomalies import Anomalies
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.data import AnomalyData, ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.map_arrays import MapArrays
+from jaxplore.simulation.exploration.planted import PlantedAnomalies
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.robot_fields import robot_fields
 
@@ -27,6 +29,7 @@ def make_recording(
     target_coverage: Scalar,
     targets: Float[Array, "M 2"],
     member_names: tuple[str, ...],
+    planted: PlantedAnomalies | None = None,
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
@@ -41,6 +44,7 @@ def make_recording(
         target_coverage: share of the reachable cells that must be known; above 1 for none.
         targets: (M, 2) positions of the targets [m].
         member_names: names of the controller's members.
+        planted: what differs from the prior map; none when absent.
     """
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
@@ -67,5 +71,22 @@ def make_recording(
         elevation=None if ground is None else np.asarray(ground.elevation),
         traversable=None if ground is None else np.asarray(ground.is_traversable),
         idleness=None if belief.idleness is None else cropped(belief.idleness),
+        anomalies=_anomalies(belief.anomalies, planted),
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
+    )
+
+
+def _anomalies(found: Anomalies | None, planted: PlantedAnomalies | None) -> AnomalyData | None:
+    if found is None:
+        return None
+    is_used = np.asarray(found.reports.kind) > 0
+    rows = {name: np.asarray(values)[is_used] for name, values in found.reports._asdict().items()}
+    return AnomalyData(
+        boxes=np.zeros((0, 4)) if planted is None else np.asarray(planted.boxes, np.float64),
+        kinds=np.zeros(0, np.int32) if planted is None else np.asarray(planted.kinds),
+        place=rows["place"],
+        kind=rows["kind"],
+        suspected=rows["suspected"],
+        reported=rows["reported"],
+        num_cleared=int(found.num_cleared),
     )

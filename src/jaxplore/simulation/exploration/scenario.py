@@ -28,7 +28,8 @@ from jaxplore._types import (
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
-from jaxplore.belief.perception import Perception, as_sensors
+from jaxplore.belief.perception import Perception
+from jaxplore.belief.perception_checks import as_sensors
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import clearance_reach
@@ -49,6 +50,7 @@ from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.planted import PlantedAnomalies
 from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
@@ -105,6 +107,7 @@ class ExplorationScenario(Scenario):
         moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
             those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
+        planted: what differs from the prior map, to judge reports of anomalies; none when absent.
 
     Raises:
         ValueError: a part of another class; a perception made for another range, resolution or
@@ -135,6 +138,7 @@ class ExplorationScenario(Scenario):
     targets: Float[Array, "M 2"]
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
+    planted: PlantedAnomalies | None
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -159,6 +163,7 @@ class ExplorationScenario(Scenario):
         targets: Rows | None = None,
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = (0.05, 0.1),
+        planted: PlantedAnomalies | None = None,
     ) -> None:
         all_sensors = as_sensors(sensors)
         _kinds.instance("world", world, OccupancyGrid, TerrainMap)
@@ -200,7 +205,7 @@ class ExplorationScenario(Scenario):
         self.map_arrays = MapArrays(world, known, reachable, ground).padded()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
-        self.perception = perception
+        self.perception, self.planted = perception, planted
 
     @property
     def world(self) -> OccupancyGrid:
@@ -327,15 +332,9 @@ class ExplorationScenario(Scenario):
         Args:
             state: the task's state, with the map that the robot knows in `belief.grid`.
         """
-        return is_finished(
-            self.robot.position(state.robot),
-            state.progress,
-            state.is_seen,
-            self.target_coverage,
-            self.goal,
-            self.goal_radius,
-            self.max_unknown,
-        )
+        position = self.robot.position(state.robot)
+        end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
+        return is_finished(position, state.progress, state.is_seen, *end)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage as text."""
@@ -386,7 +385,8 @@ class ExplorationScenario(Scenario):
         names = () if controller is None else controller.member_names
         parts = (self.robot, self.start, self.period)
         end = (self.goal, self.target_coverage, self.targets)
-        return make_recording(before, run, self.map_arrays.cropped(), *parts, *end, names)
+        arrays = self.map_arrays.cropped()
+        return make_recording(before, run, arrays, *parts, *end, names, self.planted)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""

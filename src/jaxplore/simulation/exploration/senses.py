@@ -67,7 +67,7 @@ class Senses(NamedTuple):
             at = self.robot.pose(state.robot)
             scans = truth.scans(self.sensors, at, key)
             since = period * self.steps_per_scan.astype(jnp.float32)
-            belief = perception.observe(belief, scans, pose, since)
+            belief = perception.observe(belief, scans, pose, since, moment.time)
             if self.targets.shape[0] > 0:
                 is_seen |= self.sensors[0].sees(truth.grid, at, self.targets, truth.ground)
             known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)

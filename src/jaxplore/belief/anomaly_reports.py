@@ -1,0 +1,157 @@
+"""The list of what looked different from the known map: suspicions and reports."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore._types import Flag, GridMask, GridValues, Pose, Position, Scalar
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+
+MAX_REPORTS = 8
+"""Number of suspicions and reports that a robot keeps. Shapes in a compiled loop are fixed."""
+APPEARED, GONE, PERSON = 1, 2, 3
+"""Kinds of an anomaly; 0 marks an unused row."""
+KIND_NAMES = {APPEARED: "appeared", GONE: "gone", PERSON: "person"}
+"""Names of the kinds."""
+SIGHT = 0.5
+"""A place counts as looked at if a cell within this distance was observed [m]."""
+
+
+class Reports(NamedTuple):
+    """Suspicions and reports, K rows in the order in which they were filled.
+
+    Args:
+        place: (K, 2) position [m].
+        kind: (K,) kind; 0 for an unused row.
+        suspected: (K,) time of the suspicion [s]; infinite in an unused row.
+        reported: (K,) time of the report [s]; infinite until a second look has confirmed it.
+        seen_from: (K, 2) position of the robot at the suspicion [m].
+        looks: (K,) number of scans of the second look.
+    """
+
+    place: Float[Array, "K 2"]
+    kind: Int[Array, " K"]
+    suspected: Float[Array, " K"]
+    reported: Float[Array, " K"]
+    seen_from: Float[Array, "K 2"]
+    looks: Int[Array, " K"]
+
+    @classmethod
+    def none(cls) -> "Reports":
+        """Return a list without entries."""
+        count = MAX_REPORTS
+        nowhere, never = jnp.zeros((count, 2)), jnp.full(count, jnp.inf)
+        zeros = jnp.zeros(count, jnp.int32)
+        return cls(nowhere, zeros, never, never, nowhere, zeros)
+
+    @property
+    def is_open(self) -> Bool[Array, " K"]:
+        """Mask (K,) of the suspicions that wait for a second look."""
+        return (self.kind > 0) & jnp.isinf(self.reported)
+
+    def away(self, centres: Float[Array, "H W 2"]) -> Float[Array, "K H W"]:
+        """Return the square of the distance between each place and each cell [m^2].
+
+        Args:
+            centres: (H, W, 2) centres of the cells [m].
+        """
+        return jax.vmap(square_distance, (None, 0))(centres, self.place)
+
+    def opened(
+        self, is_new: Flag, place: Position, kind: Array, time: Scalar, pose: Pose
+    ) -> "Reports":
+        """Return the list with one more suspicion; unchanged if it is full.
+
+        Args:
+            is_new: whether there is a suspicion.
+            place: its position [m].
+            kind: its kind.
+            time: time since the start [s].
+            pose: pose of the robot [m, m, rad].
+        """
+        row = jnp.argmin(self.kind)
+        is_put = is_new & (self.kind[row] == 0) & (jnp.arange(MAX_REPORTS) == row)
+        return self._replace(
+            place=jnp.where(is_put[:, None], place, self.place),
+            kind=jnp.where(is_put, kind, self.kind),
+            suspected=jnp.where(is_put, time, self.suspected),
+            seen_from=jnp.where(is_put[:, None], pose[:2], self.seen_from),
+            looks=jnp.where(is_put, 0, self.looks),
+        )
+
+    def looked(
+        self, is_sighted: Bool[Array, " K"], is_confirmed: Bool[Array, " K"], time: Scalar
+    ) -> "Reports":
+        """Return the list after a scan of the second look.
+
+        Args:
+            is_sighted: (K,) whether the scan observed the place.
+            is_confirmed: (K,) whether the anomaly is there.
+            time: time since the start [s].
+        """
+        return self._replace(
+            reported=jnp.where(is_confirmed, time, self.reported),
+            looks=self.looks + is_sighted.astype(jnp.int32),
+        )
+
+    def dropped(self, is_dropped: Bool[Array, " K"]) -> "Reports":
+        """Return the list without some of its rows (K,)."""
+        return self._replace(
+            kind=jnp.where(is_dropped, 0, self.kind),
+            suspected=jnp.where(is_dropped, jnp.inf, self.suspected),
+        )
+
+
+def cell_centres(grid: OccupancyGrid) -> Float[Array, "H W 2"]:
+    """Return the centres (x, y) of the cells of a grid [m]."""
+    height, width = grid.shape
+    rows, columns = jnp.mgrid[:height, :width]
+    return grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+
+
+def square_distance(centres: Float[Array, "H W 2"], place: Position) -> GridValues:
+    """Return the square of the distance of each centre from a place [m^2]."""
+    return jnp.square(centres[..., 0] - place[0]) + jnp.square(centres[..., 1] - place[1])
+
+
+class Channel(NamedTuple):
+    """Evidence of one sort of anomaly in each cell.
+
+    Args:
+        evidence: (H, W) cumulative sums of log-likelihood ratios [nat].
+        kinds: (H, W) kind that an alarm in each cell has.
+        is_people: whether it is the evidence of persons.
+    """
+
+    evidence: GridValues
+    kinds: Int[Array, "H W"]
+    is_people: bool
+
+    def owns(self, kind: Int[Array, " K"]) -> Bool[Array, " K"]:
+        """Return which rows of a list (K,) with these kinds are of this sort."""
+        return (kind > 0) & ((kind == PERSON) == self.is_people)
+
+    def peak(
+        self, threshold: Scalar, is_closed: GridMask, centres: Float[Array, "H W 2"], radius: Scalar
+    ) -> tuple[Flag, Position, Array]:
+        """Return whether a cell has crossed the threshold, and the place and kind of the alarm.
+
+        The place is the mean of the cells near the greatest evidence that have crossed it.
+
+        Args:
+            threshold: the threshold [nat].
+            is_closed: (H, W) cells that raise no alarm.
+            centres: (H, W, 2) centres of the cells [m].
+            radius: distance within which cells belong to one alarm [m].
+        """
+        crossed = (self.evidence >= threshold) & ~is_closed
+        best = jnp.argmax(jnp.where(crossed, self.evidence, -jnp.inf))
+        row, column = jnp.unravel_index(best, crossed.shape)
+        kind = self.kinds[row, column]
+        near = square_distance(centres, centres[row, column]) <= radius**2
+        near = near & crossed & (self.kinds == kind)
+        weight = near.astype(jnp.float32)
+        place = jnp.einsum("hw,hwc->c", weight, centres) / jnp.maximum(jnp.sum(weight), 1.0)
+        return crossed.any(), place, kind

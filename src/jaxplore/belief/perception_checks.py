@@ -1,0 +1,75 @@
+"""Checks of the arguments of a perception."""
+
+import math
+from collections.abc import Sequence
+
+from jaxplore import _kinds
+from jaxplore.belief.anomalies import AnomalyTest
+from jaxplore.belief.idleness import IdlenessMap
+from jaxplore.maps.ground import Ground
+from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.lidar import Lidar
+
+
+def checked_test(
+    anomalies: AnomalyTest | None,
+    sensor: Sensor,
+    ground: Ground | None,
+    watch: IdlenessMap | None,
+) -> AnomalyTest | None:
+    """Check that a perception can test for anomalies, and return the test.
+
+    Args:
+        anomalies: the test; None for none.
+        sensor: first sensor.
+        ground: ground of the map's cells; None if it is level.
+        watch: idleness map; None without one.
+
+    Raises:
+        ValueError: a test without a watch, with a ground, or for another sensor than a lidar.
+    """
+    _kinds.instance("anomalies", anomalies, AnomalyTest, may_be_none=True)
+    if anomalies is None:
+        return None
+    if watch is None:
+        raise ValueError("watch is None; accepted: an IdlenessMap, with a test for anomalies")
+    if ground is not None:
+        raise ValueError("ground is given; accepted with a test for anomalies: level ground")
+    if not isinstance(sensor, Lidar):
+        kind = type(sensor).__name__
+        raise ValueError(f"sensors begin with a {kind}; accepted with a test for anomalies: Lidar")
+    return anomalies
+
+
+def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
+    """Return one sensor or several as a tuple.
+
+    Raises:
+        ValueError: no sensor, or something that is not a sensor.
+    """
+    if isinstance(sensors, Sensor):
+        return (sensors,)
+    if not isinstance(sensors, (list, tuple)):
+        _kinds.instance("sensors", sensors, Sensor, hint="or a list of them")
+    if not sensors:
+        raise ValueError("sensors is empty; accepted: a Sensor, or a list of them")
+    _kinds.instances("sensors", sensors, Sensor)
+    return tuple(sensors)
+
+
+def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
+    """Return the largest stride <= node_spacing / resolution at which no path can jump a wall.
+
+    A node of the guidance field is open if the robot fits at any cell of its block. Two such cells
+    in adjacent blocks are at most `sqrt(2) (2 s - 1)` cells apart. On two sides of a wall one cell
+    thick they are at least `2 radius` plus a cell apart.
+
+    Args:
+        node_spacing: wanted distance between nodes [m].
+        resolution: side of a map cell [m].
+        radius: radius of the robot's disc [m].
+    """
+    stride = max(1, round(node_spacing / resolution))
+    while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) * resolution >= 2 * radius + resolution:
+        stride -= 1
+    return stride

@@ -1,0 +1,175 @@
+"""Likelihood ratio of a change in a cell against a known map, from the range of each beam."""
+
+import math
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax.scipy.special import erf
+from jax.scipy.stats import norm
+from jaxtyping import Array, Bool, Float
+
+from jaxplore._types import Scalar
+from jaxplore.geometry.rays import RayCells
+
+REACH = 4.0
+"""A beam that ends more than this many standard deviations before a cell says nothing about it."""
+
+
+class BeamModel(NamedTuple):
+    """Density of the range of a beam.
+
+    With probability `1 - outliers` the beam meets what the map says, and the range has Gaussian
+    noise. Otherwise the range is uniform up to the greatest one, or nothing returns, with equal
+    shares.
+
+    Source: the beam model of Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, section 6.3.
+
+    Args:
+        noise: standard deviation of a range [m].
+        max_range: greatest range [m].
+        outliers: probability that a range says nothing, in (0, 1).
+    """
+
+    noise: Scalar
+    max_range: float
+    outliers: Scalar
+
+    @property
+    def stray(self) -> Scalar:
+        """Density of a stray range [1/m]."""
+        return 0.5 * self.outliers / self.max_range
+
+    def as_known(
+        self,
+        ranges: Float[Array, " B"],
+        is_return: Bool[Array, " B"],
+        expected: Float[Array, " B"],
+        is_wall: Bool[Array, " B"],
+    ) -> Float[Array, " B"]:
+        """Return the log-density of each range if the world is as the map says.
+
+        Args:
+            ranges: measured ranges [m].
+            is_return: mask of the beams that returned.
+            expected: distance to the first cell that is not free on the map [m]; infinite if none.
+            is_wall: whether that cell is occupied. Behind one that is unknown, all ranges are
+                equally likely.
+        """
+        is_met = expected < self.max_range
+        hit = norm.pdf(ranges, jnp.where(is_met, expected, 0.0), self.noise)
+        hit = jnp.where(is_wall, hit, 0.5 * self._beyond(ranges, expected))
+        density = jnp.where(is_met, (1.0 - self.outliers) * hit, 0.0) + self.stray
+        none = jnp.where(is_wall, 0.0, 0.5 * (1.0 - self.outliers)) + 0.5 * self.outliers
+        none = jnp.where(is_met, none, 1.0 - 0.5 * self.outliers)
+        return jnp.log(jnp.where(is_return, density, none))
+
+    def with_obstacle(
+        self,
+        ranges: Float[Array, " B"],
+        entry: Float[Array, "B N"],
+        exit_: Float[Array, "B N"],
+    ) -> Float[Array, "B N"]:
+        """Return the log-density of each range, of a beam that ends somewhere in each cell.
+
+        Args:
+            ranges: measured ranges [m].
+            entry: distance at which each cell is entered [m], where the one before is left.
+            exit_: distance at which it is left [m].
+        """
+        # A cell is entered where the one before is left, so each edge is evaluated once.
+        edges = jnp.concatenate([entry[:, :1], exit_], axis=1)
+        below = erf((ranges[:, None] - edges) / (math.sqrt(2.0) * self.noise))
+        inside = 0.5 * (below[:, :-1] - below[:, 1:])
+        length = jnp.maximum(exit_ - entry, 1e-6)
+        return jnp.log((1.0 - self.outliers) * inside / length + self.stray)
+
+    def without_wall(
+        self,
+        ranges: Float[Array, " B"],
+        is_return: Bool[Array, " B"],
+        expected: Float[Array, " B"],
+    ) -> Float[Array, " B"]:
+        """Return the log-density of each range if the expected wall is gone.
+
+        The beam then returns from somewhere behind it or not at all, with equal shares.
+
+        Args:
+            ranges: measured ranges [m].
+            is_return: mask of the beams that returned.
+            expected: distance to the wall on the map [m].
+        """
+        share = 0.5 * (1.0 - self.outliers)
+        density = share * self._beyond(ranges, expected) + self.stray
+        return jnp.log(jnp.where(is_return, density, share + 0.5 * self.outliers))
+
+    def _beyond(
+        self, ranges: Float[Array, " B"], expected: Float[Array, " B"]
+    ) -> Float[Array, " B"]:
+        """Return the uniform density [1/m] of ranges between an expected and the greatest one."""
+        room = jnp.maximum(self.max_range - expected, self.noise)
+        return jnp.where(ranges > expected, 1.0 / room, 0.0)
+
+
+class Evidence(NamedTuple):
+    """Log-likelihood ratios (B, N) of each beam for each of its cells; 0 where it says nothing.
+
+    Args:
+        change: for a free cell, that something is in it; for the wall that a beam meets first,
+            that it is gone.
+        person: that somebody is in the cell.
+    """
+
+    change: Float[Array, "B N"]
+    person: Float[Array, "B N"]
+
+
+def beam_evidence(
+    model: BeamModel,
+    cells: RayCells,
+    is_free: Bool[Array, "B N"],
+    is_occupied: Bool[Array, "B N"],
+    ranges: Float[Array, " B"],
+    is_return: Bool[Array, " B"],
+    resolution: float,
+) -> Evidence:
+    """Return the log-likelihood ratios of changes against a known map.
+
+    The ratio of a cell is that of the range's density with the change to its density without.
+    A beam that ended at a moving obstacle, before the greatest range and without a return, is
+    evidence of a person alone.
+
+    Args:
+        model: density of a range.
+        cells: cells of each beam, nearest first.
+        is_free: mask of the cells that are free on the map.
+        is_occupied: mask of the cells that are occupied on the map.
+        ranges: measured ranges [m].
+        is_return: mask of the beams that returned.
+        resolution: side of a cell [m].
+    """
+    entry, exit_ = cells.entry * resolution, cells.exit * resolution
+    blocks = cells.is_crossed & ~is_free
+    expected = jnp.where(blocks, entry, jnp.inf).min(axis=-1)
+    is_first = blocks & (entry == expected[:, None])
+    is_wall = (is_first & is_occupied).any(axis=-1)
+    # An infinite distance would make the densities NaN.
+    bounded = jnp.minimum(expected, model.max_range)
+    met_person = ~is_return & (ranges < model.max_range)
+    known = model.as_known(ranges, is_return, jnp.where(is_wall, bounded, expected), is_wall)
+    present = model.with_obstacle(ranges, entry, exit_)
+    gone = model.without_wall(ranges, is_return, bounded)
+    # A beam that ended before a cell did not look into it. One without a return passed it.
+    is_beyond = ranges[:, None] >= entry - REACH * model.noise
+    is_open = cells.is_crossed & is_free & (entry < expected[:, None]) & is_beyond
+    is_open &= entry < model.max_range
+    is_gone = is_first & is_occupied & is_beyond
+    nothing = jnp.log(0.5 * model.outliers)
+    ratio = jnp.where(is_return[:, None], present, nothing) - known[:, None]
+    ratio = jnp.where(is_open, ratio, 0.0)
+    change = jnp.where(is_gone, (gone - known)[:, None], ratio)
+    change = jnp.where(met_person[:, None], 0.0, change)
+    # A person stands where a beam that a moving obstacle ended would be stray otherwise.
+    stopped = jnp.where(is_open, present - jnp.log(model.stray), 0.0)
+    passed = jnp.where(is_open, jnp.log(model.outliers), 0.0)
+    person = jnp.where(met_person[:, None], stopped, passed)
+    return Evidence(change, person)
