@@ -120,6 +120,7 @@ if TYPE_CHECKING:
     from jaxplore.simulation import Run as Run
     from jaxplore.simulation import Scenario as Scenario
     from jaxplore.simulation import Traffic as Traffic
+    from jaxplore.simulation import Variation as Variation
     from jaxplore.simulation import simulate as simulate
     from jaxplore.study import compare as compare
 
@@ -215,6 +216,7 @@ _PACKAGES = {
         "Run",
         "Scenario",
         "Traffic",
+        "Variation",
         "simulate",
     ],
     "study": ["compare"],

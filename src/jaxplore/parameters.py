@@ -98,6 +98,26 @@ def set_parameters[C](controller: C, values: Mapping[str, ArrayLike | Sequence[f
     return controller
 
 
+def split_index(name: str) -> tuple[str, int | None]:
+    """Split `path[i]` into the path and the index, None without one.
+
+    Args:
+        name: path of a parameter, or of an element of an array.
+
+    Raises:
+        ValueError: brackets without a whole number.
+    """
+    path, bracket, rest = name.partition("[")
+    if not bracket:
+        return name, None
+    number = rest.removesuffix("]")
+    if not rest.endswith("]") or not number.isdigit():
+        raise ValueError(
+            f"parameter is {name!r}; accepted: a path, or a path with an index, a.b[0]"
+        )
+    return path, int(number)
+
+
 def _parameters_of(controller: Any) -> dict[str, _Place]:
     places = _places(controller)
     if not places:  # no path could be right

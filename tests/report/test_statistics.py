@@ -5,8 +5,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import stats
 
-from jaxplore.report.statistics import paired_difference, paired_ratio, quartiles
+from jaxplore.report.statistics import (
+    paired_difference,
+    paired_ratio,
+    quartiles,
+    tail_mean,
+)
 
 
 def test_quartiles_of_what_is_there() -> None:
@@ -100,3 +106,32 @@ def test_a_difference_without_spread_is_certain() -> None:
     for before, after in (([], []), ([1.0], [1.0, 2.0])):
         with pytest.raises(ValueError, match="accepted: as many, at least one"):
             paired_difference(before, after)
+
+
+def test_the_difference_of_tails_is_scipys_bootstrap() -> None:
+    rng = np.random.default_rng(2)
+    before = rng.exponential(2.0, 40)
+    after = before - 0.5 + rng.normal(0.0, 0.3, 40)
+    found = paired_difference(before.tolist(), after.tolist(), level=0.8, resamples=20_000)
+    # A fifth of 40 values is 8 of them.
+    worst = [float(np.sort(some)[-8:].mean()) for some in (before, after)]
+    assert found.value == pytest.approx(worst[1] - worst[0])
+
+    def difference(first, second, axis=-1):
+        return tail_mean(np.moveaxis(second, axis, -1), 0.8) - tail_mean(
+            np.moveaxis(first, axis, -1), 0.8
+        )
+
+    theirs = stats.bootstrap(
+        (before, after),
+        difference,
+        paired=True,
+        vectorized=True,
+        n_resamples=20_000,
+        method="percentile",
+        rng=3,
+    ).confidence_interval
+    assert found.low == pytest.approx(theirs.low, abs=0.03)
+    assert found.high == pytest.approx(theirs.high, abs=0.03)
+    with pytest.raises(ValueError, match=r"^level is 1.0; accepted: a number in \[0, 1\)"):
+        tail_mean(before, 1.0)

@@ -1,10 +1,12 @@
 import dataclasses
 import math
 
+import jax.numpy as jnp
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from jaxplore.control.risk import ConditionalValueAtRisk
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.study.tuning import Objective
@@ -112,3 +114,43 @@ def test_late_times_are_those_of_the_mission() -> None:
         for d in (1.0, 4.0)
     )
     assert 100.0 < near < far < 200.0
+
+
+@given(
+    st.lists(st.floats(-100, 100), min_size=1, max_size=12),
+    st.floats(0.0, 0.99),
+)
+def test_the_tail_is_the_least_of_rockafellar_and_uryasev(values, level) -> None:
+    objective = Objective(((1.0, "a"),), level=level)
+    found = objective.mean([{"a": each} for each in values])
+    # The minimum over z of z + mean (v - z)_+ / (1 - level) is at one of the values.
+    least = min(
+        z + math.fsum(max(v - z, 0.0) for v in values) / len(values) / (1.0 - level) for z in values
+    )
+    assert found == pytest.approx(least, abs=1e-6)
+    # The planner's measure of risk, in single precision, tolerates a rank that is nearly whole.
+    totals = jnp.asarray(values, jnp.float32)[:, None]
+    of_planner = ConditionalValueAtRisk(level).costs(totals, jnp.zeros(1))
+    assert float(of_planner[0]) == pytest.approx(found, abs=0.05)
+
+
+def test_a_tail_is_read_and_written() -> None:
+    objective = Objective.parse(" cvar( 0.8, finished_at + 10*collisions ) ")
+    assert objective == Objective(((1.0, "finished_at"), (10.0, "collisions")), level=0.8)
+    assert str(objective) == "cvar(0.8, finished_at + 10*collisions)"
+    assert Objective.parse(str(objective)) == objective
+    assert Objective.parse("cvar(0, a)") == Objective.parse("a")
+    # An episode that failed counts as infinite: it is in the tail, or left out.
+    assert objective.mean_of([1.0, 2.0, 3.0, 4.0, math.inf]) == math.inf
+    assert Objective.parse("cvar(0.5, a)").mean_of([1.0, 5.0]) == 5.0
+    assert math.isnan(objective.mean([]))
+
+
+@pytest.mark.parametrize("text", ["cvar(1, a)", "cvar(-0.1, a)", "cvar(x, a)", "cvar(nan, a)"])
+def test_a_level_that_is_no_share_is_refused(text) -> None:
+    with pytest.raises(ValueError, match=r"^level of objective .*; accepted: a number in \[0, 1\)"):
+        Objective.parse(text)
+    with pytest.raises(ValueError, match=r"^objective is .*cvar\(0.8, finished_at\)"):
+        Objective.parse("cvar(0.8 a)")
+    with pytest.raises(ValueError, match=r"^level of an objective is 1.0; accepted"):
+        Objective(((1.0, "a"),), level=1.0)

@@ -14,6 +14,8 @@ from jaxplore.build.parts import (
     build_robot,
     build_sensor_model,
     build_sensors,
+    build_variation,
+    with_adaptive_horizon,
     with_latency,
 )
 from jaxplore.build.world import RunWorld, build_world, is_ros_map
@@ -61,8 +63,10 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
     """
     scenario = build_scenario(settings, robot, world)
     controller = build_controller(settings, world, scenario)
+    controller = set_parameters(controller, settings.parameters)
+    controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
     return Experiment(
-        with_latency(set_parameters(controller, settings.parameters), settings, scenario),
+        with_latency(controller, settings, scenario),
         scenario,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
@@ -89,7 +93,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         planted=None if settings.anomalies is None else world.planted,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
-    )
+    ).varied(build_variation(settings.variation))
 
 
 def _perception(

@@ -28,7 +28,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (
     *("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude"),
-    *("faults", "latency"),
+    *("faults", "variation", "latency"),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
@@ -104,6 +104,11 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
     key = jax.random.key(settings.seed)
     options = PilotOptions(**arguments(node, PilotOptions), is_obeyed=is_obeyed)
     if node.mode == "follow":
+        if settings.adaptive_horizon.rule is not None:
+            raise ValueError(
+                f"setting adaptive_horizon.rule is {settings.adaptive_horizon.rule!r} with "
+                "node.mode follow; accepted: none"
+            )
         following = _following(settings, node, robot)
         scenario = build_scenario(settings, following.model, world)
         controller = set_parameters(following.controller, settings.parameters)

@@ -1,11 +1,20 @@
 """The robot, its sensors and their inverse sensor model, from settings."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 from jaxplore.build.own import own_robot
+from jaxplore.control.adaptive_horizon import (
+    AdaptiveHorizon,
+    HorizonByClearance,
+    HorizonByInformation,
+    HorizonBySpeed,
+    HorizonRule,
+)
 from jaxplore.control.base import Controller
 from jaxplore.control.latency import LatencyCompensation
+from jaxplore.control.mppi import MPPI
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
@@ -22,9 +31,15 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.own import is_own
 from jaxplore.settings.robot import RobotSettings, SensorModelSettings
-from jaxplore.settings.sections import FaultSettings, RunSettings
+from jaxplore.settings.sections import (
+    AdaptiveHorizonSettings,
+    FaultSettings,
+    RunSettings,
+    VariationSettings,
+)
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Scenario
+from jaxplore.simulation.variation import Variation
 
 
 def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> Dynamics:
@@ -91,6 +106,50 @@ def build_faults(given: FaultSettings) -> Faults | None:
     """Build the injected faults; none at all by default, which leaves them out of the program."""
     injected = arguments(given, Faults)
     return None if injected == arguments(FaultSettings(), Faults) else Faults(**injected)
+
+
+def build_variation(given: VariationSettings) -> Variation | None:
+    """Build the variation of the robot; none at all by default, which leaves it out of the
+    program.
+
+    Raises:
+        ValueError: an interval whose low end is above its high one.
+    """
+    parameters, drawn = given.parameters, arguments(given, Variation)
+    if not parameters and drawn == arguments(VariationSettings(), Variation):
+        return None
+    return Variation(parameters, **drawn)
+
+
+_RULES: dict[str, Callable[..., HorizonRule]] = {
+    "speed": HorizonBySpeed,
+    "clearance": HorizonByClearance,
+    "information": HorizonByInformation,
+}
+
+
+def with_adaptive_horizon(controller: Controller, given: AdaptiveHorizonSettings) -> Controller:
+    """Return a controller that chooses its horizon in each step, if settings name a rule.
+
+    Raises:
+        ValueError: a controller that has no single horizon, a least number of steps above the
+            horizon, equal values for both ends.
+    """
+    if given.rule is None:
+        return controller
+    if not isinstance(controller, MPPI):
+        raise ValueError(
+            f"setting adaptive_horizon.rule is {given.rule!r} for {type(controller).__name__}; "
+            "accepted: with a controller that is one MPPI, such as the explorer"
+        )
+    if given.min_horizon > controller.horizon:
+        raise ValueError(
+            f"setting adaptive_horizon.min_horizon is {given.min_horizon}; accepted: at most the "
+            f"horizon of the controller, {controller.horizon}"
+        )
+    ends = {"at_shortest": given.at_shortest, "at_longest": given.at_longest}
+    rule = _RULES[given.rule](**{name: each for name, each in ends.items() if each is not None})
+    return AdaptiveHorizon(controller, rule, given.min_horizon)
 
 
 def with_latency(controller: Controller, settings: RunSettings, scenario: Scenario) -> Controller:

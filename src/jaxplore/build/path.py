@@ -3,7 +3,13 @@
 import jax
 import numpy as np
 
-from jaxplore.build.parts import build_faults, build_robot, with_latency
+from jaxplore.build.parts import (
+    build_faults,
+    build_robot,
+    build_variation,
+    with_adaptive_horizon,
+    with_latency,
+)
 from jaxplore.control.disturbance import Disturbance, UncertainObstacles
 from jaxplore.control.risk import ConditionalValueAtRisk, Risk
 from jaxplore.costs.base import Cost
@@ -41,9 +47,12 @@ def build_path_following(settings: PathSettings) -> Experiment:
         faults=build_faults(settings.faults),
         **arguments(settings, PathScenario),
         **arguments(settings.obstacles, PathScenario),
+    ).varied(build_variation(settings.variation))
+    controller = with_adaptive_horizon(
+        set_parameters(following.controller, settings.parameters), settings.adaptive_horizon
     )
     return Experiment(
-        with_latency(set_parameters(following.controller, settings.parameters), settings, scenario),
+        with_latency(controller, settings, scenario),
         scenario,
         max(1, round(settings.time_limit * settings.control_rate)),
         jax.random.key(settings.seed),

@@ -1,6 +1,11 @@
 """The MPPI family."""
 
 from jaxplore.control.adaptation import CovarianceAdaptation as CovarianceAdaptation
+from jaxplore.control.adaptive_horizon import AdaptiveHorizon as AdaptiveHorizon
+from jaxplore.control.adaptive_horizon import HorizonByClearance as HorizonByClearance
+from jaxplore.control.adaptive_horizon import HorizonByInformation as HorizonByInformation
+from jaxplore.control.adaptive_horizon import HorizonBySpeed as HorizonBySpeed
+from jaxplore.control.adaptive_horizon import HorizonRule as HorizonRule
 from jaxplore.control.augmented import AugmentedProposal as AugmentedProposal
 from jaxplore.control.base import Controller as Controller
 from jaxplore.control.base import Info as Info

@@ -7,7 +7,7 @@ from jax import Array
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from jaxplore._types import Scalar, StateVector
+from jaxplore._types import Count, Scalar, StateVector
 from jaxplore.control import devices
 from jaxplore.control.model_checks import without_belief
 from jaxplore.control.mppi_state import SampledControls
@@ -24,6 +24,7 @@ def evaluate_samples(
     dt: Scalar,
     belief: Any,
     mesh: Mesh | None,
+    steps: Count | None = None,
 ) -> Float[Array, " K"]:
     """Roll out sampled control sequences and return their costs (K,).
 
@@ -35,18 +36,27 @@ def evaluate_samples(
         dt: model step [s].
         belief: what the robot knows of the world.
         mesh: devices that share the samples; None for one device.
+        steps: number of steps to simulate, see `rollout_costs`; all when absent.
 
     Raises:
         ValueError: no belief for a cost that reads one.
     """
-    everything = (dynamics, cost, dt, belief, sampled.state.applied, sampled.outcomes)
+    everything = (dynamics, cost, dt, belief, sampled.state.applied, sampled.outcomes, steps)
     # `shard_map` takes arrays only: everything else is closed over.
     arrays, static = eqx.partition(everything, eqx.is_array)
 
     def costs(start: Array, controls: Array, arrays: Any) -> Array:
-        model, terms, step, knowledge, applied, outcomes = eqx.combine(arrays, static)
+        model, terms, step, knowledge, applied, outcomes, number = eqx.combine(arrays, static)
         return rollout_costs(
-            model, terms, start, controls, step, knowledge, applied=applied, outcomes=outcomes
+            model,
+            terms,
+            start,
+            controls,
+            step,
+            knowledge,
+            applied=applied,
+            outcomes=outcomes,
+            steps=number,
         )
 
     try:

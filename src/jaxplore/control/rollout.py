@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxplore._types import ControlVector, Key, Scalar, StateVector
+from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector
 from jaxplore._xla import cut
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.model_checks import check_costs, check_state
@@ -56,6 +56,7 @@ def rollout_costs(
     *,
     applied: ControlVector | None = None,
     outcomes: Outcomes | None = None,
+    steps: Count | None = None,
 ) -> Float[Array, " K"]:
     """Simulate K control sequences and return their costs (K,).
 
@@ -73,12 +74,23 @@ def rollout_costs(
         belief: what the robot knows of the world.
         applied: (nu,) control before the first one; the default control when absent.
         outcomes: M draws of a disturbance; None if the model is taken as exact.
+        steps: number H of steps to simulate, from 1 to T; all T when absent. The sum of the stage
+            costs is then times T / H, so that a temperature means the same for every H. Such a
+            rollout has no derivative in reverse mode.
 
     Raises:
         ValueError: a model or a cost that returns the wrong shape.
     """
     (total,) = _totals(
-        dynamics, (cost,), initial, controls, dt, belief, applied=applied, outcomes=outcomes
+        dynamics,
+        (cost,),
+        initial,
+        controls,
+        dt,
+        belief,
+        applied=applied,
+        outcomes=outcomes,
+        steps=steps,
     )
     return total
 
@@ -124,6 +136,7 @@ def _totals(
     *,
     applied: ControlVector | None = None,
     outcomes: Outcomes | None = None,
+    steps: Count | None = None,
 ) -> tuple[Float[Array, " K"], ...]:
     """Roll out K control sequences and return the total (K,) of each cost."""
     horizon, _, num_samples = controls.shape
@@ -155,12 +168,20 @@ def _totals(
         totals = tuple(total + each for total, each in zip(totals, paid, strict=True))
         return (tuple(reached), totals, variations), None
 
-    (last, totals, variations), _ = jax.lax.scan(
-        advance, (start, *zeros), (controls, times, task.drawn)
-    )
+    rows = (controls, times, task.drawn)
+    if steps is None:
+        (last, totals, variations), _ = jax.lax.scan(advance, (start, *zeros), rows)
+    else:
+
+        def nth(step: Count, carry: _Carry) -> _Carry:
+            return advance(carry, jax.tree.map(lambda each: each[step], rows))[0]
+
+        last, totals, variations = jax.lax.fori_loop(0, steps, nth, (start, *zeros))
+        whole = horizon / steps.astype(dt.dtype)
+        totals, variations = jax.tree.map(lambda each: whole * each, (totals, variations))
     before = dynamics.default_control if applied is None else applied
     return tuple(
-        task.total(cost, last, total, variation, controls, before)
+        task.total(cost, last, total, variation, controls, before, steps)
         for cost, total, variation in zip(costs, totals, variations, strict=True)
     )
 
@@ -249,6 +270,7 @@ class _RolloutTask(NamedTuple):
         variation: Array,
         controls: Float[Array, "T nu K"],
         before: ControlVector,
+        steps: Count | None,
     ) -> Float[Array, " K"]:
         """Add the terminal and the sequence cost to a sum of stage costs."""
 
@@ -263,10 +285,11 @@ class _RolloutTask(NamedTuple):
         ending = jax.vmap(terminal, in_axes=(0, -1, None))
         if self.outcomes is not None:
             ending = jax.vmap(ending, in_axes=(self.outcome_axis, None, 0))
+        end = -1 if steps is None else steps - 1
         # Only a model whose speed is a control reads it; for the others XLA removes it.
-        final = jnp.pad(controls[-1], ((0, 0), (0, lanes - num_samples)))
+        final = jnp.pad(controls[end], ((0, 0), (0, lanes - num_samples)))
         # The terminal cost reads the belief of the last step.
-        total = total + ending(last, final, jax.tree.map(lambda rows: rows[-1], self.drawn))
+        total = total + ending(last, final, jax.tree.map(lambda rows: rows[end], self.drawn))
         if self.outcomes is not None:
             # One outcome that diverges makes the sequence infinitely expensive under any risk.
             is_finite = jnp.all(jnp.isfinite(total), axis=0)

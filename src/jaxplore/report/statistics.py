@@ -107,14 +107,45 @@ class Difference(NamedTuple):
     high: float
 
 
+def tail_mean(values: np.ndarray, level: float = 0.0) -> np.ndarray:
+    """Compute the mean of the greatest values along the last axis, their conditional value at risk:
+
+        CVaR = min_z z + mean_i (v_i - z)_+ / (1 - level)
+
+    It is the mean of the greatest share `1 - level` of the values. A value on the edge of this
+    share counts by the part that lies in it. Level 0 gives the mean of all.
+
+    Args:
+        values: (..., N) values, N > 0; one that is infinite and in the share gives infinity.
+        level: share of the values that is left out, in [0, 1).
+
+    Raises:
+        ValueError: a level outside [0, 1).
+
+    Source: Rockafellar and Uryasev, "Optimization of conditional value-at-risk", 2000, eq. 4.
+    """
+    if not 0.0 <= level < 1.0:
+        raise ValueError(f"level is {level!r}; accepted: a number in [0, 1)")
+    number = values.shape[-1]
+    # The i-th value in order stands for the shares from i / N to (i + 1) / N.
+    ends = np.arange(number + 1) / number
+    weights = np.diff(np.maximum(ends, level)) / (1.0 - level)
+    # Infinity times a weight of zero would not be a number.
+    counted = np.where(weights > 0.0, np.sort(values, axis=-1), 0.0)
+    return np.asarray((counted * weights).sum(axis=-1))
+
+
 def paired_difference(
     before: Sequence[float],
     after: Sequence[float],
     *,
+    level: float = 0.0,
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Difference:
     """Compute the mean of `after - before`, run by run, with a 95 % interval.
+
+    With a level it is the difference of the tail means, see `tail_mean`.
 
     The interval is that of the paired percentile bootstrap. For a single run, or equal differences,
     both ends are the mean.
@@ -122,6 +153,7 @@ def paired_difference(
     Args:
         before: finite values, one for each run; at least one.
         after: the values of the same runs after the change.
+        level: share of the least values that is left out of both means.
         resamples: number of resamples.
         seed: seed of the resamples; the same seed gives the same interval.
 
@@ -135,12 +167,18 @@ def paired_difference(
             f"before has {len(before)} values and after {len(after)}; accepted: as many, at least "
             "one"
         )
-    differences = np.asarray(after, np.float64) - np.asarray(before, np.float64)
+    first, second = np.asarray(before, np.float64), np.asarray(after, np.float64)
+    differences = second - first
     mean = float(differences.mean())
     # Resampling equal differences would only add rounding errors.
     if np.ptp(differences) == 0.0:
         return Difference(mean, mean, mean)
-    means = differences[_draws(len(differences), resamples, seed)].mean(axis=1)
+    draws = _draws(len(differences), resamples, seed)
+    if level == 0.0:
+        means = differences[draws].mean(axis=1)
+    else:
+        mean = float(tail_mean(second, level) - tail_mean(first, level))
+        means = tail_mean(second[draws], level) - tail_mean(first[draws], level)
     return Difference(mean, *_interval(means, means))
 
 

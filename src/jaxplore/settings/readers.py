@@ -158,6 +158,9 @@ _DRIVING, _EXPLORING, _FOLLOWING, _CHOOSING = (
         ("the mode goal", ("goal",)),
     )
 )
+_ADAPTIVE = Reader(
+    "runs with adaptive_horizon.rule", lambda settings: settings.adaptive_horizon.rule is not None
+)
 _ANY_MODE = Reader("every mode", lambda _: True)
 
 _BY_NAME: dict[str, dict[str, Reader]] = {
@@ -180,6 +183,8 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "resolution": Reader("the map office, ROS maps", lambda settings: not _is_world(settings)),
         # Robots on the ground get it as well, and have no state for it.
         "altitude": EVERY,
+        "adaptive_horizon": _ADAPTIVE,
+        "adaptive_horizon.rule": EVERY,
         **_IN_ROBOT,
         # A quadrotor's speed is limited by a cost of its controller, not by its model.
         "robot.max_speed": Reader(
@@ -202,6 +207,8 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
     "path": {
         **_of_robot(PathRobotSettings),
         "half_width": _FROM_A_FILE,
+        "adaptive_horizon": _ADAPTIVE,
+        "adaptive_horizon.rule": EVERY,
         "obstacles.radius": _IN_TRAFFIC,
         # The order of the two speeds is checked in every run.
         "obstacles.speeds": EVERY,

@@ -18,6 +18,7 @@ from jaxplore._spelling import spelled
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.variation import Variation
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -30,6 +31,8 @@ Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
 Steering = Annotated[float, Field(gt=0, lt=1.57)]
 Interval = tuple[NonNegative, NonNegative]
+Positives = tuple[Positive, Positive]
+Numbers = tuple[Number, Number]
 Parameters = dict[str, float | list[float]]
 """Controller parameters by path; a list for an array."""
 
@@ -56,6 +59,41 @@ class FaultSettings(Section):
     control_delay: Number = setting(Faults, "control_delay")
 
 
+class VariationSettings(Section):
+    """The variation of the true robot from episode to episode: see `jaxplore.Variation`.
+
+    Args:
+        parameters: intervals of parameters of the robot's model by their path, such as `drag`.
+    """
+
+    parameters: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    gain: Positives = setting(Variation, "gain")
+    slip: Interval = setting(Variation, "slip")
+    turn_slip: Interval = setting(Variation, "turn_slip")
+    control_delay: Numbers = setting(Variation, "control_delay")
+    control_noise: Interval = setting(Variation, "control_noise")
+    position_noise: Interval = setting(Variation, "position_noise")
+    heading_noise: Interval = setting(Variation, "heading_noise")
+
+
+class AdaptiveHorizonSettings(Section):
+    """A horizon that each step chooses anew: see `jaxplore.control.AdaptiveHorizon`.
+
+    Args:
+        rule: what the horizon depends on; none for a fixed horizon. The greatest number of steps is
+            the horizon of the controller.
+        min_horizon: least number of steps.
+        at_shortest: speed [m/s], clearance [m] or information [nat/beam] at which the horizon is
+            the shortest; the default of the rule when absent.
+        at_longest: value at which it is the longest, likewise.
+    """
+
+    rule: Literal["speed", "clearance", "information"] | None = None
+    min_horizon: Count = 20
+    at_shortest: float | None = None
+    at_longest: float | None = None
+
+
 class RunSettings(Section):
     """Settings that all kinds of runs share.
 
@@ -63,7 +101,9 @@ class RunSettings(Section):
         start: start pose (x, y, yaw) [m, m, rad]; some maps and worlds define their own.
         latency: time between an observation and the effect of its command, for which the
             controller plans: see `jaxplore.LatencyCompensation` [s].
+        adaptive_horizon: a horizon that each step chooses anew.
         faults: injected faults.
+        variation: variation of the true robot from episode to episode.
         time_limit: simulated time after which the run ends [s].
         seed: seed of all random numbers of the run.
         parameters: controller parameters by path, which override those that follow from the other
@@ -75,7 +115,9 @@ class RunSettings(Section):
     seed: Seed = 0
     parameters: Parameters = Field(default_factory=dict)
     latency: NonNegative = 0.0
+    adaptive_horizon: AdaptiveHorizonSettings = AdaptiveHorizonSettings()
     faults: FaultSettings = FaultSettings()
+    variation: VariationSettings = VariationSettings()
 
 
 def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> dict[str, Any]:

@@ -22,3 +22,4 @@ from jaxplore.simulation.run import simulate as simulate
 from jaxplore.simulation.scenario import AgentView as AgentView
 from jaxplore.simulation.scenario import Moment as Moment
 from jaxplore.simulation.scenario import Scenario as Scenario
+from jaxplore.simulation.variation import Variation as Variation

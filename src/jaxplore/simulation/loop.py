@@ -25,12 +25,21 @@ def step_keys(key: Key, step: Count) -> tuple[Key, Key]:
     return measure, control
 
 
-def moment_at(scenario: Scenario, state: LoopState) -> Moment:
-    """Return the time of the next step, and the state that the controller observes."""
+def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
+    """Return the time of the next step, and the state that the controller observes.
+
+    Args:
+        scenario: the task.
+        state: state of the loop before the step.
+        key: key of the whole run.
+    """
     period, faults = scenario.control_period, scenario.faults
     # Time is a multiple of the period and not a sum of periods, so rounding does not accumulate.
     time = period * state.step.astype(jnp.float32)
     truth = state.task.robot
+    if scenario.variation is not None and state.drawn is not None:
+        step_key = jax.random.fold_in(key, state.step)
+        truth = scenario.variation.observe(scenario.robot, truth, state.drawn, step_key)
     if faults is None:
         return Moment(state.step, time, truth, jnp.array(False), jnp.array(False))
     observed = faults.observe(truth, state.observed, time, period)
@@ -60,13 +69,16 @@ def _initial_memory(controller: Controller) -> Any:
 @eqx.filter_jit
 def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
     delay = 0 if scenario.faults is None else scenario.faults.control_delay
-    robot = scenario.robot
+    robot, variation = scenario.robot, scenario.variation
+    # There is room for the longest delay of any episode.
+    delay += 0 if variation is None else variation.control_delay[1]
     return LoopState(
         task=scenario.init(key)[0],
         controller=(),
         step=jnp.zeros((), jnp.int32),
         observed=scenario.start,
         pending=jnp.broadcast_to(robot.default_control, (delay, robot.control_size)),
+        drawn=None if variation is None else variation.draw(key, robot),
     )
 
 
@@ -75,7 +87,7 @@ def closed_loop_step(
 ) -> tuple[LoopState, Any]:
     """Perceive, compute the control and apply it; return the next state and the record."""
     measure_key, _ = step_keys(key, state.step)
-    moment = moment_at(scenario, state)
+    moment = moment_at(scenario, state, key)
     task, belief = scenario.perceive(state.task, moment, measure_key)
     return control_step(controller, scenario, state._replace(task=task), moment, belief, key)
 
@@ -102,14 +114,20 @@ def control_step(
     control, memory, info = controller.step(
         state.controller, moment.observed, belief, key=control_key
     )
-    pending = state.pending
-    if scenario.faults is not None:
+    pending, plant, drawn = state.pending, scenario, state.drawn
+    if scenario.variation is not None and drawn is not None:
+        pending, control = scenario.variation.delay(pending, control, drawn)
+        step_key = jax.random.fold_in(key, state.step)
+        robot = scenario.variation.robot(scenario.robot, drawn, step_key)
+        # Only the motion has the true robot: the measurements read nothing of it but its pose.
+        plant = eqx.tree_at(lambda each: each.robot, scenario, robot)
+    elif scenario.faults is not None:
         pending, control = scenario.faults.delay(pending, control)
-    task, record = scenario.advance(state.task, control, moment, info)
+    task, record = plant.advance(state.task, control, moment, info)
     # The last finite observation is kept: a frozen odometry repeats it, even after a loss.
     is_placed = jnp.isfinite(moment.observed).all()
     observed = jnp.where(is_placed, moment.observed, state.observed)
-    return LoopState(task, memory, state.step + 1, observed, pending), record
+    return LoopState(task, memory, state.step + 1, observed, pending, drawn), record
 
 
 @eqx.filter_jit
@@ -166,5 +184,5 @@ def frame_arrays(
             state.controller, observed, belief, key=control_key, num_trajectories=num_trajectories
         )
 
-    moment = moment_at(scenario, state)
+    moment = moment_at(scenario, state, key)
     return scenario.frame(state.task, moment, inspect if num_trajectories else None, measure_key)

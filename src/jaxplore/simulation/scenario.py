@@ -1,6 +1,8 @@
 """The protocol of a task, on which the loop, batches, studies, Gymnasium and reports rely."""
 
 import abc
+import copy
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxplore import _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
@@ -19,6 +22,7 @@ from jaxplore.report.metrics import Metrics
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.variation import Drawn, Variation
 
 type Inspect = Callable[[StateVector, Any], SampledPlan]
 """Function from an observed state and a belief to the sampled plan of the controller's step."""
@@ -51,6 +55,7 @@ class LoopState(NamedTuple):
         step: number of steps done.
         observed: (nx,) state that the controller observed last.
         pending: (D, nu) commands that have not taken effect yet, oldest first.
+        drawn: variation of the episode; None if the robot does not vary.
     """
 
     task: Any
@@ -58,6 +63,7 @@ class LoopState(NamedTuple):
     step: Count
     observed: StateVector
     pending: Float[Array, "D nu"]
+    drawn: Drawn | None = None
 
 
 class Scenario(eqx.Module):
@@ -79,6 +85,8 @@ class Scenario(eqx.Module):
     """Time between controls [s]."""
     faults: eqx.AbstractVar[Faults | None]
     """Injected faults; None without any."""
+    variation: Variation | None = dataclasses.field(default=None, kw_only=True)
+    """Variation of the robot from episode to episode; None without any. See `varied`."""
 
     frame_type: ClassVar[type[Frame]] = Frame
     """Class of the frames; `frame` returns its fields."""
@@ -93,6 +101,24 @@ class Scenario(eqx.Module):
         """Time between controls [s], without the rounding of float32: 0.02, not
         0.019999999552965164."""
         return round(float(self.control_period), 7)
+
+    def varied[S: "Scenario"](self: S, variation: Variation | None) -> S:
+        """Return the scenario with a robot that varies from episode to episode.
+
+        Args:
+            variation: distributions of the true robot; None for none.
+
+        Raises:
+            ValueError: a variation of parameters that the robot does not have.
+        """
+        _kinds.instance("variation", variation, Variation, may_be_none=True)
+        if variation is not None:
+            variation.check(self.robot)
+        varied = copy.copy(self)
+        # Modules are frozen, and a subclass with a constructor of its own has not set the field, so
+        # that no function of Equinox could replace it.
+        object.__setattr__(varied, "variation", variation)
+        return varied
 
     @property
     def objective(self) -> str:

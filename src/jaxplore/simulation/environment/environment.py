@@ -189,7 +189,7 @@ class Environment(eqx.Module):
         return EnvironmentState(
             loop=loop,
             perceived=loop.task,
-            moment=moment_at(scenario, loop),
+            moment=moment_at(scenario, loop, key),
             belief=belief,
             statistics=EpisodeStatistics(jnp.zeros(()), zero, zero, jnp.array(False)),
             key=key,
@@ -231,7 +231,7 @@ class Environment(eqx.Module):
         def advance(course: _Course) -> _Course:
             at, statistics = course.ahead, course.statistics
             measure_key, _ = step_keys(state.key, at.step)
-            moment = moment_at(scenario, at)
+            moment = moment_at(scenario, at, state.key)
             perceived, belief = scenario.perceive(at.task, moment, measure_key)
             ahead, record = control_step(
                 controller, scenario, at._replace(task=perceived), moment, belief, state.key

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from jaxplore.control.base import Controller
-from jaxplore.parameters import find_parameter, get_parameters, set_parameters
+from jaxplore.parameters import find_parameter, get_parameters, set_parameters, split_index
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.scenario import Scenario
 from jaxplore.study.experiments import SideBySide
@@ -153,16 +153,3 @@ def leaf_values(controller: Any, candidate: Candidate) -> dict[str, np.ndarray]:
         else:
             array.reshape(-1)[index] = value
     return arrays
-
-
-def split_index(name: str) -> tuple[str, int | None]:
-    """Split `path[i]` into the path and the index."""
-    path, bracket, rest = name.partition("[")
-    if not bracket:
-        return name, None
-    number = rest.removesuffix("]")
-    if not rest.endswith("]") or not number.isdigit():
-        raise ValueError(
-            f"parameter is {name!r}; accepted: a path, or a path with an index, a.b[0]"
-        )
-    return path, int(number)

@@ -6,9 +6,12 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from jaxplore.parameters import nearest
 from jaxplore.report.compute import Compute
 from jaxplore.report.metrics import Metrics
+from jaxplore.report.statistics import tail_mean
 
 type Numbers = Mapping[str, float | None]
 """Metrics of one episode by name; None for an event that never happened."""
@@ -18,21 +21,32 @@ _TERM = re.compile(
     r"(?P<name>[A-Za-z_]\w*(?:[.-]\w+)*)\s*"
 )
 
+_TAIL = re.compile(r"\s*cvar\s*\(\s*(?P<level>[^,()]*?)\s*,(?P<sum>[^()]*)\)\s*")
+
 
 @dataclasses.dataclass(frozen=True)
 class Objective:
     """A weighted sum of metrics to minimize. A metric to maximize has a negative weight.
 
+    Over the episodes its mean counts, or the mean of its worst share `1 - level`, the conditional
+    value at risk: see `jaxplore.report.statistics.tail_mean`.
+
     Args:
         terms: weights and metrics, at least one.
+        level: share of the best episodes that is left out, in [0, 1).
 
     Raises:
-        ValueError: no terms, a weight that is not finite.
+        ValueError: no terms, a weight that is not finite, a level outside [0, 1).
     """
 
     terms: tuple[tuple[float, str], ...]
+    level: float = 0.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.level < 1.0:
+            raise ValueError(
+                f"level of an objective is {self.level!r}; accepted: a number in [0, 1)"
+            )
         if not self.terms or not all(math.isfinite(weight) for weight, _ in self.terms):
             raise ValueError(
                 f"terms of an objective are {self.terms}; accepted: metrics with finite weights"
@@ -42,9 +56,27 @@ class Objective:
     def parse(cls, text: str) -> "Objective":
         """Parse an objective such as `time_to.90 + 100*collisions - coverage`.
 
+        `cvar(LEVEL, SUM)` is the mean of a sum over its worst episodes: `cvar(0.8, finished_at)` is
+        that over the slowest fifth.
+
+        Args:
+            text: a sum of metrics with weights, or the tail of one.
+
         Raises:
-            ValueError: a text that is not a sum of metrics with weights.
+            ValueError: a text that is not a sum of metrics with weights, a level outside [0, 1).
         """
+        tail = _TAIL.fullmatch(text)
+        if tail is not None:
+            try:
+                level = float(tail["level"])
+            except ValueError:
+                level = -1.0
+            if not 0.0 <= level < 1.0:
+                raise ValueError(
+                    f"level of objective {text!r} is {tail['level']!r}; accepted: a number in "
+                    "[0, 1)"
+                )
+            return dataclasses.replace(cls.parse(tail["sum"]), level=level)
         terms: list[tuple[float, str]] = []
         position = 0
         while position < len(text):
@@ -52,7 +84,7 @@ class Objective:
             if found is None or (terms and not found["sign"]):
                 raise ValueError(
                     f"objective is {text!r}; accepted: a sum of metrics with weights, such as "
-                    "time_to.90 + 100*collisions"
+                    "time_to.90 + 100*collisions, or its tail, cvar(0.8, finished_at)"
                 )
             sign = -1.0 if found["sign"] == "-" else 1.0
             terms.append((sign * float(found["weight"] or 1.0), found["name"]))
@@ -65,7 +97,7 @@ class Objective:
             size = "" if abs(weight) == 1.0 else f"{abs(weight):g}*"
             sign = (" - " if weight < 0 else " + ") if text else ("-" if weight < 0 else "")
             text += f"{sign}{size}{name}"
-        return text
+        return f"cvar({self.level:g}, {text})" if self.level else text
 
     @property
     def is_about_time(self) -> bool:
@@ -109,9 +141,16 @@ class Objective:
         return total
 
     def mean(self, episodes: Sequence[Numbers]) -> float:
-        """Compute the mean over episodes; NaN without any."""
-        values = [self.value(each) for each in episodes]
-        return math.fsum(values) / len(values) if values else math.nan
+        """Compute the mean over episodes, or that of the worst ones; NaN without any."""
+        return self.mean_of([self.value(each) for each in episodes])
+
+    def mean_of(self, values: Sequence[float]) -> float:
+        """Compute the mean of the values of episodes, or of the greatest ones; NaN without any."""
+        if not values:
+            return math.nan
+        if self.level:
+            return float(tail_mean(np.asarray(values, np.float64), self.level))
+        return math.fsum(values) / len(values)
 
 
 def known_metrics(metrics_type: type[Metrics]) -> tuple[str, ...]:

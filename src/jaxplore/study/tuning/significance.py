@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxplore.report.statistics import paired_difference
+from jaxplore.report.statistics import paired_difference, tail_mean
 from jaxplore.study.tuning.objective import Numbers, Objective, is_late
 
 SHOWN = (
@@ -71,18 +71,22 @@ class Change:
         return self.low > 0.0 or self.high < 0.0
 
 
-def change(name: str, before: Sequence[float], after: Sequence[float]) -> Change:
+def change(
+    name: str, before: Sequence[float], after: Sequence[float], level: float = 0.0
+) -> Change:
     """Compute the change of a quantity, episode by episode; see `paired_difference`.
 
     Args:
         name: name of the quantity.
         before: one value for each episode.
         after: the values of the same episodes after the search.
+        level: share of the best episodes that is left out of the means, see `tail_mean`.
     """
-    difference = paired_difference(before, after)
-    return Change(
-        name, float(np.mean(before)), float(np.mean(after)), *difference, episodes=len(before)
+    difference = paired_difference(before, after, level=level)
+    first, second = (
+        float(tail_mean(np.asarray(some, np.float64), level)) for some in (before, after)
     )
+    return Change(name, first, second, *difference, episodes=len(before))
 
 
 def changes(
@@ -104,7 +108,9 @@ def changes(
     for objective in objectives:
         pairs = [(objective.value(before[each]), objective.value(after[each])) for each in where]
         names = [metric for _, metric in objective.terms]
-        found += _counted(_change(str(objective), pairs), names, where, before, after)
+        found += _counted(
+            _change(str(objective), pairs, objective.level), names, where, before, after
+        )
     for name in SHOWN:
         pairs = [(_number(before[each], name), _number(after[each], name)) for each in where]
         if name not in map(str, objectives):
@@ -159,13 +165,13 @@ def _number(metrics: Numbers, name: str) -> float:
     return math.nan if value is None else value
 
 
-def _change(name: str, pairs: Sequence[tuple[float, float]]) -> list[Change]:
+def _change(name: str, pairs: Sequence[tuple[float, float]], level: float = 0.0) -> list[Change]:
     # A mean over only some of the episodes is not comparable, so the metric is left out.
     complete = [pair for pair in pairs if all(map(math.isfinite, pair))]
     if not complete or len(complete) < len(pairs):
         return []
     before, after = zip(*complete, strict=True)
-    return [change(name, before, after)]
+    return [change(name, before, after, level)]
 
 
 def table(

@@ -259,7 +259,7 @@ class Study:
             episodes = further[each.number].values()
             # A failed episode rules a candidate out.
             values = [objective.value(one) if one else math.inf for one in episodes]
-            return math.fsum(values) / len(values), each.number
+            return objective.mean_of(values), each.number
 
         return min(ranked, key=mean)
 
