@@ -129,7 +129,10 @@ def completed(*arguments: str) -> list[str]:
         (["run", "--architecture", "two"], ["two-layer"]),
         (["compare", "--architectures", "goal,par"], ["goal,parallel"]),
         (["settings", "lidar.r"], ["lidar.range_noise"]),
-        (["settings", "w"], ["warehouse", "watch", "world", "watch.memory", "watch.weight"]),
+        (
+            ["settings", "w"],
+            ["warehouse", "watch", "world", "watch.memory", "watch.weight", "watch.doubling"],
+        ),
     ],
 )
 def test_names_are_completed(arguments: list[str], expected: list[str]) -> None:
