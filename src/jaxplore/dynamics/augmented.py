@@ -121,6 +121,16 @@ class Augmented(Dynamics):
         """Return the physical part's forward speed [m/s]."""
         return self.physical.speed(self.split_state(state)[0])
 
+    @property
+    def turning_radius(self) -> Scalar:
+        """Radius of the smallest circle of the physical model [m]."""
+        return self.physical.turning_radius
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether the physical model can drive backwards."""
+        return self.physical.can_reverse
+
     def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
         """Return the physical part's forward speed [m/s] under its part of a control (nu,)."""
         return self.physical.speed_under(self.split_state(state)[0], self.split_control(control)[0])

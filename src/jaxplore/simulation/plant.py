@@ -114,6 +114,20 @@ class Plant(Dynamics):
         """Return the forward speed [m/s], without slip."""
         return self.model.speed(state)
 
+    def speed_under(self, state: StateVector, control: ControlVector) -> Scalar:
+        """Return the forward speed [m/s] of the model under the control that acts on it."""
+        return self.model.speed_under(state, self.effective(control))
+
+    @property
+    def turning_radius(self) -> Scalar:
+        """Radius of the smallest circle of the model [m]."""
+        return self.model.turning_radius
+
+    @property
+    def can_reverse(self) -> bool:
+        """Whether the model can drive backwards."""
+        return self.model.can_reverse
+
     def stopping_control(
         self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
     ) -> ControlVector:
