@@ -36,6 +36,7 @@ PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, p
 PACKAGES += (simulation,)
 
 RECORDS = {
+    "Anomalies",
     "AgentView",
     "Belief",
     "ChunkedRun",
@@ -234,6 +235,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
             "min_information": 1.0,
             "every": 5,
         },
+        "AdaptiveHorizon": {"rule": control.HorizonBySpeed(), "min_horizon": 2},
         "TargetReference": {"choice": planning.RemainingInformation(targets)},
         "ToeplitzNoise": {"weights": [0.2, 0.6, 0.2]},
         "Traffic": {"path": wide, "phi": [3.0], "offsets": [0.0], "rates": [1.0], "radii": [0.2]},

@@ -149,15 +149,13 @@ class AnomalyTest(eqx.Module):
         self.range_noise = (
             None if range_noise is None else _checks.scalar("range_noise", range_noise, above=0.0)
         )
-        rows = np.asarray(forbidden, np.float32)
+        accepted = "(F, 4), finite numbers (x_min, y_min, x_max, y_max)"
+        rows = _checks.floats("forbidden", forbidden, accepted)
         if rows.size == 0:
             rows = np.zeros((0, 4), np.float32)
         if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
-            raise ValueError(
-                f"forbidden has shape {rows.shape}; accepted: (F, 4), finite numbers (x_min, "
-                "y_min, x_max, y_max)"
-            )
-        self.forbidden = on_device(rows)
+            raise ValueError(f"forbidden has shape {rows.shape}; accepted: {accepted}")
+        self.forbidden = on_device(rows.copy())
 
     def init(self, grid: OccupancyGrid) -> Anomalies:
         """Return the state before the first scan.

@@ -205,6 +205,7 @@ class ExplorationScenario(Scenario):
         self.map_arrays = MapArrays(world, known, reachable, ground).padded()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
+        _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
         self.perception, self.planted = perception, planted
 
     @property
