@@ -18,11 +18,12 @@ from jaxplore.belief.guidance import (
 )
 from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception_checks import safe_stride
-from jaxplore.belief.tiles import TILE, relaxed_by_tiles, relaxed_everywhere
+from jaxplore.belief.tiles import Outline, Tiling, relaxed_by_tiles, relaxed_everywhere
 from jaxplore.maps.frame import GridFrame
 
 geodesic_jit = jax.jit(geodesic)
-OUTSIDE = (np.inf, np.inf)
+OUTLINE = Outline((np.inf, np.inf), (1, 1))
+TILING = Tiling()
 
 
 def by_dijkstra(initial: np.ndarray, slowness: np.ndarray, is_open: np.ndarray) -> np.ndarray:
@@ -69,14 +70,16 @@ def test_equals_dijkstra(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    shape = (2 * TILE + 5, 3 * TILE - 1)
+    shape = (2 * TILING.side + 5, 3 * TILING.side - 1)
     is_open = rng.random(shape) > 0.35  # ways wind through several tiles and back
     slowness = rng.uniform(0.1, 2.0, shape).astype(np.float32)
     initial = np.where(rng.random(shape) < 0.002, rng.uniform(-9, 9, shape), np.inf)
     start = np.where(is_open, initial, np.inf).astype(np.float32)
     half = np.where(is_open, 0.5 * slowness, np.inf).astype(np.float32)
     tiles, whole = (
-        np.asarray(jax.jit(lambda *given, find=find: find(given, OUTSIDE, _relax, 1))(start, half))
+        np.asarray(
+            jax.jit(lambda *each, find=find: find(each, OUTLINE, _relax, TILING))(start, half)
+        )
         for find in (relaxed_by_tiles, relaxed_everywhere)
     )
     np.testing.assert_array_equal(tiles, whole)

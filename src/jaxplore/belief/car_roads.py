@@ -12,13 +12,15 @@ from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
 from jaxplore.belief.guidance import LAYERS, GuidanceField, Roadmap, descent_field
-from jaxplore.belief.tiles import relaxed
+from jaxplore.belief.tiles import Part, Tiling, relaxed
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.field import gather, stencil
 
 HALF = NUM_HEADINGS // 2
 HEADING_LAYERS = 2
 """Number of layers of closed poses into which a cost-to-go is extended."""
+TILING = Tiling(side=12, sweeps=1)
+"""Tiles of a car: prices of all motions from 12 x 12 nodes fit the CPU's cache."""
 QUARTER = tuple(angle / (0.5 * math.pi) for angle in HEADINGS[: NUM_HEADINGS // 4 + 1])
 """Headings of the first quadrant [quarter turns]."""
 
@@ -70,94 +72,108 @@ class CarRoadmap(Roadmap):
         first = HALF if is_from_source and not self.can_reverse else 0
         bodies = (0, HALF) if self.can_reverse else (first,)
 
-        def by_motion(values: Array) -> Array:
-            """Return (N, D, H, W) by heading of motion from (N, H, W) by heading of the body."""
-            return jnp.stack([jnp.roll(values, -body, axis=0) for body in bodies], axis=1)
-
-        is_closed = by_motion(~self.is_open_at)
-        half = jnp.where(is_closed, jnp.inf, 0.5 * by_motion(self.slowness_at))
-        start = jnp.where(is_closed, jnp.inf, by_motion(source))
         found = motions(self.radius)
         margin = max(max(abs(each.down), abs(each.right)) for each in found)
-        is_blocked = self._is_blocked(is_closed)
+        height, width = self.is_open.shape
+        beside = [
+            (margin, margin + -(length + 2 * margin) % TILING.side) for length in (height, width)
+        ]
+
+        def by_motion(values: Array, outside: float | bool) -> Array:
+            """Return (N, D, h, w) by heading of motion from (N, H, W) by heading of the body.
+
+            All arrays get the margin of a sweep and whole tiles once, here.
+            """
+            values = jnp.pad(values, ((0, 0), *beside), constant_values=outside)
+            return jnp.stack([jnp.roll(values, -body, axis=0) for body in bodies], axis=1)
+
+        is_closed = by_motion(~self.is_open_at, outside=True)
+        half = jnp.where(is_closed, jnp.inf, 0.5 * by_motion(self.slowness_at, jnp.inf))
+        prices = self._prices(is_closed, half)
         value = relaxed(
-            start,
-            [(half, jnp.inf), (is_blocked, True)],
+            jnp.where(is_closed, jnp.inf, by_motion(source, jnp.inf)),
+            [Part(prices, jnp.inf, 0)],
             functools.partial(_relax, self.radius, margin),
             margin,
             [self.reversal_cost],
+            TILING,
         )
         if is_between:
-            value = self._between(value, half, is_blocked, margin)
+            value = self._between(value, prices, margin)
+        else:
+            value = value[..., margin : margin + height, margin : margin + width]
         by_body = [jnp.roll(value[:, each], body, axis=0) for each, body in enumerate(bodies)]
         return jnp.stack(by_body)
 
     def _between(
-        self,
-        value: Float[Array, "N D H W"],
-        half: Float[Array, "N D H W"],
-        is_blocked: Bool[Array, "M D H W"],
-        margin: int,
+        self, value: Float[Array, "N D h w"], prices: Float[Array, "M D h w"], margin: int
     ) -> Float[Array, "N D H W"]:
-        """Return the least of the cost-to-go and the cost of the rest of a motion."""
-        _, directions, height, width = value.shape
-        beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
-        costs, halves = (jnp.pad(each, beside, constant_values=jnp.inf) for each in (value, half))
-        blocked = jnp.pad(is_blocked, beside, constant_values=True)
-        table, left = _rests(self.radius)
+        """Return the least of the cost-to-go and the cost of the rest of a motion.
+
+        The rest has its share of the price of the whole motion.
+        """
+        directions, (height, width) = value.shape[1], self.is_open.shape
+        table, shares = _rests(self.radius)
 
         def shifted(array: Array, index: Array, down: Array, right: Array) -> Array:
             corner = (index, 0, margin + down, margin + right)
             part = jax.lax.dynamic_slice(array, corner, (1, directions, height, width))
             return part[0]
 
-        def at_heading(given: tuple[Array, Array, Array, Array]) -> Array:
-            own, own_half, rests, lengths = given
+        def at_heading(given: tuple[Array, Array, Array]) -> Array:
+            own, rests, shares = given
 
             def add(best: Array, rest: tuple[Array, Array]) -> tuple[Array, None]:
-                (number, end, over, across, down, right), length = rest
-                price = own_half + shifted(halves, end, down, right)
-                cost = shifted(costs, end, down, right) + length * price
-                is_shut = shifted(blocked, number, -over, -across)
-                return jnp.minimum(best, jnp.where(is_shut, jnp.inf, cost)), None
+                (number, end, over, across, down, right), share = rest
+                price = share * shifted(prices, number, -over, -across)
+                return jnp.minimum(best, shifted(value, end, down, right) + price), None
 
-            return jax.lax.scan(add, own, (rests, lengths))[0]
+            # Several at a time: each writes the best costs to memory once.
+            return jax.lax.scan(add, own, (rests, shares), unroll=8)[0]
 
-        best: Array = jax.lax.map(at_heading, (value, half, jnp.asarray(table), jnp.asarray(left)))
+        own = value[..., margin : margin + height, margin : margin + width]
+        best: Array = jax.lax.map(at_heading, (own, jnp.asarray(table), jnp.asarray(shares)))
         return best
 
-    def _is_blocked(self, is_closed: Bool[Array, "N D H W"]) -> Bool[Array, "M D H W"]:
-        """Return which motions pass a closed pose between their ends."""
+    def _prices(
+        self, is_closed: Bool[Array, "N D h w"], half: Float[Array, "N D h w"]
+    ) -> Float[Array, "M D h w"]:
+        """Return the cost of each motion from each node; infinite if it passes a closed pose."""
         found = motions(self.radius)
-        longest = max(len(each.via) for each in found)
-        # The first pose fills up the list: a motion from a closed pose is blocked anyway.
-        passed = np.array(
-            [
-                [
-                    *(state[:3] for state in each.via),
-                    *[(0, 0, each.start)] * (longest - len(each.via)),
-                ]
-                for each in found
-            ],
-            np.int32,
-        )
-        margin = int(np.abs(passed[..., :2]).max(initial=0))
+        # The first pose fills up the lists.
+        most = max(len(each.via) for each in found)
+        fill = [[(0, 0, each.start)] * (most - len(each.via)) for each in found]
+        passed = [
+            [*(state[:3] for state in each.via), *more]
+            for each, more in zip(found, fill, strict=True)
+        ]
+        poses = jnp.asarray(passed, jnp.int32)
+        ends = jnp.asarray([(each.down, each.right, each.end) for each in found], jnp.int32)
+        starts = jnp.asarray([each.start for each in found], jnp.int32)
+        lengths = jnp.asarray([each.length for each in found], jnp.float32)
+        margin = max(max(abs(state[0]), abs(state[1])) for each in passed for state in each)
+        margin = max(margin, *(max(abs(each.down), abs(each.right)) for each in found))
         beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
-        padded = jnp.pad(is_closed, beside, constant_values=True)
+        closed = jnp.pad(is_closed, beside, constant_values=True)
+        halves = jnp.pad(half, beside, constant_values=jnp.inf)
         _, directions, height, width = is_closed.shape
 
-        def of_motion(each: Array) -> Array:
-            def add(blocked: Array, state: Array) -> tuple[Array, None]:
-                down, right, heading = state
-                corner = (heading, 0, down + margin, right + margin)
-                pose = jax.lax.dynamic_slice(padded, corner, (1, directions, height, width))
-                return blocked | pose[0], None
+        def at(padded: Array, state: Array) -> Array:
+            down, right, heading = state
+            corner = (heading, 0, down + margin, right + margin)
+            return jax.lax.dynamic_slice(padded, corner, (1, directions, height, width))[0]
 
+        def of_motion(given: tuple[Array, Array, Array, Array]) -> Array:
+            start, end, states, length = given
+            price = length * (half[start] + at(halves, end))
             none = jnp.zeros((directions, height, width), bool)
-            return jax.lax.scan(add, none, each)[0]
+            blocked, _ = jax.lax.scan(
+                lambda any_, each: (any_ | at(closed, each), None), none, states
+            )
+            return jnp.where(blocked, jnp.inf, price)
 
-        blocked: Array = jax.lax.map(of_motion, jnp.asarray(passed))
-        return blocked
+        prices: Array = jax.lax.map(of_motion, (starts, ends, poses, lengths))
+        return prices
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the least cost-to-go of each node over headings and directions [m]."""
@@ -236,22 +252,22 @@ def _rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         Number of the motion, heading of its end, rows and columns from its start, and rows and
-        columns to its end (N, R, 6); and the length of the rest (N, R) [node spacings], infinite
-        where a heading has fewer rests than others.
+        columns to its end (N, R, 6); and the share of the rest in the motion (N, R), infinite where
+        a heading has fewer rests than others.
     """
     by_heading: list[list[tuple[tuple[int, ...], float]]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
         for at in each.via:
             to_end = (each.down - at.down, each.right - at.right)
             row = (number, each.end, at.down, at.right, *to_end)
-            by_heading[at.heading].append((row, at.left))
+            by_heading[at.heading].append((row, at.left / each.length))
     most = max(map(len, by_heading))
     rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
-    left = np.full((NUM_HEADINGS, most), np.inf, np.float32)
+    shares = np.full((NUM_HEADINGS, most), np.inf, np.float32)
     for heading, rests in enumerate(by_heading):
-        for place, (given, length) in enumerate(rests):
-            rows[heading, place], left[heading, place] = given, length
-    return rows, left
+        for place, (given, share) in enumerate(rests):
+            rows[heading, place], shares[heading, place] = given, share
+    return rows, shares
 
 
 def with_headings(planar: GuidanceField, costs: Float[Array, "D N H W"]) -> CarGuidance:
@@ -259,22 +275,14 @@ def with_headings(planar: GuidanceField, costs: Float[Array, "D N H W"]) -> CarG
     return CarGuidance(planar.values, planar.descent, planar.frame, planar.outside, costs)
 
 
-def _relax(
-    radius: float, margin: int, value: Array, half: Array, is_blocked: Array, reversal: Array
-) -> Array:
+def _relax(radius: float, margin: int, value: Array, prices: Array, reversal: Array) -> Array:
     """Return the least cost-to-go (N, D, h, w) by a motion, in either direction of travel."""
-
-    def shifted(values: Array, down: int = 0, right: int = 0) -> Array:
-        top, left = margin + down, margin + right
-        bottom, end = values.shape[-2] - margin + down, values.shape[-1] - margin + right
-        return values[..., top:bottom, left:end]
-
+    height, width = value.shape[-2] - 2 * margin, value.shape[-1] - 2 * margin
     least: list[list[Array]] = [[] for _ in range(NUM_HEADINGS)]
     for number, each in enumerate(motions(radius)):
-        there = (each.down, each.right)
-        price = shifted(half[each.start]) + shifted(half[each.end], *there)
-        cost = shifted(value[each.end], *there) + each.length * price
-        least[each.start].append(jnp.where(shifted(is_blocked[number]), jnp.inf, cost))
+        top, left = margin + each.down, margin + each.right
+        beyond = value[each.end, :, top : top + height, left : left + width]
+        least[each.start].append(beyond + prices[number])
     nearest = jnp.stack([functools.reduce(jnp.minimum, each) for each in least])
     if nearest.shape[1] == 1:
         return nearest

@@ -12,7 +12,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.tiles import relaxed
+from jaxplore.belief.tiles import Part, relaxed
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
 from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
@@ -267,7 +267,7 @@ def geodesic(
     # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
     start = jnp.where(is_open, initial, jnp.inf)
-    return relaxed(start, [(half, jnp.inf)], _relax, 1)
+    return relaxed(start, [Part(half, jnp.inf, 1)], _relax, 1)
 
 
 def _relax(value: Array, half: Array) -> Array:

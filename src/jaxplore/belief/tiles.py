@@ -1,6 +1,7 @@
 """Relax a cost-to-go tile by tile: in the order of its values, and within the CPU's cache."""
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,22 +10,58 @@ from jaxtyping import Float
 
 from jaxplore._types import Scalar
 
-TILE = 24
-"""Nodes on a side of the tiles that are relaxed at a time: a tile fits the CPU's cache."""
-SWEEPS = 4
-"""Sweeps between two checks for convergence; a check costs as much as a sweep."""
-
 Relax = Callable[..., Array]
-"""Function of a cost-to-go (..., h, w) and of parts (..., h, w), which include a margin, and of
+"""Function of a cost-to-go (..., h, w) with its margin, of parts (..., h, w) with theirs, and of
 numbers. It returns the cost-to-go within the margin after one sweep."""
+
+
+class Part(NamedTuple):
+    """Values that a sweep reads, such as costs.
+
+    Args:
+        values: array (..., H, W).
+        outside: its value off the map.
+        margin: number of rows and columns around a node whose values the sweep reads; static.
+    """
+
+    values: Array
+    outside: float | bool
+    margin: int
+
+
+class Tiling(NamedTuple):
+    """How the CPU relaxes.
+
+    Args:
+        side: nodes on a side of the tiles that are relaxed at a time. A tile with all that a sweep
+            reads fits the CPU's cache, and is too small to be split between threads.
+        sweeps: sweeps between two checks for convergence. A check of a single layer of nodes costs
+            as much as a sweep.
+    """
+
+    side: int = 24
+    sweeps: int = 4
+
+
+class Outline(NamedTuple):
+    """What is static of a cost-to-go and its parts.
+
+    Args:
+        outside: values off the map.
+        margins: margins that a sweep reads.
+    """
+
+    outside: tuple[float | bool, ...]
+    margins: tuple[int, ...]
 
 
 def relaxed(
     start: Float[Array, "*C H W"],
-    parts: Sequence[tuple[Array, float | bool]],
+    parts: Sequence[Part],
     relax: Relax,
     margin: int,
     numbers: Sequence[Scalar] = (),
+    tiling: Tiling = Tiling(),  # noqa: B008
 ) -> Array:
     """Lower a cost-to-go by sweeps until none changes it.
 
@@ -35,21 +72,23 @@ def relaxed(
 
     Args:
         start: cost-to-go (..., H, W) at the sources; infinite elsewhere.
-        parts: arrays (..., H, W) that a sweep reads, such as costs, each with its value off the
-            map.
+        parts: what a sweep reads.
         relax: one sweep.
-        margin: number of rows and columns around a node whose values the sweep reads, at most
-            `TILE`; static.
+        margin: number of rows and columns around a node whose cost-to-go the sweep reads, at most
+            the side of a tile; static.
         numbers: further arguments of a sweep.
+        tiling: how the CPU relaxes; static.
     """
-    outside = [jnp.inf, *(value for _, value in parts)]
-    arrays = (start, *(array for array, _ in parts), *numbers)
+    outline = Outline(
+        (jnp.inf, *(each.outside for each in parts)), (margin, *(each.margin for each in parts))
+    )
+    arrays = (start, *(each.values for each in parts), *numbers)
 
     def by_tiles(*given: Array) -> Array:
-        return relaxed_by_tiles(given, outside, relax, margin)
+        return relaxed_by_tiles(given, outline, relax, tiling)
 
     def everywhere(*given: Array) -> Array:
-        return relaxed_everywhere(given, outside, relax, margin)
+        return relaxed_everywhere(given, outline, relax, tiling)
 
     # Under `vmap` the maps are processed one after another: each has its own order of tiles.
     one_by_one = jax.custom_batching.sequential_vmap(by_tiles)  # type: ignore[no-untyped-call]
@@ -58,66 +97,75 @@ def relaxed(
 
 
 def relaxed_everywhere(
-    given: Sequence[Array], outside: Sequence[float | bool], relax: Relax, margin: int
+    given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
 ) -> Array:
     """Relax all nodes at once until none changes.
 
     Args:
         given: cost-to-go, parts and numbers of `relaxed`.
-        outside: values of the cost-to-go and of the parts off the map.
+        outline: their values off the map, and their margins; static.
         relax: one sweep.
-        margin: as of `relaxed`; static.
+        tiling: sweeps between two checks; static.
     """
-    arrays, numbers = given[: len(outside)], given[len(outside) :]
+    number = len(outline.outside)
     first, *others = (
-        jnp.pad(each, _around(each, margin), constant_values=value)
-        for each, value in zip(arrays, outside, strict=True)
+        jnp.pad(each, _around(each, margin), constant_values=outside)
+        for each, outside, margin in zip(given[:number], *outline, strict=True)
     )
-    return _within(_settled(first, [*others, *numbers], relax, margin), margin)
+    margin = outline.margins[0]
+    settled = _settled(first, [*others, *given[number:]], relax, margin, tiling.sweeps)
+    return _within(settled, margin)
 
 
 def relaxed_by_tiles(
-    given: Sequence[Array], outside: Sequence[float | bool], relax: Relax, margin: int
+    given: Sequence[Array], outline: Outline, relax: Relax, tiling: Tiling
 ) -> Array:
     """Relax tile by tile until no tile has a neighbour that changed since its last visit.
 
     Args:
         given: cost-to-go, parts and numbers of `relaxed`.
-        outside: values of the cost-to-go and of the parts off the map.
+        outline: their values off the map, and their margins; static.
         relax: one sweep.
-        margin: as of `relaxed`; static.
+        tiling: how; static.
     """
-    arrays, numbers = given[: len(outside)], given[len(outside) :]
+    number, side, margin = len(outline.outside), tiling.side, outline.margins[0]
     height, width = given[0].shape[-2:]
-    rows, columns = -(-height // TILE), -(-width // TILE)
+    rows, columns = -(-height // side), -(-width // side)
     # The margin gives every tile neighbours on all sides. The last tiles are completed.
-    more = (rows * TILE - height, columns * TILE - width)
+    more = (rows * side - height, columns * side - width)
     value, *parts = (
-        jnp.pad(each, _around(each, margin, more), constant_values=fill)
-        for each, fill in zip(arrays, outside, strict=True)
+        jnp.pad(each, _around(each, beside, more), constant_values=outside)
+        for each, outside, beside in zip(given[:number], *outline, strict=True)
     )
-    tiles = _within(value, margin).reshape(-1, rows, TILE, columns, TILE)
+    tiles = _within(value, margin).reshape(-1, rows, side, columns, side)
     # Priority of each tile: the smallest changed value next to it, initially the smallest value in
     # it; infinite if nothing changed.
     due = jnp.pad(tiles.min(axis=(0, 2, 4)), 1, constant_values=jnp.inf)
     is_tile = jnp.pad(jnp.ones((rows, columns), bool), 1)
-    side = TILE + 2 * margin
 
-    def window(array: Array, corner: tuple[Array, Array]) -> Array:
-        leading = array.shape[:-2]
+    def window(array: Array, corner: tuple[Array, Array], beside: int) -> Array:
+        leading, length = array.shape[:-2], side + 2 * beside
         first: tuple[Array | int, ...] = (*(0 for _ in leading), *corner)
-        return jax.lax.dynamic_slice(array, first, (*leading, side, side))
+        return jax.lax.dynamic_slice(array, first, (*leading, length, length))
 
     def visit(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         value, due = carry
         first = jnp.argmin(due[1:-1, 1:-1])
         row, column = first // columns, first % columns
-        corner = (row * TILE, column * TILE)
-        before, *own = (window(each, corner) for each in (value, *parts))
-        after = _within(_settled(before, [*own, *numbers], relax, margin), margin)
+        corner = (row * side, column * side)
+        # Behind the barrier XLA does not read `before` from `value` once more after its update,
+        # for which it would copy the whole map in each visit.
+        before, *own = _barrier(
+            *(
+                window(each, corner, beside)
+                for each, beside in zip((value, *parts), outline.margins, strict=True)
+            )
+        )
+        settled = _settled(before, [*own, *given[number:]], relax, margin, tiling.sweeps)
+        after = _within(settled, margin)
         # Values that fell near the edge of the tile become due in the neighbours on that side.
         fallen = jnp.where(after < _within(before, margin), after, jnp.inf)
-        fallen = fallen.reshape(-1, TILE, TILE).min(axis=0)
+        fallen = fallen.reshape(-1, side, side).min(axis=0)
         above, below = fallen[:margin], fallen[-margin:]
         left, right = fallen[:, :margin].min(), fallen[:, -margin:].min()
         around = [
@@ -142,21 +190,31 @@ def relaxed_by_tiles(
     return value[..., margin : margin + height, margin : margin + width]
 
 
-def _settled(start: Array, parts: Sequence[Array], relax: Relax, margin: int) -> Array:
+def _settled(
+    start: Array, parts: Sequence[Array], relax: Relax, margin: int, num_sweeps: int
+) -> Array:
     """Relax all nodes within the margin until none changes."""
     place = (*(0 for _ in start.shape[:-2]), margin, margin)
 
-    def sweep(_: Array, value: Array) -> Array:
-        nearest = jnp.minimum(_within(value, margin), relax(value, *parts))
-        return jax.lax.dynamic_update_slice(value, nearest, place)
+    def sweep(value: Array) -> tuple[Array, Array]:
+        own = _within(value, margin)
+        nearest = jnp.minimum(own, relax(value, *parts))
+        # Behind the barrier nothing reads the old values, so they are replaced in place.
+        nearest, is_lower = _barrier(nearest, jnp.any(nearest < own))
+        return jax.lax.dynamic_update_slice(value, nearest, place), is_lower
 
     def sweeps(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        before, _ = carry
-        after = jax.lax.fori_loop(0, SWEEPS, sweep, before)
-        return after, jnp.any(after < before)
+        value = jax.lax.fori_loop(1, num_sweeps, lambda _, each: sweep(each)[0], carry[0])
+        return sweep(value)
 
     value, _ = jax.lax.while_loop(lambda carry: carry[1], sweeps, (start, jnp.array(True)))
     return value
+
+
+def _barrier(*arrays: Array) -> Sequence[Array]:
+    """Return arrays that XLA computes before anything that reads them, and only once."""
+    same: Sequence[Array] = jax.lax.optimization_barrier(arrays)  # type: ignore[no-untyped-call]
+    return same
 
 
 def _around(array: Array, margin: int, more: tuple[int, int] = (0, 0)) -> list[tuple[int, int]]:
