@@ -141,11 +141,18 @@ def test_the_effective_sample_size_is_the_one_wanted(seed, decade, wanted, shape
     temperature = float(temperature_of(part, single, jnp.zeros(SAMPLES)))
     expected = softmax(single, np.zeros(SAMPLES), temperature, 0.0)
     np.testing.assert_allclose(weights, expected, rtol=1e-2, atol=1e-6)
+    # A least temperature below that changes nothing. One above it is taken, and more samples count.
+    lower = weights_of(AdaptiveSoftmax(wanted, temperature=0.5 * temperature), costs)
+    np.testing.assert_array_equal(lower, weights)
+    warmer = weights_of(AdaptiveSoftmax(wanted, temperature=2.0 * temperature), costs)
+    expected = softmax(single, np.zeros(SAMPLES), 2.0 * temperature, 0.0)
+    np.testing.assert_allclose(warmer, expected, rtol=1e-2, atol=1e-6)
+    assert size_of(warmer) > size_of(weights)
 
 
 @jax.jit
 def temperature_of(part, costs, log_ratio):
-    return part.temperature(costs, log_ratio)
+    return part.chosen_temperature(costs, log_ratio)
 
 
 @pytest.mark.parametrize("importance", [0.5, 1.0])
@@ -272,6 +279,7 @@ def test_effective_sample_size() -> None:
         (lambda: AdaptiveSoftmax(0.5), r"effective_sample_size is 0.5; accepted: .* >= 1.0"),
         (lambda: AdaptiveSoftmax(math.nan), r"effective_sample_size is nan; accepted"),
         (lambda: AdaptiveSoftmax(5.0, 2.0), r"importance is 2.0; accepted: .* <= 1.0"),
+        (lambda: AdaptiveSoftmax(5.0, 0.0, -1.0), r"temperature is -1.0; accepted: .* >= 0.0"),
         (lambda: Elite(0.0), r"fraction is 0.0; accepted: .* > 0.0 and <= 1.0"),
         (lambda: Elite(1.1), r"fraction is 1.1; accepted: .* > 0.0 and <= 1.0"),
     ],

@@ -65,29 +65,42 @@ class AdaptiveSoftmax(Weighting):
     to 8 decades above. A size that cannot be reached, because too few rollouts are finite or
     several are equally good, is approached.
 
+    A least `temperature` [units of cost] says which differences of cost do not matter. The size is
+    then the least one: the temperature is raised only where fewer samples would count.
+
     Args:
         effective_sample_size: wanted effective sample size, in samples.
         importance: weight of the likelihood ratio, 0 to 1.
+        temperature: least temperature; 0 for none.
 
     Raises:
-        ValueError: a size < 1, an importance outside [0, 1].
+        ValueError: a size < 1, an importance outside [0, 1], a negative temperature.
     """
 
     effective_sample_size: Scalar
     importance: Scalar
+    temperature: Scalar
 
-    def __init__(self, effective_sample_size: ArrayLike, importance: ArrayLike = 0.0) -> None:
+    def __init__(
+        self,
+        effective_sample_size: ArrayLike,
+        importance: ArrayLike = 0.0,
+        temperature: ArrayLike = 0.0,
+    ) -> None:
         self.effective_sample_size = _checks.scalar(
             "effective_sample_size", effective_sample_size, at_least=1.0
         )
         self.importance = _checks.scalar("importance", importance, at_least=0.0, at_most=1.0)
+        self.temperature = _checks.scalar("temperature", temperature, at_least=0.0)
 
     def weights(self, costs: Costs, log_ratio: Costs) -> Weights:
         """Compute the weights (K,)."""
-        return _softmax(costs, self.temperature(costs, log_ratio), self.importance * log_ratio)
+        chosen = self.chosen_temperature(costs, log_ratio)
+        return _softmax(costs, chosen, self.importance * log_ratio)
 
-    def temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
-        """Find the temperature at which these costs have the wanted effective sample size."""
+    def chosen_temperature(self, costs: Costs, log_ratio: Costs) -> Scalar:
+        """Find the temperature at which these costs have the wanted effective sample size, or the
+        least one if that is higher."""
         is_finite = jnp.isfinite(costs)
         least = jnp.min(jnp.where(is_finite, costs, jnp.inf))
         spread = jnp.max(jnp.where(is_finite, costs, -jnp.inf)) - least
@@ -121,7 +134,7 @@ class AdaptiveSoftmax(Weighting):
 
         # Differentiating the bisection would give 0. `custom_root` differentiates the equation.
         root: Scalar = jax.lax.custom_root(excess, jax.lax.stop_gradient(scale), bisect, solve)
-        return jnp.exp(root)
+        return jnp.maximum(jnp.exp(root), self.temperature)
 
 
 class Elite(Weighting):
