@@ -236,7 +236,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     },
     zone_choice: {"zones", "goal", "perception", "lidar"},
     jx.mpcc: {
-        *("robot", "path", "noise_std", "max_speed", "other", "corridor", "parameterisation"),
+        *("robot", "path", "noise_std", "max_speed", "other", "corridor"),
         *("disturbance", "risk"),
     },
     jx.planning.avoidance_cost: set(),

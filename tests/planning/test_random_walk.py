@@ -417,7 +417,7 @@ names = [each if isinstance(each, str) else type(each).__name__ for each in PARA
 
 
 def noise_of(robot: Dynamics, **numbers: Any) -> np.ndarray:
-    proposal = Flight(**numbers).noise(robot)
+    proposal = Flight(**numbers).sampling(robot).proposal
     np.testing.assert_array_equal(proposal.mean, 0.0)
     assert proposal.noise_covariance is None
     return np.asarray(proposal.noise_std, float)
@@ -671,7 +671,8 @@ def test_what_the_baselines_share(robot: Dynamics) -> None:
         assert float(mppi.weighting.temperature) == pytest.approx(0.4)
         assert isinstance(mppi.parameterisation, Knots)
         assert mppi.parameterisation.num_knots == 4
-        np.testing.assert_array_equal(mppi.proposal.noise_std, flight.noise(robot).noise_std)
+        expected = flight.sampling(robot).proposal.noise_std
+        np.testing.assert_array_equal(mppi.proposal.noise_std, expected)
     state, control = robot.at_pose(3.0, -4.0, 0.7).at[3:5].add(1.2), 0.7 * robot.control_max
     walking, going = (paid(mppi, state, control, 0.4) for mppi in (walk.mppi, to_goal))
     assert min(walking.pop("GoalCost"), going.pop("GoalCost")) > 0.0
@@ -694,4 +695,5 @@ def test_without_numbers_they_are_those_of_a_flight() -> None:
     robot, default = Quadrotor(), Flight()
     for mppi in (goal_mppi(robot, [1.0, 2.0]), random_walk(robot).mppi):
         assert (mppi.horizon, mppi.num_samples) == (default.horizon, default.num_samples)
-        np.testing.assert_array_equal(mppi.proposal.noise_std, default.noise(robot).noise_std)
+        expected = default.sampling(robot).proposal.noise_std
+        np.testing.assert_array_equal(mppi.proposal.noise_std, expected)

@@ -33,13 +33,16 @@ from jaxplore.settings.robot import (
 from jaxplore.settings.sections import (
     Count,
     Fraction,
+    NoiseName,
     NonNegative,
     Number,
+    ParameterisationName,
     Positive,
     Probability,
     RunSettings,
     Section,
     Share,
+    WeightingName,
     checked_section,
 )
 from jaxplore.settings.sections import read_settings as read_settings
@@ -69,8 +72,6 @@ ZONES = "zones"
 
 SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 """Scenarios for ground vehicles: settings with a world, in `scenarios/`."""
-
-ParameterisationName = Literal["direct", "smooth", "knots"]
 
 
 class OfficeSettings(Section):
@@ -134,9 +135,13 @@ class FieldSettings(Section):
 class ControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.explorer`."""
 
+    parameterisation: ParameterisationName = setting(explorer, "parameterisation")
     horizon: Count = setting(explorer, "horizon")
     num_samples: Count = setting(explorer, "num_samples")
+    noise: NoiseName = setting(explorer, "noise")
+    weighting: WeightingName = setting(explorer, "weighting")
     temperature: Positive = setting(explorer, "temperature")
+    effective_share: Share = setting(explorer, "effective_share")
     noise_std: tuple[Positive, ...] | None = setting(explorer, "noise_std")
     dt: Positive = setting(explorer, "dt")
     clearance: Positive = setting(explorer, "clearance")
@@ -183,7 +188,10 @@ class PortfolioSettings(Section):
     effort: NonNegative = setting(ground_portfolio, "effort")
     horizon: Count = setting(ground_portfolio, "horizon")
     num_samples: Count = setting(ground_portfolio, "num_samples")
+    noise: NoiseName = setting(ground_portfolio, "noise")
+    weighting: WeightingName = setting(ground_portfolio, "weighting")
     temperature: Positive = setting(ground_portfolio, "temperature")
+    effective_share: Share = setting(ground_portfolio, "effective_share")
     noise_share: Positive = setting(ground_portfolio, "noise_share")
     dt: Positive = setting(ground_portfolio, "dt")
     clearance: Positive = setting(ground_portfolio, "clearance")
@@ -197,7 +205,10 @@ class InformativeSettings(Section):
     parameterisation: ParameterisationName = setting(Flight, "parameterisation")
     horizon: Count = setting(Flight, "horizon")
     num_samples: Count = setting(Flight, "num_samples")
+    noise: NoiseName = setting(Flight, "noise")
+    weighting: WeightingName = setting(Flight, "weighting")
     temperature: Positive = setting(Flight, "temperature")
+    effective_share: Share = setting(Flight, "effective_share")
     noise_std: tuple[Positive, ...] | None = setting(Flight, "noise_std")
     dt: Positive = setting(Flight, "dt")
     clearance: Positive = setting(Flight, "clearance")

@@ -16,10 +16,13 @@ from jaxplore.settings.sections import (
     Count,
     NonNegative,
     Number,
+    ParameterisationName,
     Positive,
     RunSettings,
     Section,
+    Share,
     Steering,
+    WeightingName,
     checked_section,
 )
 from jaxplore.simulation.following.scenario import PathScenario
@@ -100,6 +103,10 @@ class PathObstacleSettings(Section):
 class ContouringNumbers(Section):
     """Contouring control along any path: see `jaxplore.mpcc`."""
 
+    parameterisation: ParameterisationName = setting(mpcc, "parameterisation")
+    noise: Literal["gaussian", "coloured"] = setting(mpcc, "noise")
+    weighting: WeightingName = setting(mpcc, "weighting")
+    effective_share: Share = setting(mpcc, "effective_share")
     horizon: Count = setting(mpcc, "horizon")
     num_samples: Count = setting(mpcc, "num_samples")
     dt: Positive = setting(mpcc, "dt")

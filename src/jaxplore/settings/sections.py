@@ -33,6 +33,9 @@ Steering = Annotated[float, Field(gt=0, lt=1.57)]
 Interval = tuple[NonNegative, NonNegative]
 Positives = tuple[Positive, Positive]
 Numbers = tuple[Number, Number]
+ParameterisationName = Literal["direct", "smooth", "knots"]
+NoiseName = Literal["gaussian", "coloured", "sobol", "bank"]
+WeightingName = Literal["softmax", "adaptive", "elite"]
 Parameters = dict[str, float | list[float]]
 """Controller parameters by path; a list for an array."""
 

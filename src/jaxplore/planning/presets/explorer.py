@@ -5,12 +5,16 @@ from typing import Any
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Vector
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.noise import Noise
+from jaxplore.control.parameterisations import Parameterisation
+from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import ToGoalCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.planning.presets.sampling import sampling
 
 
 def explorer(
@@ -19,8 +23,12 @@ def explorer(
     horizon: int = 40,
     num_samples: int = 1000,
     temperature: ArrayLike = 0.3,
+    effective_share: ArrayLike = 0.05,
     noise_std: Vector | None = None,
     dt: ArrayLike = 0.05,
+    parameterisation: Parameterisation | str = "knots",
+    noise: Noise | str = "gaussian",
+    weighting: Weighting | str = "adaptive",
     clearance: ArrayLike = 0.4,
     obstacle_weight: ArrayLike = 1.0,
     information_weight: ArrayLike = 2.0,
@@ -34,14 +42,29 @@ def explorer(
     four times as high. Information, in nats per beam, decides between paths of similar guidance.
     Being 5 cm too close to an obstacle costs 100 per step.
 
+    How far the costs of the rollouts spread depends on the robot: a speed that is a control acts at
+    once, an acceleration over the horizon. So the temperature is raised where fewer than
+    `effective_share` of the samples would count, and the plan is not the noise of a few of them.
+    With the noise at a few knots the commands are smooth.
+
+    With "direct" and "softmax" the controller is MPPI of Williams et al. with its likelihood ratio.
+
     Args:
         robot: model of the robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: temperature of the softmax.
+        temperature: temperature of the softmax; the least one of the adaptive softmax.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            which raises its temperature where fewer would; that of the elite.
         noise_std: (nu,) standard deviations of the controls; half the range between their bounds
-            when absent.
+            when absent. With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`,
+            which spreads the sum of the controls as much. With `Smooth`, whose rates add up from
+            command to command, `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
         dt: model step [s].
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
         obstacle_weight: weight of `ObstacleCost`.
         information_weight: weight of `InformationCost`.
@@ -61,8 +84,12 @@ def explorer(
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
+        effective_share=effective_share,
         noise_std=noise_std,
         dt=dt,
+        parameterisation=parameterisation,
+        noise=noise,
+        weighting=weighting,
     )
 
 
@@ -72,8 +99,12 @@ def waypoint_mppi(
     horizon: int = 30,
     num_samples: int = 256,
     temperature: ArrayLike = 0.3,
+    effective_share: ArrayLike = 0.05,
     noise_std: Vector | None = None,
     dt: ArrayLike = 0.05,
+    parameterisation: Parameterisation | str = "direct",
+    noise: Noise | str = "gaussian",
+    weighting: Weighting | str = "softmax",
     clearance: ArrayLike = 0.4,
     obstacle_weight: ArrayLike = 1.0,
     guidance_weight: ArrayLike = 1.0,
@@ -85,10 +116,18 @@ def waypoint_mppi(
         robot: model of the robot, a ground robot.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: temperature of the softmax.
+        temperature: temperature of the softmax; the least one of the adaptive softmax.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            which raises its temperature where fewer would; that of the elite.
         noise_std: (nu,) standard deviations of the controls; half the range between their bounds
-            when absent.
+            when absent. With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`,
+            which spreads the sum of the controls as much. With `Smooth`, whose rates add up from
+            command to command, `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
         dt: model step [s].
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 8 knots).
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
         clearance: distance kept from obstacles [m]; see `ObstacleCost`.
         obstacle_weight: weight of `ObstacleCost`.
         guidance_weight: weight of `ToGoalCost`.
@@ -109,12 +148,27 @@ def waypoint_mppi(
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
+        effective_share=effective_share,
         noise_std=noise_std,
         dt=dt,
+        parameterisation=parameterisation,
+        noise=noise,
+        weighting=weighting,
     )
 
 
-def _ground_mppi(robot: Dynamics, cost: Cost, *, noise_std: Vector | None, **numbers: Any) -> MPPI:
+def _ground_mppi(
+    robot: Dynamics,
+    cost: Cost,
+    *,
+    horizon: int,
+    num_samples: int,
+    noise_std: Vector | None,
+    dt: ArrayLike,
+    **numbers: Any,
+) -> MPPI:
     """Build MPPI whose noise is half the range of each control unless it is given."""
-    noise = robot.control_half_range if noise_std is None else noise_std
-    return MPPI(robot, cost, noise_std=noise, **numbers)
+    sizes: dict[str, Any] = {"horizon": horizon, "num_samples": num_samples, "dt": dt}
+    std = robot.control_half_range if noise_std is None else noise_std
+    parts = sampling(robot, std, **sizes, importance=1.0, **numbers)
+    return MPPI(robot, cost, **sizes, **parts._asdict())

@@ -5,15 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxplore import _checks
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
-from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.noise import Noise
 from jaxplore.control.parameterisations import Parameterisation
-from jaxplore.control.proposals import GaussianProposal, Proposal
-from jaxplore.control.smooth import Smooth
-from jaxplore.control.weighting import Softmax
+from jaxplore.control.proposals import Proposal
+from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
 from jaxplore.costs.effort import QuadraticControlCost
@@ -25,7 +23,7 @@ from jaxplore.information.gain import CellSensor
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.information.noise import GaussianNoise
 from jaxplore.information.pose import PoseInformation
-from jaxplore.planning.presets.parameterisations import parameterisation_by_name
+from jaxplore.planning.presets.sampling import Sampling, sampling
 from jaxplore.planning.strategy.informative import ShortRangeField
 from jaxplore.sensing.lidar import Lidar
 
@@ -39,7 +37,7 @@ class Flight(NamedTuple):
     Args:
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: temperature of the softmax.
+        temperature: temperature of the softmax; the least one of the adaptive softmax.
         noise_std: (nu,) standard deviations of the controls; when absent 5 % of the range of the
             first and 3 % of the range of the others (2 N and 0.6 rad/s for the default quadrotor).
             With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`, which spreads
@@ -49,6 +47,10 @@ class Flight(NamedTuple):
         control_period: time between commands [s].
         parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
             (splines through 8 knots).
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            that of the elite.
         altitude: z to keep, for robots that have one [m].
         max_speed: greatest speed without a cost [m/s].
         clearance: distance kept from obstacles [m].
@@ -65,6 +67,9 @@ class Flight(NamedTuple):
     dt: ArrayLike = 0.05
     control_period: ArrayLike = 0.02
     parameterisation: Parameterisation | str = "direct"
+    noise: Noise | str = "gaussian"
+    weighting: Weighting | str = "softmax"
+    effective_share: ArrayLike = 0.05
     altitude: ArrayLike = -2.0
     max_speed: ArrayLike = 2.0
     clearance: ArrayLike = 0.6
@@ -84,33 +89,40 @@ class Flight(NamedTuple):
             total = total + self.height_weight * StateCost({"z": 1.0}, {"z": self.altitude})
         return total
 
-    def noise(self, robot: Dynamics) -> GaussianProposal:
-        """Build the Gaussian proposal around the last solution.
+    def sampling(self, robot: Dynamics) -> Sampling:
+        """Build the parts of MPPI: a Gaussian proposal around the last solution, the
+        parameterisation and the weighting.
 
         Raises:
-            ValueError: a horizon, a model step or a standard deviation that is not positive.
+            ValueError: a horizon, a model step or a standard deviation that is not positive, an
+                unknown name.
         """
-        horizon = _checks.positive_int("horizon", self.horizon)
-        dt = _checks.scalar("dt", self.dt, above=0.0)
+        std: Vector
         if self.noise_std is None:
             share = np.full(robot.control_size, 0.03, np.float32)
             share[0] = 0.05
             bounds = robot.control_min, robot.control_max
             std = computed(lambda _, share, low, high: share * (high - low), share, *bounds)
         else:
-            given = GaussianProposal(self.noise_std).noise_std  # which checks it
-            assert given is not None
-            std = given
-        parameterisation = parameterisation_by_name(self.parameterisation, horizon)
-        # Scaled so that the sum of the controls over the horizon keeps its spread, see `noise_std`.
-        if isinstance(parameterisation, Smooth):
-            std = std / (dt * math.sqrt(0.5 * horizon))
-        elif isinstance(parameterisation, Knots):
-            std = std * math.sqrt(parameterisation.num_knots / horizon)
-        return GaussianProposal(std)
+            std = self.noise_std
+        return sampling(
+            robot,
+            std,
+            horizon=self.horizon,
+            num_samples=self.num_samples,
+            dt=self.dt,
+            parameterisation=self.parameterisation,
+            noise=self.noise,
+            weighting=self.weighting,
+            temperature=self.temperature,
+            effective_share=self.effective_share,
+            # The control cost that the likelihood ratio stands for keeps a quadrotor near hovering.
+            importance=1.0,
+        )
 
-    def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal) -> MPPI:
-        """Build MPPI with these parameters."""
+    def mppi(self, robot: Dynamics, cost: Cost, proposal: Proposal | None = None) -> MPPI:
+        """Build MPPI with these parameters, and with a proposal of one's own if it is given."""
+        parts = self.sampling(robot)
         return MPPI(
             robot,
             (1.0 / self.horizon) * cost,
@@ -118,9 +130,9 @@ class Flight(NamedTuple):
             num_samples=self.num_samples,
             dt=self.dt,
             control_period=self.control_period,
-            proposal=proposal,
-            parameterisation=parameterisation_by_name(self.parameterisation, self.horizon),
-            weighting=Softmax(self.temperature),
+            proposal=parts.proposal if proposal is None else proposal,
+            parameterisation=parts.parameterisation,
+            weighting=parts.weighting,
         )
 
 

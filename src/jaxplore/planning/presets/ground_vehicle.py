@@ -2,19 +2,17 @@
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
-from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
+from jaxplore.control.noise import Noise
 from jaxplore.control.parameterisations import Parameterisation
-from jaxplore.control.proposals import GaussianProposal
-from jaxplore.control.smooth import Smooth
-from jaxplore.control.weighting import Softmax
+from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost
 from jaxplore.costs.collision import CollisionCost
 from jaxplore.costs.effort import ControlCost
@@ -27,7 +25,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fusion
 from jaxplore.planning.portfolio.portfolio import Portfolio
-from jaxplore.planning.presets.parameterisations import parameterisation_by_name
+from jaxplore.planning.presets.sampling import sampling
 
 Weights = Mapping[str, Mapping[str, float]]
 
@@ -128,6 +126,9 @@ def ground_portfolio(
     noise_share: ArrayLike = 0.5,
     dt: ArrayLike = 0.05,
     parameterisation: Parameterisation | str = "knots",
+    noise: Noise | str = "gaussian",
+    weighting: Weighting | str = "softmax",
+    effective_share: ArrayLike = 0.05,
     clearance: ArrayLike = 0.4,
     margin: ArrayLike = 0.02,
 ) -> Portfolio:
@@ -165,11 +166,16 @@ def ground_portfolio(
         effort: weight of "effort" in every member that does not set one.
         horizon: model steps ahead, T.
         num_samples: rollouts of each member, K.
-        temperature: temperature of the softmax.
-        noise_share: standard deviation of the controls, as a share of half their range.
+        temperature: temperature of the softmax; the least one of the adaptive softmax.
+        noise_share: standard deviation of the controls, as a share of half their range; scaled as
+            in `explorer`.
         dt: model step [s].
         parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
             (splines through 8 knots).
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            that of the elite.
         clearance: distance kept from obstacles [m].
         margin: distance by which the robot is enlarged in the collision check [m].
 
@@ -213,7 +219,10 @@ def ground_portfolio(
             temperature=temperature,
             noise_share=noise_share,
             dt=dt,
-            parameterisation=parameterisation_by_name(parameterisation, horizon),
+            parameterisation=parameterisation,
+            noise=noise,
+            weighting=weighting,
+            effective_share=effective_share,
         ),
         terms,
         weights,
@@ -230,33 +239,17 @@ def _template(
     *,
     horizon: int,
     num_samples: int,
-    temperature: ArrayLike,
     noise_share: ArrayLike,
     dt: ArrayLike,
-    parameterisation: Parameterisation,
+    **numbers: Any,
 ) -> MPPI:
     """Build the MPPI controller of which the members are copies."""
+    sizes: dict[str, Any] = {"horizon": horizon, "num_samples": num_samples, "dt": dt}
     share = _checks.scalar("noise_share", noise_share, above=0.0)
     std = computed(lambda _, *each: each[0] * each[1], share, robot.control_half_range)
-    # Scaled so that the sum of the controls over the horizon has the variance that independent
-    # noise on every control would give it, see `Flight.noise_std`.
-    if isinstance(parameterisation, Smooth):
-        std = std / (_checks.scalar("dt", dt, above=0.0) * math.sqrt(0.5 * horizon))
-    elif isinstance(parameterisation, Knots):
-        factor = math.sqrt(parameterisation.num_knots / horizon)
-        std = computed(lambda _, std: std * factor, std)
-    return MPPI(
-        robot,
-        cost,
-        horizon=horizon,
-        num_samples=num_samples,
-        dt=dt,
-        proposal=GaussianProposal(std),
-        parameterisation=parameterisation,
-        # No likelihood ratio: over tens of steps it would reduce the effective sample size to about
-        # one in a thousand.
-        weighting=Softmax(temperature, importance=0.0),
-    )
+    # No likelihood ratio: over tens of steps it would reduce the effective sample size to about
+    # one in a thousand.
+    return MPPI(robot, cost, **sizes, **sampling(robot, std, **sizes, **numbers)._asdict())
 
 
 def _weights(

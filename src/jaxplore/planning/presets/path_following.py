@@ -6,12 +6,11 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Vector
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.disturbance import Disturbance
-from jaxplore.control.knots import Knots
 from jaxplore.control.mppi import MPPI
 from jaxplore.control.parameterisations import Parameterisation
 from jaxplore.control.proposals import GaussianProposal, Proposal
 from jaxplore.control.risk import Risk
-from jaxplore.control.weighting import Softmax
+from jaxplore.control.weighting import Weighting
 from jaxplore.costs.base import Cost, check_cost
 from jaxplore.costs.comfort import ComfortCost
 from jaxplore.costs.moving import MovingObstacleCost
@@ -20,9 +19,17 @@ from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.dynamics.path_parameter import PathParameter
 from jaxplore.geometry.path import Path
+from jaxplore.planning.presets.sampling import (
+    noise_by_name,
+    parameterisation_by_name,
+    spread,
+    weighting_by_name,
+)
 
 KNOTS = 5
 """Number of knots of the control splines. Smooth noise turns a car; white noise averages out."""
+NOISES = ("gaussian", "coloured")
+"""Sources of noise that two parts may draw from apart."""
 
 
 class PathFollowing(NamedTuple):
@@ -53,6 +60,8 @@ def augmented_mppi(
     temperature: ArrayLike = 50.0,
     dt: ArrayLike = 0.1,
     parameterisation: Parameterisation | None = None,
+    weighting: Weighting | str = "softmax",
+    effective_share: ArrayLike = 0.05,
     disturbance: Disturbance | None = None,
     num_outcomes: int = 1,
     risk: Risk | None = None,
@@ -69,9 +78,13 @@ def augmented_mppi(
         virtual_proposal: proposal distribution of the virtual controls, with its own random stream.
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: temperature of the softmax [units of cost].
+        temperature: temperature of the softmax; the least one of the adaptive softmax [units of
+            cost].
         dt: model step [s].
         parameterisation: parameterisation of the controls; direct when absent.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            that of the elite.
         disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
             absent.
         num_outcomes: sampled outcomes of each control sequence, if there is a disturbance.
@@ -95,7 +108,12 @@ def augmented_mppi(
         num_outcomes=num_outcomes,
         risk=risk,
         # No likelihood ratio: it would draw the plan towards the default control.
-        weighting=Softmax(temperature, importance=0.0),
+        weighting=weighting_by_name(
+            weighting,
+            temperature=temperature,
+            effective_share=effective_share,
+            num_samples=num_samples,
+        ),
     )
 
 
@@ -150,7 +168,10 @@ def mpcc(
     num_samples: int = 512,
     temperature: ArrayLike = 30.0,
     dt: ArrayLike = 0.05,
-    parameterisation: Parameterisation | None = None,
+    parameterisation: Parameterisation | str = "knots",
+    noise: str = "gaussian",
+    weighting: Weighting | str = "softmax",
+    effective_share: ArrayLike = 0.05,
     disturbance: Disturbance | None = None,
     num_outcomes: int = 16,
     risk: Risk | None = None,
@@ -169,9 +190,10 @@ def mpcc(
     Args:
         robot: model of the robot.
         path: path to follow.
-        noise_share: standard deviation of the robot's controls, as a share of half their range.
+        noise_share: standard deviation of the robot's controls at 5 knots, as a share of half
+            their range; with another parameterisation such that their sum has the same spread.
         noise_std: (nu,) standard deviations in units of the controls, instead of `noise_share`.
-        progress_noise: standard deviation of the progress [m/s].
+        progress_noise: standard deviation of the progress, likewise [m/s].
         max_speed: bound of the progress along the path [m/s]; when absent the robot's `max_speed`,
             or the bound of its control `v`.
         contouring_weight: weight of the contouring error, w_c [1/m^2].
@@ -186,9 +208,16 @@ def mpcc(
         corridor_margin: distance kept from the corridor's edges [m].
         horizon: model steps ahead, T.
         num_samples: rollouts, K.
-        temperature: temperature of the softmax [units of cost].
+        temperature: temperature of the softmax; the least one of the adaptive softmax [units of
+            cost].
         dt: model step [s].
-        parameterisation: parameterisation of the controls; splines through 5 knots when absent.
+        parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
+            (splines through 5 knots).
+        noise: name of the source of noise: gaussian or coloured (pink). The robot and its progress
+            are drawn apart, and of sobol or bank they would draw the same points.
+        weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
+        effective_share: share of the samples that count: the least one of the adaptive softmax,
+            that of the elite.
         disturbance: source of uncertainty of a plan's cost, such as `UncertainObstacles`; none when
             absent.
         num_outcomes: outcomes of each control sequence, if there is a disturbance.
@@ -203,6 +232,7 @@ def mpcc(
     _checks.positive_int("num_outcomes", num_outcomes)
     _kinds.instance("robot", robot, Dynamics)
     _kinds.instance("path", path, Path)
+    _kinds.instance("noise", noise, str)
     if other is not None:
         check_cost("other", other)
     if corridor is not None:
@@ -227,24 +257,35 @@ def mpcc(
         other = comfort if other is None else comfort + other
     if other is not None:
         total = total + other
-    if parameterisation is None:
-        parameterisation = Knots(min(KNOTS, _checks.positive_int("horizon", horizon)))
+    chosen = parameterisation_by_name(parameterisation, horizon, KNOTS)
+    usual = parameterisation_by_name("knots", horizon, KNOTS)
+    factor = spread(chosen, horizon, step) / spread(usual, horizon, step)
     if noise_std is None:
         half_range = robot.control_half_range
         noise_std = _checks.scalar("noise_share", noise_share, above=0.0) * half_range
+    progress = PathParameter.along(path, _bound(robot) if max_speed is None else max_speed)
+    progress_std = _checks.scalar("progress_noise", progress_noise, above=0.0)[None]
+
+    def proposal(model: Dynamics, std: Vector) -> GaussianProposal:
+        # Checks the standard deviations, which are scaled afterwards.
+        given = GaussianProposal(std).noise_std
+        assert given is not None
+        drawn = noise_by_name(noise, model, chosen, horizon, num_samples, NOISES)
+        return GaussianProposal(factor * given, noise=drawn)
+
     controller = augmented_mppi(
         robot,
-        PathParameter.along(path, _bound(robot) if max_speed is None else max_speed),
+        progress,
         total,
-        physical_proposal=GaussianProposal(noise_std),
-        virtual_proposal=GaussianProposal(
-            _checks.scalar("progress_noise", progress_noise, above=0.0)[None]
-        ),
+        physical_proposal=proposal(robot, noise_std),
+        virtual_proposal=proposal(progress, progress_std),
         horizon=horizon,
         num_samples=num_samples,
         temperature=temperature,
         dt=step,
-        parameterisation=parameterisation,
+        parameterisation=chosen,
+        weighting=weighting,
+        effective_share=effective_share,
         disturbance=disturbance,
         num_outcomes=1 if disturbance is None else num_outcomes,
         risk=risk,

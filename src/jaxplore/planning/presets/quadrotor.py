@@ -136,7 +136,7 @@ def informative_mppi(
         cost = cost + _checks.scalar("goal_weight", goal_weight) * (
             HomingCost(goal) if goal_when_explored else GoalCost(goal)
         )
-    proposal: Proposal = flight.noise(robot)
+    proposal: Proposal | None = None
     follower = None
     if architecture != "parallel":
         cost = cost + _checks.scalar("reference_weight", reference_weight) * StrategyReferenceCost()
@@ -146,7 +146,10 @@ def informative_mppi(
         shape = flight.horizon, robot.control_size
         default = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
         proposal = BiasedProposal(
-            flight.noise(robot), default, bias_fraction, likelihood_ratio=likelihood_ratio
+            flight.sampling(robot).proposal,
+            default,
+            bias_fraction,
+            likelihood_ratio=likelihood_ratio,
         )
         if reference is None:
             walk = GradientReference(reference_speed, reference_steps, flight.dt)
@@ -217,7 +220,7 @@ def goal_mppi(robot: Dynamics, goal: Vector, flight: Flight | None = None) -> MP
     _kinds.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
     cost = flight.cost(robot) + BASELINE_WEIGHT * GoalCost(goal)
-    return flight.mppi(robot, cost, flight.noise(robot))
+    return flight.mppi(robot, cost)
 
 
 def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
@@ -230,6 +233,6 @@ def random_walk(robot: Dynamics, flight: Flight | None = None) -> RandomWalk:
     _kinds.instance("robot", robot, Dynamics)
     _kinds.instance("flight", flight, Flight, may_be_none=True)
     flight = Flight() if flight is None else flight
-    mppi = flight.mppi(robot, flight.cost(robot), flight.noise(robot))
+    mppi = flight.mppi(robot, flight.cost(robot))
     # Scaled to the mean over the steps, like all other terms.
     return RandomWalk(mppi, BASELINE_WEIGHT / flight.horizon)
