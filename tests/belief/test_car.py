@@ -45,6 +45,13 @@ def field_of(roads, source):
     return roads.field(source)
 
 
+@eqx.filter_jit
+def drive(field, poses, speeds, step, num_steps):
+    """Return the poses after each step from several starts."""
+    steps = jnp.stack([step, step])
+    return eqx.filter_vmap(lambda *at: field.driven(*at, steps, num_steps))(poses, speeds)
+
+
 def rooms() -> np.ndarray:
     """Return a hall with a wall that has a gap, a room with a door, and a narrow dead end."""
     blocked = np.pad(np.zeros((SHAPE[0] - 2, SHAPE[1] - 2), bool), 1, constant_values=True)
@@ -214,6 +221,68 @@ def test_the_cost_falls_along_every_motion_of_the_best_path() -> None:
             most = np.asarray(roads.slowness_at).max() * at.left
             assert np.asarray(field.by_heading)[pose] <= flat[last] + most + 1e-4
     assert np.isfinite(between).all()
+
+
+STEP, NUM_STEPS = 0.02, 700
+
+
+def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
+    """The way to the source, with its reversals, is as long as the cost-to-go; and a car can drive
+    it: by arcs no tighter than its circle, along its heading, where it fits."""
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    # A metre costs a metre, however tight it is.
+    roads = eqx.tree_at(
+        lambda each: each.slowness_at, roads, jnp.full(roads.is_open_at.shape, SPACING)
+    )
+    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
+    field = field_of(roads, source)
+    costs, between = np.asarray(field.at_nodes), np.asarray(field.by_heading)
+    # Where it does not begin on the way between two nodes.
+    begins = np.argwhere((np.abs(costs - between) < 1e-5) & (costs > 2.0) & (costs < 12.0))
+    starts = np.random.default_rng(0).permutation(begins)[:40]
+    centres = np.asarray(field.frame.cell_centre(jnp.asarray(starts[:, 2:])))
+    poses = np.column_stack([centres, np.array(HEADINGS)[starts[:, 1]]]).astype(np.float32)
+    speeds = np.where(starts[:, 0] == 0, 1.0, -1.0).astype(np.float32)
+    driven = np.asarray(
+        drive(field, jnp.asarray(poses), jnp.asarray(speeds), jnp.asarray(STEP), NUM_STEPS), float
+    )
+    end, num_reversed = np.asarray(field.frame.cell_centre(jnp.asarray([22, 10]))), 0
+    for start, speed, first, path in zip(starts, speeds, poses, driven, strict=True):
+        path = np.concatenate([first[None], path])
+        move, turn = np.diff(path[:, :2], axis=0), np.diff(path[:, 2])
+        turn = np.mod(turn + math.pi, math.tau) - math.pi
+        length = np.linalg.norm(move, axis=1)
+        moves = length > 1e-5
+        middle = path[:-1, 2] + 0.5 * turn
+        along = move[:, 0] * np.cos(middle) + move[:, 1] * np.sin(middle)
+        travel = np.sign(np.concatenate([[speed], along[moves]]))
+        reversals = int((np.diff(travel) != 0.0).sum())
+        num_reversed += reversals
+        whole = length.sum() + REVERSAL * reversals
+        # It may join a motion half a node away, and a step in which it turns back counts less.
+        assert whole == pytest.approx(
+            costs[tuple(start)], abs=0.5 * SPACING + 2.0 * STEP * reversals
+        )
+        np.testing.assert_allclose(path[-1, :2], end, atol=1e-4)
+        # The first step joins the motion that begins at the start, or passes near it.
+        assert length[0] < SPACING
+        is_whole = moves & (length > 0.99 * STEP)
+        is_whole[0] = False
+        assert (np.abs(along[is_whole]) > 0.999 * length[is_whole]).all()
+        assert (np.abs(turn[1:]) <= STEP / (SPACING * roads.radius) + 1e-4).all()
+        rows, columns = np.floor(path[:, 1::-1].T / SPACING).astype(int)
+        assert np.asarray(roads.is_open)[rows, columns].all()
+    assert num_reversed > 10
+
+
+def test_a_car_that_is_nowhere_or_at_its_end_stands() -> None:
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
+    field = field_of(roads, source)
+    x, y = np.asarray(field.frame.cell_centre(jnp.asarray([22, 10])))
+    poses = np.array([[x, y, 0.3], [math.nan, y, 0.0]], np.float32)
+    stand = drive(field, jnp.asarray(poses), jnp.zeros(2), jnp.asarray(STEP), NUM_STEPS)
+    np.testing.assert_array_equal(stand, np.repeat(poses[:, None], NUM_STEPS, axis=1))
 
 
 def test_a_field_is_read_at_its_nodes_and_between_headings() -> None:

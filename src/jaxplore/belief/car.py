@@ -128,9 +128,19 @@ class CarLattice(Locomotion):
 
     def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> CarGuidance:
         """Return a field that is 0 everywhere."""
-        directions = 2 if self.can_reverse else 1
-        planar = descent_field(jnp.zeros(shape), frame, LAYERS)
-        return with_headings(planar, jnp.zeros((directions, NUM_HEADINGS, *shape)))
+        flat, open_everywhere = jnp.zeros((NUM_HEADINGS, *shape)), jnp.ones(shape, bool)
+        roads = CarRoadmap(
+            frame,
+            flat[0],
+            open_everywhere,
+            flat,
+            jnp.ones(flat.shape, bool),
+            self.reversal_cost,
+            self.radius,
+            self.can_reverse,
+        )
+        costs = jnp.zeros((2 if self.can_reverse else 1, *flat.shape))
+        return with_headings(descent_field(flat[0], frame, LAYERS), costs, roads, costs)
 
     def _room(self, clearance: ScalarField, stride: int) -> Float[Array, "N H W"]:
         """Return the least clearance of the discs by heading; the best cell of each block [m]."""

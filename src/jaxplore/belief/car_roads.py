@@ -11,6 +11,8 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
+from jaxplore.belief.car_motions import motion_table, rests
+from jaxplore.belief.car_paths import DescentTree, driven
 from jaxplore.belief.guidance import LAYERS, GuidanceField, Roadmap, descent_field
 from jaxplore.belief.tiles import Part, Tiling, relaxed
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
@@ -55,7 +57,6 @@ class CarRoadmap(Roadmap):
         source: Float[Array, "N H W"],
         *,
         is_from_source: bool = False,
-        is_between: bool = False,
     ) -> Float[Array, "D N H W"]:
         """Return the cost-to-go (D, N, H, W) by direction of travel and heading of the body [m].
 
@@ -64,14 +65,25 @@ class CarRoadmap(Roadmap):
         Args:
             source: cost (N, H, W) of the poses where paths may end [m]; infinite elsewhere.
             is_from_source: whether paths lead from the source instead of to it; static.
-            is_between: whether a pose that a motion passes also costs at most the rest of that
-                motion; static. A car that is on its way between two nodes then finds the cost fall
-                along its motion, although a pose near it may be no start of a motion there.
+        """
+        return self._costs(source, is_from_source=is_from_source)[0]
+
+    def _costs(
+        self,
+        source: Float[Array, "N H W"],
+        *,
+        is_from_source: bool = False,
+        is_between: bool = False,
+    ) -> tuple[Float[Array, "D N H W"], Float[Array, "D N H W"]]:
+        """Return the cost-to-go, and the least of it and of the cost of the rest of a motion.
+
+        With `is_between`, a pose that a motion passes also costs at most the rest of that motion. A
+        car that is on its way between two nodes then finds the cost fall along its motion, although
+        a pose near it may be no start of a motion there.
         """
         # A path from the source is a path to it that is driven in the other direction of travel.
         first = HALF if is_from_source and not self.can_reverse else 0
         bodies = (0, HALF) if self.can_reverse else (first,)
-
         found = motions(self.radius)
         margin = max(max(abs(each.down), abs(each.right)) for each in found)
         height, width = self.is_open.shape
@@ -98,12 +110,15 @@ class CarRoadmap(Roadmap):
             [self.reversal_cost],
             TILING,
         )
-        if is_between:
-            value = self._between(value, prices, margin)
-        else:
-            value = value[..., margin : margin + height, margin : margin + width]
-        by_body = [jnp.roll(value[:, each], body, axis=0) for each, body in enumerate(bodies)]
-        return jnp.stack(by_body)
+        inside = value[..., margin : margin + height, margin : margin + width]
+        between = self._between(value, prices, margin) if is_between else inside
+
+        def by_body(values: Array) -> Array:
+            return jnp.stack(
+                [jnp.roll(values[:, each], body, axis=0) for each, body in enumerate(bodies)]
+            )
+
+        return by_body(inside), by_body(between)
 
     def _between(
         self, value: Float[Array, "N D h w"], prices: Float[Array, "M D h w"], margin: int
@@ -113,7 +128,8 @@ class CarRoadmap(Roadmap):
         The rest has its share of the price of the whole motion.
         """
         directions, (height, width) = value.shape[1], self.is_open.shape
-        table, shares = _rests(self.radius)
+        table, left = rests(self.radius)
+        shares = left / motion_table(self.radius).length[table[..., 0]]
 
         def shifted(array: Array, index: Array, down: Array, right: Array) -> Array:
             corner = (index, 0, margin + down, margin + right)
@@ -139,20 +155,9 @@ class CarRoadmap(Roadmap):
         self, is_closed: Bool[Array, "N D h w"], half: Float[Array, "N D h w"]
     ) -> Float[Array, "M D h w"]:
         """Return the cost of each motion from each node; infinite if it passes a closed pose."""
-        found = motions(self.radius)
-        # The first pose fills up the lists.
-        most = max(len(each.via) for each in found)
-        fill = [[(0, 0, each.start)] * (most - len(each.via)) for each in found]
-        passed = [
-            [*(state[:3] for state in each.via), *more]
-            for each, more in zip(found, fill, strict=True)
-        ]
-        poses = jnp.asarray(passed, jnp.int32)
-        ends = jnp.asarray([(each.down, each.right, each.end) for each in found], jnp.int32)
-        starts = jnp.asarray([each.start for each in found], jnp.int32)
-        lengths = jnp.asarray([each.length for each in found], jnp.float32)
-        margin = max(max(abs(state[0]), abs(state[1])) for each in passed for state in each)
-        margin = max(margin, *(max(abs(each.down), abs(each.right)) for each in found))
+        table = motion_table(self.radius)
+        reach = [np.abs(each).max() for each in (table.via[..., :2], table.down, table.right)]
+        margin = int(max(reach))
         beside = ((0, 0), (0, 0), (margin, margin), (margin, margin))
         closed = jnp.pad(is_closed, beside, constant_values=True)
         halves = jnp.pad(half, beside, constant_values=jnp.inf)
@@ -172,7 +177,10 @@ class CarRoadmap(Roadmap):
             )
             return jnp.where(blocked, jnp.inf, price)
 
-        prices: Array = jax.lax.map(of_motion, (starts, ends, poses, lengths))
+        starts = jnp.asarray([each.start for each in motions(self.radius)], jnp.int32)
+        ends = jnp.asarray(np.stack([table.down, table.right, table.end], axis=-1))
+        rows = (starts, ends, jnp.asarray(table.via), jnp.asarray(table.length))
+        prices: Array = jax.lax.map(of_motion, rows)
         return prices
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
@@ -181,6 +189,13 @@ class CarRoadmap(Roadmap):
 
     def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
         """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
+        return self.costs(self.starts(pose), is_from_source=True).min(axis=(0, 1))
+
+    def starts(self, pose: Pose) -> Float[Array, "N H W"]:
+        """Return how far the open poses nearest to a pose (x, y, yaw) are from it [m].
+
+        A turn counts as the arc that the car drives meanwhile. All other poses are infinite.
+        """
         frame, spacing = self.frame, self.frame.resolution
         rows, columns = self.is_open.shape
         centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
@@ -191,15 +206,25 @@ class CarRoadmap(Roadmap):
             self.radius * spacing * turn[:, None, None]
         )
         away = jnp.where(self.is_open_at, away, jnp.inf)
-        start = jnp.where(away <= away.min() + spacing, away, jnp.inf)
-        return self.costs(start, is_from_source=True).min(axis=(0, 1))
+        return jnp.where(away <= away.min() + spacing, away, jnp.inf)
 
     def field(self, source: Float[Array, "H W"]) -> "CarGuidance":
         """Return the cost-to-go as a field over positions and headings."""
-        costs = self.costs(self._at_all_headings(source), is_between=True)
+        return self._field(source)[0]
+
+    def field_and_cost(
+        self, source: Float[Array, "H W"], pose: Pose
+    ) -> tuple["CarGuidance", Scalar]:
+        """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
+        field, costs = self._field(source)
+        return field, (self.starts(pose) + costs.min(axis=0)).min()
+
+    def _field(self, source: Float[Array, "H W"]) -> tuple["CarGuidance", Float[Array, "D N H W"]]:
+        """Return the field, and the cost-to-go that it extends into closed poses."""
+        at_nodes, costs = self._costs(self._at_all_headings(source), is_between=True)
         step = jnp.asarray(3.0 * self.frame.resolution)
         planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS)
-        return with_headings(planar, _extended(costs, step))
+        return with_headings(planar, _extended(costs, step), self, at_nodes), costs
 
     def _at_all_headings(self, source: Float[Array, "H W"]) -> Float[Array, "N H W"]:
         return jnp.broadcast_to(source, self.is_open_at.shape)
@@ -212,9 +237,26 @@ class CarGuidance(GuidanceField):
 
     Args:
         by_heading: cost-to-go (D, N, H, W) by direction of travel and heading of the body [m].
+        roads: lattice of the poses in which the car fits.
+        at_nodes: cost-to-go (D, N, H, W) of the motions that begin at the poses [m]; infinite where
+            there is none.
     """
 
     by_heading: Float[Array, "D N H W"]
+    roads: CarRoadmap
+    at_nodes: Float[Array, "D N H W"]
+
+    def driven(
+        self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
+    ) -> Float[Array, "T 3"]:
+        """Return the poses of the car along its motions on the lattice; see `GuidanceField`."""
+        roads = self.roads
+        tree = DescentTree(
+            roads.is_open_at, roads.slowness_at, self.at_nodes, roads.reversal_cost, roads.radius
+        )
+        # Where it begins, the cost of the way there counts as well.
+        away = roads.starts(pose) + self.by_heading[jnp.where(speed < 0.0, -1, 0)]
+        return driven(tree, self.frame, pose, speed, away, steps, num_steps)
 
     def at_pose(
         self, position: Position, heading: Scalar, speed: Scalar
@@ -246,33 +288,15 @@ class CarGuidance(GuidanceField):
         return jnp.where(is_finite, cost, self.outside), jnp.ones(()), jnp.ones(())
 
 
-@functools.cache
-def _rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rests of motions by the heading at which they begin.
-
-    Returns:
-        Number of the motion, heading of its end, rows and columns from its start, and rows and
-        columns to its end (N, R, 6); and the share of the rest in the motion (N, R), infinite where
-        a heading has fewer rests than others.
-    """
-    by_heading: list[list[tuple[tuple[int, ...], float]]] = [[] for _ in HEADINGS]
-    for number, each in enumerate(motions(radius)):
-        for at in each.via:
-            to_end = (each.down - at.down, each.right - at.right)
-            row = (number, each.end, at.down, at.right, *to_end)
-            by_heading[at.heading].append((row, at.left / each.length))
-    most = max(map(len, by_heading))
-    rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
-    shares = np.full((NUM_HEADINGS, most), np.inf, np.float32)
-    for heading, rests in enumerate(by_heading):
-        for place, (given, share) in enumerate(rests):
-            rows[heading, place], shares[heading, place] = given, share
-    return rows, shares
-
-
-def with_headings(planar: GuidanceField, costs: Float[Array, "D N H W"]) -> CarGuidance:
+def with_headings(
+    planar: GuidanceField,
+    costs: Float[Array, "D N H W"],
+    roads: CarRoadmap,
+    at_nodes: Float[Array, "D N H W"],
+) -> CarGuidance:
     """Return a field with the costs by direction of travel and heading beside the planar ones."""
-    return CarGuidance(planar.values, planar.descent, planar.frame, planar.outside, costs)
+    parts = (planar.values, planar.descent, planar.frame, planar.outside)
+    return CarGuidance(*parts, costs, roads, at_nodes)
 
 
 def _relax(radius: float, margin: int, value: Array, prices: Array, reversal: Array) -> Array:

@@ -69,6 +69,21 @@ class GuidanceField(eqx.Module):
         along = cos * direction[0] + sin * direction[1]
         return self(position), along, length(direction[0], direction[1])
 
+    def driven(
+        self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
+    ) -> Float[Array, "T 3"] | None:
+        """Return the poses (x, y, yaw) of a robot that descends the cost-to-go (T, 3) [m, m, rad].
+
+        It is None, by default, for a robot that can drive along any line.
+
+        Args:
+            pose: pose of the robot (x, y, yaw) [m, m, rad].
+            speed: its forward speed [m/s]; negative if it drives backwards.
+            steps: length of a step forwards and of a step backwards [m].
+            num_steps: number of steps, T; static.
+        """
+        return None
+
     def plot(self) -> "Figure":
         """Draw the cost-to-go in the world, with a colour bar."""
         return lattice_figure(self.values, self.frame, "cost to go [m]")
@@ -115,6 +130,14 @@ class Roadmap(eqx.Module):
     def field(self, source: Float[Array, "H W"]) -> GuidanceField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
         return descent_field(self.lengths(source), self.frame, LAYERS)
+
+    def field_and_cost(
+        self, source: Float[Array, "H W"], pose: Pose
+    ) -> tuple[GuidanceField, Scalar]:
+        """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
+        lengths = self.lengths(source)
+        start = point_sources(pose[:2], self.frame, self.is_open)
+        return descent_field(lengths, self.frame, LAYERS), (start + lengths).min()
 
 
 Price = Callable[[Array], Array]

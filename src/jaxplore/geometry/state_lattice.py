@@ -62,6 +62,9 @@ class Motion(NamedTuple):
         right: columns from start to end, along x.
         length: length of its path [node spacings].
         via: the lattice states that it passes in between.
+        before: length of the straight piece before its circle; `length` without one [node
+            spacings].
+        turn: angle by which it turns, counter-clockwise [rad].
     """
 
     start: int
@@ -70,6 +73,8 @@ class Motion(NamedTuple):
     right: int
     length: float
     via: tuple[Passed, ...]
+    before: float
+    turn: float
 
 
 def rounded_radius(turning_radius: float, spacing: float) -> float:
@@ -177,7 +182,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         nearest.pop(each, None)
     # A state stands for the middle of the piece of the path that is nearest to it.
     via = (Passed(*state, 0.5 * (left[0] + left[-1])) for state, left in nearest.items())
-    return Motion(start, end, down, right, length, tuple(via))
+    return Motion(start, end, down, right, length, tuple(via), before, turn)
 
 
 def _difference(angle: float, other: float) -> float:

@@ -1,0 +1,202 @@
+"""Paths of a car: its motions on a lattice, one after another, down a cost-to-go."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+from jaxplore._types import Count, Flag, Pose, Scalar
+from jaxplore.belief.car_motions import continuations, motion_table
+from jaxplore.geometry.state_lattice import NUM_HEADINGS
+from jaxplore.maps.frame import GridFrame
+
+SLACK = 0.01
+"""Rise of the cost-to-go along a motion that rounding may cause [m]."""
+
+
+class DescentTree(NamedTuple):
+    """A cost-to-go on the lattice of a car, and what tells which motion it is the cost of.
+
+    Args:
+        is_open: mask (N, H, W) of the poses in which the car fits, by heading of the body.
+        slowness: cost (N, H, W) of a step of one node spacing [m].
+        costs: cost-to-go (D, N, H, W) of the motions that begin at the poses [m].
+        reversal_cost: price of a change between forwards and backwards [m].
+        radius: turning radius [node spacings].
+    """
+
+    is_open: Bool[Array, "N H W"]
+    slowness: Float[Array, "N H W"]
+    costs: Float[Array, "D N H W"]
+    reversal_cost: Scalar
+    radius: float
+
+
+class Moving(NamedTuple):
+    """A place on a motion.
+
+    Args:
+        direction: 0 forwards, 1 backwards.
+        number: number of the motion.
+        corner: (2,) row and column where the motion begins.
+        along: length of the motion up to here [node spacings].
+        moves: whether the car goes on.
+    """
+
+    direction: Count
+    number: Count
+    corner: Int[Array, "2"]
+    along: Scalar
+    moves: Flag
+
+
+def driven(
+    tree: DescentTree,
+    frame: GridFrame,
+    pose: Pose,
+    speed: Scalar,
+    away: Float[Array, "N H W"],
+    steps: Float[Array, "2"],
+    num_steps: int,
+) -> Float[Array, "T 3"]:
+    """Return the poses (x, y, yaw) after 1 ... T steps along the cheapest motions (T, 3).
+
+    The first motion may be the rest of one that passes the start. The path ends where no motion
+    lowers the cost. Without a motion the car stands at its pose.
+
+    Args:
+        tree: cost-to-go on the lattice.
+        frame: frame of the lattice.
+        pose: pose of the car (x, y, yaw) [m, m, rad].
+        speed: its forward speed [m/s], which tells the direction of travel.
+        away: cost (N, H, W) of beginning at each pose of the lattice [m]; infinite elsewhere.
+        steps: length of a step forwards and of a step backwards [m].
+        num_steps: number of steps, T; static.
+    """
+    directions = tree.costs.shape[0]
+    heading, row, column = jnp.unravel_index(jnp.argmin(away), tree.is_open.shape)
+    direction = jnp.where((speed < 0.0) & (directions > 1), 1, 0).astype(jnp.int32)
+    corner = jnp.stack([row, column]).astype(jnp.int32)
+    first = _next(tree, direction, heading.astype(jnp.int32), corner, with_rests=True)
+    first = first._replace(moves=first.moves & jnp.isfinite(away.min()))
+    lengths = jnp.asarray(motion_table(tree.radius).length)
+    # A piece is no longer than the shortest motion, so that it passes one end at most.
+    shares = steps / frame.resolution
+    pieces = jnp.maximum(jnp.ceil(shares.max()), 1.0)
+
+    def piece(_: Array, at: Moving) -> Moving:
+        length = lengths[at.number]
+        along = at.along + jnp.where(at.moves, shares[at.direction] / pieces, 0.0)
+
+        def turn_over(at: Moving) -> Moving:
+            corner, body = _end(tree, at)
+            after = _next(tree, at.direction, body, corner, with_rests=False)
+            # At its last pose it stays where it is.
+            stays = at._replace(along=length, moves=jnp.array(False))
+            further = after._replace(along=after.along + along - length)
+            return jax.tree.map(lambda a, b: jnp.where(after.moves, a, b), further, stays)
+
+        is_over = at.moves & (along >= length)
+        return jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
+
+    def step(at: Moving, _: None) -> tuple[Moving, Array]:
+        at = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, at)
+        return at, _pose(tree, frame, at)
+
+    poses: Array
+    _, poses = jax.lax.scan(step, first, length=num_steps)
+    return jnp.where(first.moves, poses, pose)
+
+
+def _next(
+    tree: DescentTree,
+    direction: Count,
+    body: Count,
+    corner: Int[Array, "2"],
+    *,
+    with_rests: bool,
+) -> Moving:
+    """Return the beginning of the cheapest motion from a pose of the lattice.
+
+    Args:
+        tree: cost-to-go on the lattice.
+        direction: direction of travel up to here.
+        body: index of the heading of the body.
+        corner: (2,) row and column.
+        with_rests: whether it may also be the rest of a motion that passes the pose; static.
+    """
+    directions, _, height, width = tree.costs.shape
+    rows, lefts, whole = continuations(tree.radius)
+    if not with_rests:
+        rows, lefts = rows[:, :whole], lefts[:, :whole]
+    via = jnp.asarray(motion_table(tree.radius).via)
+
+    def at(values: Array, heading: Array, places: Array, outside: float | bool) -> Array:
+        """Return the values at poses (heading, place), and another one off the map."""
+        inside = ((places >= 0) & (places < jnp.asarray([height, width]))).all(axis=-1)
+        row, column = (
+            jnp.clip(places[..., 0], 0, height - 1),
+            jnp.clip(places[..., 1], 0, width - 1),
+        )
+        return jnp.where(inside, values[heading, row, column], outside)
+
+    def options(travel: Array) -> tuple[Array, Array]:
+        # Backwards, the body is the other way round than the motion.
+        half_turn = travel * (NUM_HEADINGS // 2)
+        motion = jnp.mod(body + half_turn, NUM_HEADINGS)
+        row, left = jnp.asarray(rows)[motion], jnp.asarray(lefts)[motion]
+        number, end, back, to_end = row[:, 0], row[:, 1], row[:, 2:4], row[:, 4:]
+        body_after = jnp.mod(end + half_turn, NUM_HEADINGS)
+        after = at(tree.costs[travel], body_after, corner + to_end, jnp.inf)
+        price = 0.5 * (tree.slowness[body, corner[0], corner[1]])
+        price = price + 0.5 * at(tree.slowness, body_after, corner + to_end, jnp.inf)
+        passed = via[number]
+        bodies = jnp.mod(passed[..., 2] + half_turn, NUM_HEADINGS)
+        places = (corner - back)[:, None] + passed[..., :2]
+        is_open = at(tree.is_open, bodies, places, False).all(axis=-1)
+        cost = jnp.where(is_open & jnp.isfinite(left), after + left * price, jnp.inf)
+        return jnp.where(travel == direction, cost, cost + tree.reversal_cost), left
+
+    costs, left = jax.vmap(options)(jnp.arange(directions, dtype=jnp.int32))
+    best = jnp.argmin(costs)
+    least = costs.reshape(-1)[best]
+    travel, place = (each.astype(jnp.int32) for each in jnp.unravel_index(best, costs.shape))
+    motion = jnp.mod(body + travel * (NUM_HEADINGS // 2), NUM_HEADINGS)
+    row = jnp.asarray(rows)[motion, place]
+    length = jnp.asarray(motion_table(tree.radius).length)[row[0]]
+    # At a place where paths end, every motion costs more than to stay.
+    here = tree.costs[direction, body, corner[0], corner[1]]
+    moves = jnp.isfinite(least) & (least <= here + SLACK)
+    along = jnp.where(moves, length - left[travel, place], 0.0)
+    return Moving(travel, row[0], corner - row[2:4], along, moves)
+
+
+def _end(tree: DescentTree, at: Moving) -> tuple[Int[Array, "2"], Count]:
+    """Return row and column of the end of a motion, and the heading of the body there."""
+    table = motion_table(tree.radius)
+    down, right = jnp.asarray(table.down)[at.number], jnp.asarray(table.right)[at.number]
+    heading = jnp.asarray(table.end)[at.number] + at.direction * (NUM_HEADINGS // 2)
+    return at.corner + jnp.stack([down, right]), jnp.mod(heading, NUM_HEADINGS)
+
+
+def _pose(tree: DescentTree, frame: GridFrame, at: Moving) -> Pose:
+    """Return the pose (x, y, yaw) at a place on a motion: straight, on a circle, straight."""
+    table = motion_table(tree.radius)
+    start, before, turn = (
+        jnp.asarray(each)[at.number] for each in (table.start, table.before, table.turn)
+    )
+    side = tree.radius * jnp.sign(turn)
+    first = jnp.minimum(at.along, before)
+    arc = jnp.clip(at.along - before, 0.0, tree.radius * jnp.abs(turn))
+    last = at.along - first - arc
+    heading = start + jnp.sign(turn) * arc / tree.radius
+    x = first * jnp.cos(start) + side * (jnp.sin(heading) - jnp.sin(start))
+    y = first * jnp.sin(start) - side * (jnp.cos(heading) - jnp.cos(start))
+    along = jnp.stack([x + last * jnp.cos(heading), y + last * jnp.sin(heading)])
+    # Nodes are the centres of the cells of the lattice.
+    cell = at.corner.astype(jnp.float32) + 0.5 + along[::-1]
+    place = frame.to_world(cell)
+    yaw = heading + at.direction.astype(jnp.float32) * jnp.pi + frame.origin[2]
+    return jnp.append(place, yaw)
