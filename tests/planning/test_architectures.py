@@ -12,9 +12,12 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from jaxplore import (
+    Ackermann,
     ExplorationScenario,
     InverseSensorModel,
+    KinematicBicycle,
     Lidar,
+    OccupancyGrid,
     Perception,
     Quadrotor,
     informative_mppi,
@@ -22,12 +25,14 @@ from jaxplore import (
 )
 from jaxplore.belief import unknown_fraction
 from jaxplore.belief.belief import StrategicBelief
+from jaxplore.belief.car import car_motion
+from jaxplore.belief.zones import Zones
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.planning import InformativeMPPI
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
-from jaxplore.planning.presets.quadrotor import ARCHITECTURES
+from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
@@ -355,3 +360,101 @@ def test_what_the_architectures_differ_in(controllers) -> None:
 def test_a_short_look_has_a_direction_for_every_beam(view: float) -> None:
     found = FIELDS._replace(field_of_view=view).short_range_field(0.2).sensor
     assert found.table.num_directions == round(2.0 * np.pi / Lidar(4, 1.5, view).beam_spacing)
+
+
+CARS = {
+    "ackermann": Ackermann(max_speed=1.0, min_speed=-0.5),
+    "bicycle": KinematicBicycle(max_speed=1.0, min_speed=-0.5),
+}
+CAR_PERCEPTION = Perception(
+    LIDAR,
+    0.2,
+    0.25,
+    sensor_model=MODEL,
+    num_directions=8,
+    car=car_motion(CARS["ackermann"]),
+)
+
+
+def hall() -> OccupancyGrid:
+    """Return a hall of 8 m x 4 m of which the east is unknown."""
+    p = np.full((20, 40), 0.01, np.float32)
+    p[0] = p[-1] = p[:, 0] = p[:, -1] = 0.99
+    p[1:-1, 28:-1] = 0.5
+    return OccupancyGrid(p, 0.2)
+
+
+@pytest.fixture(scope="module")
+def known_hall():
+    return eqx.filter_jit(Perception.init)(CAR_PERCEPTION, hall(), jnp.asarray([2.0, 2.0, 3.1]))
+
+
+def car_controller(architecture: str, name: str) -> InformativeMPPI:
+    zones = Zones.from_rectangles([(5.6, 0.2, 7.8, 3.8)], hall())
+    choice = zone_choice(zones, (1.0, 1.0), CAR_PERCEPTION, LIDAR)
+    return informative_mppi(
+        CARS[name],
+        "parallel" if architecture == "parallel" else "two-layer",
+        target_choice=choice if architecture == "sequential" else None,
+        resolution=0.2,
+        sensor_model=MODEL,
+        flight=Flight(horizon=10, num_samples=16, max_speed=1.0),
+        fields=FIELDS,
+    )
+
+
+def drives_along_the_lattice(reference, belief) -> None:
+    """It leads to what is unknown, from a pose that faces away from it, as a car can drive: half a
+    metre a second backwards, a metre a second forwards, and less where it turns back."""
+    path = np.asarray(reference)[:, :2]
+    step = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    assert step.max() < 0.05 + 1e-4
+    assert step.sum() > 0.8
+    cost = np.asarray(jax.vmap(belief.guidance)(jnp.asarray(path)))
+    assert cost[-1] < cost[0] - 0.4
+
+
+# One model for each program; the others are traced, which checks all shapes and types.
+@pytest.mark.parametrize(
+    ("architecture", "name"), [("two-layer", "bicycle"), ("parallel", "ackermann")]
+)
+def test_cars_are_driven(architecture: str, name: str, known_hall) -> None:
+    robot, controller = CARS[name], car_controller(architecture, name)
+    control, after, info = eqx.filter_jit(controller.step)(
+        controller.init(), robot.at_pose(2.0, 2.0, 3.1), known_hall, key=jax.random.key(0)
+    )
+    assert (control >= robot.control_min).all()
+    assert (control <= robot.control_max).all()
+    assert np.isfinite(info.controls).all()
+    if architecture == "two-layer":
+        drives_along_the_lattice(after.plan.reference, known_hall)
+
+
+def test_cars_go_from_zone_to_zone(known_hall) -> None:
+    controller = car_controller("sequential", "ackermann")
+    plan = eqx.filter_jit(controller.strategic_plan)(
+        known_hall, CARS["ackermann"].at_pose(2.0, 2.0, 3.1)
+    )
+    drives_along_the_lattice(plan.reference, known_hall)
+
+
+@pytest.mark.parametrize(
+    ("architecture", "name"),
+    [
+        ("two-layer", "ackermann"),
+        ("parallel", "bicycle"),
+        ("sequential", "ackermann"),
+        ("sequential", "bicycle"),
+    ],
+)
+def test_every_architecture_takes_every_car(architecture: str, name: str, known_hall) -> None:
+    robot, controller = CARS[name], car_controller(architecture, name)
+    control, after, _ = eqx.filter_eval_shape(
+        controller.step,
+        controller.init(),
+        robot.at_pose(2.0, 2.0, 3.1),
+        known_hall,
+        key=jax.random.key(0),
+    )
+    assert control.shape == (2,)
+    assert jax.tree.structure(after) == jax.tree.structure(controller.init())

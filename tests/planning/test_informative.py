@@ -72,7 +72,7 @@ class Straight(StrategicReference):
     def __call__(self, belief, potential, start):
         pace = self.gradient_reference
         ahead = pace.speed * pace.dt * jnp.arange(1.0, 1.0 + pace.num_steps)
-        return start + ahead[:, None] * jnp.asarray([0.8, 0.6, -0.2])
+        return start.position + ahead[:, None] * jnp.asarray([0.8, 0.6, -0.2])
 
 
 def mppi_with(cost: Cost, parameterisation=None, mesh=None) -> MPPI:

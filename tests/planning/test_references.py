@@ -16,7 +16,7 @@ from jaxplore.belief.guidance import GuidanceField
 from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning import GradientReference
-from jaxplore.planning.strategy.references import ClimbingReference, descend
+from jaxplore.planning.strategy.references import ClimbingReference, ReferenceStart, descend
 
 SIZE, RESOLUTION, STEPS = 40, 0.1, 30
 FRAME = GridFrame(RESOLUTION)
@@ -29,13 +29,21 @@ TRACES: list[str] = []
 
 init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 climb = eqx.filter_jit(lambda walk, *given: walk(*given))
-go_down = eqx.filter_jit(lambda walk, *given: descend(walk, *given))
+
+
+def standing(position) -> ReferenceStart:
+    return ReferenceStart(position, jnp.zeros(()), jnp.zeros(()))
+
+
+@eqx.filter_jit
+def go_down(walk, field, belief: Belief, start):
+    return descend(walk, field, belief, standing(start))
 
 
 @eqx.filter_jit
 def refer(reference, belief: Belief, potential: ScalarField, start):
     TRACES.append("refer")
-    return reference(belief, potential, start)
+    return reference(belief, potential, standing(start))
 
 
 def believe() -> Belief:

@@ -22,7 +22,7 @@ from jaxplore.information.trajectory import METHODS, TrajectoryInformation
 from jaxplore.maps import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning import GradientReference
-from jaxplore.planning.strategy.references import descend
+from jaxplore.planning.strategy.references import ReferenceStart, descend
 from jaxplore.planning.strategy.target_choices import RemainingInformation, TrajectoryChoice
 from jaxplore.planning.strategy.targets import TargetReference, Targets
 
@@ -39,21 +39,28 @@ TRACES: list[str] = []
 init = eqx.filter_jit(lambda grid, pose: PERCEPTION.init(grid, pose))
 
 
+def standing(position: jax.Array) -> ReferenceStart:
+    """Return the start of a robot that stands, with its height or without one."""
+    whole = jnp.concatenate([position, jnp.zeros(3 - position.shape[0])])
+    return ReferenceStart(whole, jnp.zeros(()), jnp.zeros(()))
+
+
 @eqx.filter_jit
 def judge(choice, belief: Belief, position: jax.Array):
     TRACES.append("judge")
-    return choice(belief, position), choice.targets.distances(belief, position)
+    start = standing(position)
+    return choice(belief, start), choice.targets.distances(belief, start.pose)
 
 
 @eqx.filter_jit
 def refer(reference, belief: Belief, start) -> jax.Array:
     TRACES.append("refer")
-    return reference(belief, FLAT, start)
+    return reference(belief, FLAT, standing(start))
 
 
 @eqx.filter_jit
 def weigh(choice: TrajectoryChoice, belief: Belief, position: jax.Array):
-    return choice(belief, position)
+    return choice(belief, standing(position))
 
 
 def choose(choice, belief: Belief, position: jax.Array):
@@ -133,9 +140,15 @@ class Oracle:
 
     def nearest(self, row: float, column: float) -> tuple[np.ndarray, float]:
         """Return the open nodes (n, 2) nearest to grid coordinates, and how far away they are."""
+        nodes, away = self.around(row, column, 1e-3)
+        return nodes, away.min()
+
+    def around(self, row: float, column: float, spacings: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the open nodes (n, 2) that are not farther than the nearest by more spacings."""
         nodes = np.argwhere(self.is_open)
         away = np.hypot(*((nodes + 0.5) * self.stride - (row, column)).T) * RESOLUTION
-        return nodes[away <= away.min() + 1e-3 * self.spacing], away.min()
+        near = away <= away.min() + spacings * self.spacing
+        return nodes[near], away[near]
 
     def ends(self, target: np.ndarray) -> np.ndarray:
         """Return the nodes (n, 2) at which the ways to a target end."""
@@ -151,8 +164,8 @@ class Oracle:
         return np.where(self.is_open, cost.reshape(self.is_open.shape), np.inf)
 
     def distance(self, row: float, column: float, target: np.ndarray) -> float:
-        nodes, away = self.nearest(row, column)
-        return self.cost_to(target)[tuple(nodes.T)].min() + away
+        nodes, away = self.around(row, column, 1.0 + 1e-5)
+        return (self.cost_to(target)[tuple(nodes.T)] + away).min()
 
 
 def targets_of(zones: Zones, goal_cell: tuple[int, int]) -> np.ndarray:
@@ -307,7 +320,9 @@ def test_no_zone_without_a_way_is_chosen_while_another_remains(weight: float) ->
     assert float(jnp.linalg.norm(path[-1] - start)) > 0.3
 
 
-walk_down = eqx.filter_jit(lambda field, walk, *given: descend(walk, field, *given))
+@eqx.filter_jit
+def walk_down(field, walk, belief, start):
+    return descend(walk, field, belief, standing(start))
 
 
 def test_of_many_zones_without_a_way_the_one_of_which_most_remains() -> None:
@@ -402,7 +417,7 @@ def worths(choice: TrajectoryChoice, grid: OccupancyGrid, start, paths) -> dict[
 
 @eqx.filter_jit
 def paths_to(fields: GuidanceField, walk: GradientReference, belief: Belief, start: jax.Array):
-    return jax.vmap(lambda field: descend(walk, field, belief, start))(fields)
+    return jax.vmap(lambda field: descend(walk, field, belief, standing(start)))(fields)
 
 
 def trajectory_case(method: str, weight: float = 2.0) -> tuple[Belief, TrajectoryChoice]:
@@ -559,7 +574,8 @@ def test_many_robots_at_once() -> None:
     zones = trajectory.targets.zones
     choice = by_remains(zones, [2.0, 3.6], 0.1, required_clearance=REQUIRED)
     starts = jnp.asarray([[1.2, 0.6, 0.0], [2.0, 3.5, 1.0], [3.0, 0.8, 2.0]])
-    together = eqx.filter_jit(eqx.filter_vmap(choice, in_axes=(None, 0)))(belief, starts[:, :2])
+    many = eqx.filter_jit(jax.vmap(lambda belief, at: choice(belief, standing(at)), (None, 0)))
+    together = many(belief, starts[:, :2])
     for row, start in enumerate(starts):
         alone = choose(choice, belief, start[:2])
         np.testing.assert_allclose(together.score[row], alone.score, atol=1e-4)
@@ -567,7 +583,7 @@ def test_many_robots_at_once() -> None:
         np.testing.assert_allclose(together.position[row], alone.position)
     assert len(set(np.asarray(together.index).tolist())) > 1
     reference = TargetReference(trajectory, WALK)
-    shape = jax.eval_shape(jax.vmap(reference, in_axes=(None, None, 0)), belief, FLAT, starts).shape
+    shape = jax.eval_shape(jax.vmap(lambda at: reference(belief, FLAT, standing(at))), starts).shape
     assert shape == (3, WALK.num_steps, 3)
 
 
@@ -624,6 +640,6 @@ def test_a_map_of_another_shape_is_named() -> None:
         by_trajectory(ZONES, (1.0, 1.0), INFORMATION["direct"]),
     ):
         with pytest.raises(ValueError, match=r"grid has shape .30, 40.; accepted: .40, 40."):
-            jax.eval_shape(choice, small, jnp.ones(2))
+            jax.eval_shape(choice, small, standing(jnp.ones(2)))
     with pytest.raises(ValueError, match=r"target has shape .40, 40.; accepted: .30, 40."):
         Targets(ZONES, (1.0, 1.0)).cost_to(small, ZONES.member[0])

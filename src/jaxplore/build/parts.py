@@ -19,6 +19,7 @@ from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.integrators import Integrator
+from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle
 from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
@@ -64,6 +65,19 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             max_turn_rate=given.max_turn_rate,
             min_speed=given.min_speed,
             radius=given.radius,
+        )
+    if given.model == "bicycle":
+        # Settings have no centre of gravity: it is taken half-way between the axles.
+        half = 0.5 * given.wheelbase
+        return KinematicBicycle(
+            half,
+            half,
+            max_speed=given.max_speed,
+            max_steering=given.max_steering,
+            max_acceleration=given.max_acceleration,
+            min_speed=given.min_speed,
+            radius=given.radius,
+            integrator=integrator,
         )
     if given.model == "ackermann":
         # The body reaches equally far beyond both axles. The origin is the middle of the rear axle.

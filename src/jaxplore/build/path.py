@@ -13,8 +13,6 @@ from jaxplore.build.parts import (
 from jaxplore.control.disturbance import Disturbance, UncertainObstacles
 from jaxplore.control.risk import ConditionalValueAtRisk, Risk
 from jaxplore.costs.base import Cost
-from jaxplore.dynamics.base import Dynamics
-from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
 from jaxplore.geometry.track import race_track
@@ -22,7 +20,7 @@ from jaxplore.maps.files.path_file import read_path
 from jaxplore.parameters import set_parameters
 from jaxplore.planning.presets.path_following import PathFollowing, avoidance_cost, mpcc
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
+from jaxplore.settings.path import TRACK, PathSettings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.following.scenario import PathScenario
 from jaxplore.simulation.following.traffic import Traffic
@@ -73,7 +71,7 @@ def _following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> Pa
             avoidance["caution"] = 0.0
         other = avoidance_cost(**avoidance)
     return mpcc(
-        _robot(settings.robot),
+        build_robot(settings.robot),
         path,
         other=other,
         disturbance=disturbance,
@@ -89,22 +87,6 @@ def _path(settings: PathSettings) -> Path:
     if settings.half_width is not None and not path.has_room:
         path = path.with_room([settings.half_width, settings.half_width])
     return path
-
-
-def _robot(given: PathRobotSettings) -> Dynamics:
-    if given.model != "bicycle":
-        return build_robot(given)
-    # Settings have no centre of gravity: it is taken half-way between the axles.
-    half = 0.5 * given.wheelbase
-    return KinematicBicycle(
-        half,
-        half,
-        max_speed=given.max_speed,
-        max_steering=given.max_steering,
-        max_acceleration=given.max_acceleration,
-        min_speed=given.min_speed,
-        radius=given.radius,
-    )
 
 
 def _traffic(settings: PathSettings, path: Path) -> Traffic | None:

@@ -135,6 +135,9 @@ def _check_one_robot(settings: Mapping[str, RunSettings]) -> None:
     """Check that all architectures drive the same robot."""
     names = {name: getattr(each, "architecture", None) for name, each in settings.items()}
     ground = [name for name, architecture in names.items() if architecture not in QUADROTOR]
+    robots = [each.model_dump(include={"robot", "lidar"}) for each in settings.values()]
+    if all(each == robots[0] for each in robots):
+        return
     if ground and len(ground) < len(names):
         raise ValueError(
             f"--architectures is {','.join(names)!r}, of which {', '.join(ground)} drives another "

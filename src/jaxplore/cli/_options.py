@@ -18,15 +18,15 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
         "--robot",
         "robot.model",
         str,
-        "Model of the robot: differential_drive, unicycle, ackermann, quadrotor, or MODULE:NAME of "
-        "your own.",
+        "Model of the robot: differential_drive, omnidirectional, unicycle, ackermann, bicycle, "
+        "quadrotor, or MODULE:NAME of your own.",
     ),
     (
         "--architecture",
         "architecture",
         str,
-        f"explorer, portfolio, or a baseline: {', '.join(known().baselines)}; for quadrotors "
-        "two-layer, parallel, sequential, random-walk, goal. Or MODULE:NAME of your own.",
+        f"explorer, portfolio, or a baseline: {', '.join(known().baselines)}; two-layer, parallel, "
+        "sequential, random-walk, goal, by default for quadrotors. Or MODULE:NAME of your own.",
     ),
     ("--radius", "robot.radius", float, "Radius of the robot [m]."),
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),

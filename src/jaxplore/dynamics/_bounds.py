@@ -113,3 +113,17 @@ def shrunk(control: ControlVector, bounds: ControlVector) -> ControlVector:
     excess = jnp.max(jnp.abs(control) / bounds)
     within: ControlVector = control / jnp.maximum(excess, 1.0)
     return within
+
+
+def bound_of_speed(robot: Any, *, is_least: bool = False) -> Scalar | None:
+    """Return the greatest speed of a robot, or the least one, negative backwards [m/s].
+
+    It is the attribute `max_speed` or `min_speed`, else the bound of the control `v`. None for a
+    model with neither.
+    """
+    found: Scalar | None = getattr(robot, "min_speed" if is_least else "max_speed", None)
+    if found is None and "v" in robot.control_names:
+        # The speed is a control, and its bound is that of the control.
+        bounds = robot.control_min if is_least else robot.control_max
+        found = bounds[robot.control_names.index("v")]
+    return found

@@ -49,6 +49,7 @@ from jaxplore.planning.strategy.informative import ShortRangeField as ShortRange
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower as QuadrotorFollower
 from jaxplore.planning.strategy.random_walk import RandomWalk as RandomWalk
 from jaxplore.planning.strategy.references import ClimbingReference as ClimbingReference
+from jaxplore.planning.strategy.references import ReferenceStart as ReferenceStart
 from jaxplore.planning.strategy.references import StrategicReference as StrategicReference
 from jaxplore.planning.strategy.target_choices import RemainingInformation as RemainingInformation
 from jaxplore.planning.strategy.target_choices import TrajectoryChoice as TrajectoryChoice
@@ -65,3 +66,4 @@ from jaxplore.planning.strategy.targets import TargetChoice as TargetChoice
 from jaxplore.planning.strategy.targets import TargetReference as TargetReference
 from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
+from jaxplore.planning.strategy.twist_follower import TwistFollower as TwistFollower

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, Field
 
+from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 
@@ -71,6 +72,10 @@ DIFFERENCES: dict[str, DefaultDifference] = {
     "car.robot.min_speed": DefaultDifference(
         -0.5, "a car that explores drives out of dead ends backwards"
     ),
+    "bicycle.robot.radius": DefaultDifference(
+        parameter_default(KinematicBicycle, "radius"),
+        "that of `KinematicBicycle`, which reaches beyond both axles",
+    ),
     "quadrotor.robot.model": DefaultDifference("quadrotor", "what its architectures control"),
     "quadrotor.robot.radius": DefaultDifference(
         parameter_default(Quadrotor, "radius"), "that of `Quadrotor`"
@@ -99,7 +104,8 @@ DIFFERENCES: dict[str, DefaultDifference] = {
 }
 """Settings whose default is not their owner's, by kind of run and name.
 
-Those of `quadrotor` hold for the quadrotor architectures, those of `car` for cars that explore."""
+Those of `quadrotor` hold for the architectures that default to one, those of `car` for cars that
+explore, and those of `bicycle` for one of the two models of cars."""
 
 
 def descriptions(owner: Owner) -> dict[str, str]:

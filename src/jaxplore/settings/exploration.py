@@ -25,6 +25,8 @@ from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import (
+    CARS,
+    GROUND_ROBOTS,
     CameraSettings,
     LidarSettings,
     RobotSettings,
@@ -61,7 +63,7 @@ BASELINES = (
 GROUND = ("explorer", "portfolio", *BASELINES)
 """Architectures of ground vehicles."""
 QUADROTOR = ("two-layer", "parallel", "sequential", "random-walk", "goal")
-"""Architectures that default to a quadrotor."""
+"""Architectures whose robot is a quadrotor unless another one is named."""
 ARCHITECTURES = (*GROUND, *QUADROTOR)
 """All architectures of the library."""
 
@@ -258,12 +260,13 @@ class Settings(RunSettings):
         map: YAML file of a ROS map or of a world (`jaxplore.World`), `office` or `zones`; beside a
             `world`, its name.
         world: the entries of a world, instead of its file.
-        architecture: architecture of the controller. Ground robots: `explorer`, `portfolio`, or a
-            rule-based explorer by the name of its rule, such as `nearest-frontier`. Quadrotors:
-            informative MPPI, which is `two-layer`, `parallel` or `sequential` (two-layer from zone
-            to zone of a world), or a baseline, `random-walk` or `goal`, which drives straight to
-            the goal. Or MODULE:NAME of your own, a rule (`jaxplore.planning.TargetRule`) or a
-            function from a scenario to a controller.
+        architecture: architecture of the controller. For robots on the ground `explorer`,
+            `portfolio`, or a rule-based explorer by the name of its rule, such as
+            `nearest-frontier`. For any robot, by default a quadrotor, informative MPPI, which is
+            `two-layer`, `parallel` or `sequential` (two-layer from zone to zone of a world), or a
+            baseline, `random-walk` or `goal`, which drives straight to the goal. Or MODULE:NAME of
+            your own, a rule (`jaxplore.planning.TargetRule`) or a function from a scenario to a
+            controller.
         goal: goal position (x, y) or (x, y, z) [m]; a world may define its own.
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.
@@ -277,7 +280,7 @@ class Settings(RunSettings):
         fields: the information and guidance fields.
         controller: MPPI of the architecture `explorer` and of the rule-based explorers.
         portfolio: settings of the architecture `portfolio`.
-        informative: settings of the quadrotor architectures.
+        informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
     """
 
@@ -348,9 +351,12 @@ def _with_defaults(entries: dict[str, Any]) -> dict[str, Any]:
     if entries.get("map") == ZONES:
         entries = {"architecture": "two-layer", "time_limit": 60.0, **entries}
     robot = entries.get("robot")
-    if isinstance(robot, dict) and robot.get("model") == "ackermann":
-        entries = merge_entries(difference_entries("car"), entries)
-    if entries.get("architecture") not in QUADROTOR:
+    model = robot.get("model") if isinstance(robot, dict) else None
+    for kind, models in (("car", CARS), ("bicycle", ("bicycle",))):
+        if model in models:
+            entries = merge_entries(difference_entries(kind), entries)
+    # A robot on the ground has the sensors that it has in the other architectures.
+    if entries.get("architecture") not in QUADROTOR or model in GROUND_ROBOTS:
         return entries
     return merge_entries(difference_entries("quadrotor"), entries)
 

@@ -11,7 +11,7 @@ from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
-from jaxplore.settings.robot import RobotSettings
+from jaxplore.settings.robot import GROUND_ROBOTS, RobotSettings
 from jaxplore.settings.sections import (
     Count,
     NonNegative,
@@ -34,9 +34,7 @@ TRACK = "track"
 """Name of the generated path."""
 
 Point = tuple[float, float]
-PathRobot = Annotated[
-    str, WordsOrOwn(("ackermann", "bicycle", "differential_drive", "omnidirectional", "unicycle"))
-]
+PathRobot = Annotated[str, WordsOrOwn(GROUND_ROBOTS)]
 
 
 class TrackSettings(Section):

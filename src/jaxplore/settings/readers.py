@@ -33,7 +33,7 @@ from jaxplore.settings.exploration import (
 )
 from jaxplore.settings.own import is_own
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
-from jaxplore.settings.robot import RobotSettings
+from jaxplore.settings.robot import CARS, RobotSettings
 from jaxplore.simulation.following.traffic import Traffic
 
 
@@ -96,23 +96,22 @@ def _models(section: type[RobotSettings], *names: str) -> Reader:
 
 def _of_robot(section: type[RobotSettings]) -> dict[str, Reader]:
     """Return the readers of the robot's settings: its model, which has some of them."""
-    cars = ("ackermann", "bicycle")
     differential, omni = "differential_drive", "omnidirectional"
     models = {
-        "max_speed": (differential, omni, "unicycle", *cars),
+        "max_speed": (differential, omni, "unicycle", *CARS),
         "max_turn_rate": (differential, omni, "unicycle"),
-        "max_acceleration": (differential, omni, *cars),
+        "max_acceleration": (differential, omni, *CARS),
         "max_deceleration": (differential, omni, "ackermann"),
         "max_angular_acceleration": (differential, omni),
         "drag": (differential, omni, "ackermann"),
         "radius": (differential, omni, "unicycle", "bicycle", "quadrotor"),
         "mass": ("quadrotor",),
-        "wheelbase": cars,
+        "wheelbase": CARS,
         "length": ("ackermann",),
         "width": ("ackermann",),
-        "max_steering": cars,
+        "max_steering": CARS,
         "max_steering_rate": ("ackermann",),
-        "min_speed": (omni, "unicycle", *cars),
+        "min_speed": (omni, "unicycle", *CARS),
         "max_lateral_speed": (omni,),
     }
     return {f"robot.{name}": _models(section, *names) for name, names in models.items()}

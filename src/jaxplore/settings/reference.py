@@ -205,9 +205,10 @@ def _other_defaults(task: str, name: str, default: Any, given: dict[str, Any]) -
     flying = DIFFERENCES.get(f"quadrotor.{name}") if task == "exploration" else None
     if flying is not None:
         yield f"Quadrotors: {plain(flying.value)}, {flying.reason}."
-    driving = DIFFERENCES.get(f"car.{name}") if task == "exploration" else None
-    if driving is not None:
-        yield f"Cars: {plain(driving.value)}, {driving.reason}."
+    for kind, words in (("car", "Cars"), ("bicycle", "A bicycle")):
+        driving = DIFFERENCES.get(f"{kind}.{name}") if task == "exploration" else None
+        if driving is not None:
+            yield f"{words}: {plain(driving.value)}, {driving.reason}."
     own = []
     for place in () if name in _UNNAMED else _places(task):
         settings = place_settings(place)

@@ -22,6 +22,11 @@ from jaxplore.settings.sections import (
     Steering,
 )
 
+CARS = ("ackermann", "bicycle")
+"""Models that cannot turn on the spot."""
+GROUND_ROBOTS = ("differential_drive", "omnidirectional", "unicycle", *CARS)
+"""Models of robots on the ground."""
+
 ViewDegrees = Annotated[float, Field(gt=0, lt=180)]
 
 
@@ -33,15 +38,12 @@ class RobotSettings(Section):
 
     Args:
         model: name of the robot's model, or MODULE:NAME, a `jaxplore.Dynamics` of your own, which
-            has its own numbers.
-        length: length of a car, which has no radius [m].
-        width: width of a car [m].
+            has its own numbers. A `bicycle` is a car with a radius and without steering dynamics.
+        length: length of an `ackermann`, which has no radius [m].
+        width: width of an `ackermann` [m].
     """
 
-    model: Annotated[
-        str,
-        WordsOrOwn(("differential_drive", "omnidirectional", "unicycle", "ackermann", "quadrotor")),
-    ] = "differential_drive"
+    model: Annotated[str, WordsOrOwn((*GROUND_ROBOTS, "quadrotor"))] = "differential_drive"
     max_speed: Positive = setting(DifferentialDrive, "max_speed")
     max_turn_rate: Positive = setting(DifferentialDrive, "max_turn_rate")
     max_acceleration: Positive = setting(DifferentialDrive, "max_acceleration")

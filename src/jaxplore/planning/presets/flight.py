@@ -39,7 +39,8 @@ class Flight(NamedTuple):
         num_samples: rollouts, K.
         temperature: temperature of the softmax; the least one of the adaptive softmax.
         noise_std: (nu,) standard deviations of the controls; when absent 5 % of the range of the
-            first and 3 % of the range of the others (2 N and 0.6 rad/s for the default quadrotor).
+            first and 3 % of the range of the others for a robot that flies (2 N and 0.6 rad/s for
+            the default quadrotor), and half the range between the bounds for a robot on the ground.
             With P `Knots`, each of which lasts for T / P steps, `std sqrt(P / T)`, which spreads
             the sum of the controls as much. With `Smooth`, whose rates add up from command to
             command, `std / (dt sqrt(T / 2))`: as much after T / 2 commands.
@@ -98,7 +99,10 @@ class Flight(NamedTuple):
                 unknown name.
         """
         std: Vector
-        if self.noise_std is None:
+        if self.noise_std is None and "z" not in robot.state_names:
+            # What a robot on the ground does wrong can be made good: `explorer` has as much noise.
+            std = robot.control_half_range
+        elif self.noise_std is None:
             share = np.full(robot.control_size, 0.03, np.float32)
             share[0] = 0.05
             bounds = robot.control_min, robot.control_max

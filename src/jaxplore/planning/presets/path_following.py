@@ -15,6 +15,7 @@ from jaxplore.costs.base import Cost, check_cost
 from jaxplore.costs.comfort import ComfortCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.path_following import ContouringCost, CorridorCost, LagCost, ProgressCost
+from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.dynamics.path_parameter import PathParameter
@@ -314,10 +315,7 @@ def _comfort(
 
 def _bound(robot: Dynamics) -> ArrayLike:
     """Return the greatest speed of a robot [m/s]."""
-    speed: ArrayLike | None = getattr(robot, "max_speed", None)
-    if speed is None and "v" in robot.control_names:
-        # The speed is a control, and its bound is that of the control.
-        speed = robot.control_max[robot.control_names.index("v")]
+    speed = bound_of_speed(robot)
     if speed is None:
         raise ValueError(
             f"max_speed is None for {type(robot).__name__}, which has none of its own; accepted: "

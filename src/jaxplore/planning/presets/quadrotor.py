@@ -6,6 +6,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
+from jaxplore.belief.guidance import TurnsOnTheSpot
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
 from jaxplore.control.mixtures import BiasedProposal
@@ -19,6 +20,7 @@ from jaxplore.costs.exploration import (
     StrategyReferenceCost,
 )
 from jaxplore.costs.tracking import GoalCost
+from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.information.gain import CellSensor, IdealSensor
 from jaxplore.information.pose import PoseInformation
@@ -62,13 +64,13 @@ def informative_mppi(
     guidance_weight: ArrayLike = 10.0,
     goal_weight: ArrayLike = 0.2,
 ) -> InformativeMPPI:
-    """Build informative MPPI with the costs and defaults for a quadrotor.
+    """Build informative MPPI with the costs and defaults for a quadrotor, for any robot.
 
     Two-layer: MPPI tracks a reference that ascends the information field, with half of its samples
     around the controls that follow it. Parallel: MPPI reads the field, without reference and bias.
     Both also have a guidance cost, the cost to go through the whole map to the remaining
     information. With a `target_choice`, two-layer goes from zone to zone: the sequential
-    architecture.
+    architecture. The reference of a car is the way down its lattice of headings.
 
     The function has more than 60 lines because it is the one place of these numbers.
 
@@ -87,7 +89,7 @@ def informative_mppi(
             `target_choice`.
         target_choice: rule that chooses the target of the reference, see `zone_choice`: the
             sequential architecture. When absent the reference climbs the field.
-        reference_speed: speed along the reference [m/s].
+        reference_speed: speed along the reference; no more than the robot's [m/s].
         reference_steps: length of the reference in steps of `flight.dt`.
         by_heading: whether to read the field at the robot's heading instead of the best heading.
         goal_when_explored: whether the goal attracts only once the map is explored.
@@ -152,7 +154,7 @@ def informative_mppi(
             likelihood_ratio=likelihood_ratio,
         )
         if reference is None:
-            walk = GradientReference(reference_speed, reference_steps, flight.dt)
+            walk = _walk(robot, reference_speed, reference_steps, flight.dt)
             reference = (
                 ClimbingReference(walk)
                 if target_choice is None
@@ -170,6 +172,20 @@ def informative_mppi(
     )
 
 
+def _walk(robot: Dynamics, speed: ArrayLike, num_steps: int, dt: ArrayLike) -> GradientReference:
+    """Build the pace of a reference: that of the robot where it is slower."""
+
+    def at_most(bound: ArrayLike | None) -> ArrayLike:
+        if bound is None:
+            return speed
+        return computed(lambda xp, speed, bound: xp.minimum(speed, xp.abs(bound)), speed, bound)
+
+    backwards = at_most(bound_of_speed(robot, is_least=True)) if robot.can_reverse else None
+    if not robot.turning_radius > 0.0:
+        backwards = None
+    return GradientReference(at_most(bound_of_speed(robot)), num_steps, dt, backwards)
+
+
 def zone_choice(
     zones: Zones,
     goal: Vector,
@@ -185,7 +201,8 @@ def zone_choice(
     Args:
         zones: zones to explore.
         goal: goal position (x, y) after the last zone [m].
-        perception: perception of the scenario, whose clearance the routes keep.
+        perception: perception of the scenario, whose clearance the routes keep, on paths that its
+            robot can drive.
         lidar: sensor whose scans along the route are predicted by the methods other than
             "remaining".
         method: "remaining", the information that remains in a zone, see `RemainingInformation`; or
@@ -197,8 +214,16 @@ def zone_choice(
     Raises:
         ValueError: an unknown method, or a value that a part rejects.
     """
+    locomotion = perception.locomotion
+    # A lattice of headings with a node at each cell would take far longer than the other fields.
+    stride = 1 if isinstance(locomotion, TurnsOnTheSpot) else perception.field_sensor.stride
     targets = Targets(
-        zones, goal, depleted=depleted, required_clearance=perception.required_clearance
+        zones,
+        goal,
+        depleted=depleted,
+        required_clearance=perception.required_clearance,
+        stride=stride,
+        locomotion=locomotion,
     )
     # The methods differ in unit, so each has its own default weight.
     weight: dict[str, Any] = {} if distance_weight is None else {"weight": distance_weight}

@@ -13,6 +13,7 @@ from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import angle, length
 from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
+from jaxplore.planning.strategy.twist_follower import TwistFollower, drives
 
 
 class UnicycleFollower(Follower):
@@ -129,6 +130,9 @@ class DifferentialDriveFollower(Follower):
 def follower_for(dynamics: Dynamics) -> Follower:
     """Return the follower for a model, with its default gains.
 
+    It is `QuadrotorFollower`, `DifferentialDriveFollower` or `UnicycleFollower` for these models,
+    and `TwistFollower` for any other model with x, y and yaw, without z.
+
     Raises:
         ValueError: a model without a follower.
     """
@@ -141,9 +145,11 @@ def follower_for(dynamics: Dynamics) -> Follower:
     for model, follower in followers.items():
         if isinstance(dynamics, model):
             return follower()
+    if drives(dynamics):
+        return TwistFollower(reverses=dynamics.can_reverse)
     raise ValueError(
-        f"dynamics is a {type(dynamics).__name__}; accepted: "
-        + ", ".join(model.__name__ for model in followers)
+        f"dynamics is a {type(dynamics).__name__}; accepted: a Quadrotor, or a model with x, y and "
+        "yaw, without z"
     )
 
 

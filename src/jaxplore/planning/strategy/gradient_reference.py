@@ -33,17 +33,30 @@ class GradientReference(eqx.Module):
         speed: speed of the reference [m/s].
         num_steps: number of positions, T; static.
         dt: time between positions [s].
+        reverse_speed: speed where a car drives backwards, see `descend` [m/s]; `speed` when absent.
 
     Raises:
         ValueError: a value that is not positive.
     """
 
     speed: Scalar
+    reverse_speed: Scalar
     dt: Scalar
     num_steps: int = eqx.field(static=True)
 
-    def __init__(self, speed: ArrayLike = 2.0, num_steps: int = 40, dt: ArrayLike = 0.05) -> None:
+    def __init__(
+        self,
+        speed: ArrayLike = 2.0,
+        num_steps: int = 40,
+        dt: ArrayLike = 0.05,
+        reverse_speed: ArrayLike | None = None,
+    ) -> None:
         self.speed = _checks.scalar("speed", speed, above=0.0)
+        self.reverse_speed = (
+            self.speed
+            if reverse_speed is None
+            else _checks.scalar("reverse_speed", reverse_speed, above=0.0)
+        )
         self.dt = _checks.scalar("dt", dt, above=0.0)
         self.num_steps = _checks.positive_int("num_steps", num_steps)
 

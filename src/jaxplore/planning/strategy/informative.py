@@ -22,7 +22,7 @@ from jaxplore.information.heading_field import HeadingField
 from jaxplore.information.local_field import LocalFieldSensor
 from jaxplore.maps.field import ScalarField
 from jaxplore.planning.strategy.follower import Follower
-from jaxplore.planning.strategy.references import StrategicReference
+from jaxplore.planning.strategy.references import ReferenceStart, StrategicReference
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
@@ -241,14 +241,19 @@ class InformativeMPPI(Controller):
             belief: what the robot knows of the world.
             observation: (nx,) observed state of the robot.
         """
-        position = self.mppi.dynamics.position(observation)
+        model = self.mppi.dynamics
+        position = model.position(observation)
         field = self.potential_sensor.field(belief.grid, position)
         potential = self._remaining(field, belief)
         best = potential.best
         # `cond` needs a plan of the same shapes as in `init`: one row, which nothing reads.
         if self.reference is None:
             return StrategicPlan(potential, best, jnp.zeros((1, 3)))
-        start = jnp.append(position, self.altitude)
+        start = ReferenceStart(
+            jnp.append(position, self.altitude),
+            model.heading(observation),
+            model.speed(observation),
+        )
         return StrategicPlan(potential, best, self.reference(belief, best, start))
 
     def _prepare(

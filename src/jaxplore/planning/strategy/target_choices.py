@@ -11,7 +11,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.information.trajectory import TrajectoryInformation, path_headings
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.planning.strategy.gradient_reference import GradientReference
-from jaxplore.planning.strategy.references import descend
+from jaxplore.planning.strategy.references import ReferenceStart, descend
 from jaxplore.planning.strategy.targets import TargetChoice, Targets, TargetScores
 
 
@@ -49,15 +49,15 @@ class RemainingInformation(TargetChoice):
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
         self.straight = _kinds.flag("straight", straight)
 
-    def __call__(self, belief: Belief, position: Position) -> TargetScores:
+    def __call__(self, belief: Belief, start: ReferenceStart) -> TargetScores:
         """Score all targets and select one."""
         targets = self.targets
         if self.straight:
             centres = targets.zones.centres(belief.grid.frame)
-            offset = jnp.append(centres, targets.goal[None], axis=0) - position
+            offset = jnp.append(centres, targets.goal[None], axis=0) - start.position[:2]
             distance = jnp.sqrt((offset * offset).sum(axis=-1))
         else:
-            distance = targets.distances(belief, position)
+            distance = targets.distances(belief, start.pose)
         # The goal has no uncertainty of its own; `choose` takes it only when no zone remains.
         remaining = jnp.append(targets.zones.remaining(belief.grid), 0.0)
         # Masked before the product: a weight of 0 times an infinite distance is NaN.
@@ -113,13 +113,14 @@ class TrajectoryChoice(TargetChoice):
         )
         self.weight = _checks.scalar("weight", weight, at_least=0.0)
 
-    def __call__(self, belief: Belief, position: Position) -> TargetScores:
+    def __call__(self, belief: Belief, start: ReferenceStart) -> TargetScores:
         """Score all targets and select one."""
 
         def value(target: GridMask) -> Scalar:
-            field, is_reachable = self.targets.route(belief, target, position)
-            path = descend(self.gradient_reference, field, belief, jnp.append(position, 0.0))[:, :2]
-            return jnp.where(is_reachable, self.worth(belief.grid, position, path), -jnp.inf)
+            field, is_reachable = self.targets.route(belief, target, start.pose)
+            path = descend(self.gradient_reference, field, belief, start)[:, :2]
+            worth = self.worth(belief.grid, start.position[:2], path)
+            return jnp.where(is_reachable, worth, -jnp.inf)
 
         return self.targets.choose(belief, jax.vmap(value)(self.targets.masks(belief.grid)))
 

@@ -9,20 +9,19 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Count, Flag, GridMask, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Count, Flag, GridMask, Pose, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.guidance import (
-    LAYERS,
     GuidanceField,
+    Locomotion,
     Roadmap,
     TurnsOnTheSpot,
-    descent_field,
 )
 from jaxplore.belief.zones import Zones
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.planning.strategy.gradient_reference import GradientReference
-from jaxplore.planning.strategy.references import StrategicReference, descend
+from jaxplore.planning.strategy.references import ReferenceStart, StrategicReference, descend
 
 TIE = 1e-3
 """Difference in distance up to which nodes count as equally near [node spacings]."""
@@ -61,6 +60,8 @@ class Targets(eqx.Module):
         depleted: remaining uncertainty below which a zone is depleted, in (0, 1].
         required_clearance: radius of the robot plus its margin [m].
         stride: cells between nodes of the road map, at most `safe_stride`; static.
+        locomotion: paths that the robot can drive; those of a robot that turns on the spot when
+            absent.
 
     Raises:
         ValueError: no zones, a value outside its range.
@@ -70,6 +71,7 @@ class Targets(eqx.Module):
     goal: Position
     depleted: Scalar
     required_clearance: Scalar
+    locomotion: Locomotion
     stride: int = eqx.field(static=True)
 
     def __init__(
@@ -80,8 +82,10 @@ class Targets(eqx.Module):
         depleted: ArrayLike = 0.05,
         required_clearance: ArrayLike = 0.35,
         stride: int = 1,
+        locomotion: Locomotion | None = None,
     ) -> None:
         _kinds.instance("zones", zones, Zones)
+        _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
         if zones.member.ndim != 3 or zones.member.shape[0] == 0:
             raise ValueError(
                 f"zones has members of shape {zones.member.shape}; accepted: (Z, H, W) with Z >= 1"
@@ -92,6 +96,7 @@ class Targets(eqx.Module):
         self.required_clearance = _checks.scalar(
             "required_clearance", required_clearance, above=0.0
         )
+        self.locomotion = TurnsOnTheSpot() if locomotion is None else locomotion
         self.stride = _checks.positive_int("stride", stride)
 
     def masks(self, grid: OccupancyGrid) -> Bool[Array, "N H W"]:
@@ -128,42 +133,37 @@ class Targets(eqx.Module):
         roads = self._roads(belief)
         return roads.field(self._sources(belief, roads, target))
 
-    def route(
-        self, belief: Belief, target: GridMask, position: Position
-    ) -> tuple[GuidanceField, Flag]:
-        """Compute the cost to go to a target [m], and whether a path leads there from a position.
+    def route(self, belief: Belief, target: GridMask, pose: Pose) -> tuple[GuidanceField, Flag]:
+        """Compute the cost to go to a target [m], and whether a path leads there from a pose.
 
         Args:
             belief: what the robot knows of the world.
             target: (H, W) cells of the target.
-            position: position of the robot (x, y) [m].
+            pose: pose of the robot (x, y, yaw) [m, m, rad].
 
         Raises:
             ValueError: a target of another shape than the map.
         """
         roads = self._roads(belief)
-        cost = roads.lengths(self._sources(belief, roads, target))
-        is_near, _ = _nearest(roads, position)
-        is_reachable = (is_near & jnp.isfinite(cost)).any()
-        return descent_field(cost, roads.frame, LAYERS), is_reachable
+        field, cost = roads.field_and_cost(self._sources(belief, roads, target), pose)
+        return field, jnp.isfinite(cost)
 
-    def distances(self, belief: Belief, position: Position) -> Float[Array, " N"]:
+    def distances(self, belief: Belief, pose: Pose) -> Float[Array, " N"]:
         """Compute the length of the shortest path to each target (N,), N = Z + 1 [m].
 
-            distance_z = min over n of |n - position| + d(n, z)
+            distance_z = min over n of |n - p| + d(n, z)
 
-        over the open nodes n nearest to the position, with d the cost to go of `cost_to`. The
-        distance is infinite where there is no path, and from a position that is not finite.
+        over the open nodes n within a node spacing of those nearest to the position p, with d the
+        length of the shortest path. The distance is infinite where there is no path, and from a
+        pose that is not finite.
 
         Args:
             belief: what the robot knows of the world.
-            position: position of the robot (x, y) [m].
+            pose: pose of the robot (x, y, yaw) [m, m, rad].
         """
-        # Paths are as long in both directions, so one search from the robot serves all targets.
+        # One search from the robot serves all targets.
         roads = self._roads(belief)
-        is_near, away = _nearest(roads, position)
-        # The robot stands between nodes: it starts from all nearest nodes at their distance.
-        from_robot = roads.lengths(jnp.where(is_near, away, jnp.inf))
+        from_robot = roads.lengths_from(pose)
 
         def to_target(target: GridMask) -> Scalar:
             return jnp.where(self._ends(belief, roads, target), from_robot, jnp.inf).min()
@@ -193,7 +193,7 @@ class Targets(eqx.Module):
 
     def _roads(self, belief: Belief) -> Roadmap:
         """Return the road map of the places where the robot fits."""
-        return TurnsOnTheSpot().roadmap(belief.clearance, self.required_clearance, self.stride)
+        return self.locomotion.roadmap(belief.clearance, self.required_clearance, self.stride)
 
     def _sources(self, belief: Belief, roads: Roadmap, target: GridMask) -> Float[Array, "H W"]:
         """Return the sources of the paths to a target: 0 at its nodes, infinite elsewhere."""
@@ -221,12 +221,12 @@ class TargetChoice(eqx.Module):
     targets: eqx.AbstractVar[Targets]
 
     @abc.abstractmethod
-    def __call__(self, belief: Belief, position: Position) -> TargetScores:
+    def __call__(self, belief: Belief, start: ReferenceStart) -> TargetScores:
         """Score all targets and select one.
 
         Args:
             belief: what the robot knows of the world.
-            position: position of the robot (x, y) [m].
+            start: where the robot is.
         """
 
 
@@ -263,12 +263,12 @@ class TargetReference(StrategicReference):
         )
 
     def __call__(
-        self, belief: Belief, potential: ScalarField, start: Float[Array, "3"]
+        self, belief: Belief, potential: ScalarField, start: ReferenceStart
     ) -> Float[Array, "T 3"]:
         """Compute the positions after 1 ... T steps [m]; the potential is not read."""
         targets = self.choice.targets
-        index = self.choice(belief, start[:2]).index
-        field, is_reachable = targets.route(belief, targets.masks(belief.grid)[index], start[:2])
+        index = self.choice(belief, start).index
+        field, is_reachable = targets.route(belief, targets.masks(belief.grid)[index], start.pose)
         to_target = descend(self.gradient_reference, field, belief, start)
         by_guidance = descend(self.gradient_reference, belief.guidance, belief, start)
         return jnp.where(is_reachable, to_target, by_guidance)
