@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Rows, Scalar
@@ -21,6 +21,7 @@ from jaxplore.belief.anomaly_reports import (
     cell_centres,
     square_distance,
 )
+from jaxplore.belief.sight import is_in_sight
 from jaxplore.information.field import InformationField
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
 from jaxplore.sensing.base import Sensor
@@ -30,8 +31,6 @@ from jaxplore.sensing.fan import fan
 
 LEAST_NOISE = 0.01
 """Least standard deviation of a range in the test [m]: without noise densities are infinite."""
-SAMPLES = 24
-"""Number of points between a node and a suspicion at which the line of sight is tested."""
 
 
 class Anomalies(eqx.Module):
@@ -353,16 +352,7 @@ class AnomalyTest(eqx.Module):
         nodes = field.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
         distance = jnp.linalg.norm(nodes - place, axis=-1)
         is_apart = jnp.linalg.norm(nodes - seen_from, axis=-1) > self.baseline
-        # Cells at the place itself may be solid on the map of the robot.
-        share = jnp.maximum(1.0 - 2.0 * SIGHT / jnp.maximum(distance, 1e-3), 0.0)
-
-        def is_clear(part: Scalar) -> Bool[Array, "rows columns"]:
-            return grid.at(nodes + (part * share)[..., None] * (place - nodes)) < FREE_THRESHOLD
-
-        parts = jnp.linspace(0.0, 1.0, SAMPLES)
-        is_shown = jax.lax.fori_loop(
-            0, SAMPLES, lambda k, so_far: so_far & is_clear(parts[k]), jnp.ones_like(is_apart)
-        )
+        is_shown = is_in_sight(grid, nodes, place, 2.0 * SIGHT)
         views = is_shown & is_apart & (distance <= 0.9 * self.near) & reports.is_open[oldest]
         is_attended = views.any()
         kept = jnp.where(is_attended, 1.0 - self.attention, 1.0)

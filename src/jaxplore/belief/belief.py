@@ -11,6 +11,7 @@ from jaxplore.belief.anomalies import Anomalies
 from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
+from jaxplore.belief.recognition import ObjectClasses
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
@@ -51,6 +52,7 @@ class Belief(eqx.Module):
         idleness: (H, W) time since each cell was last seen [s], infinite if never; absent without
             an idleness map.
         anomalies: what differs from the known map; absent without a test for it.
+        objects: objects and the probabilities of their classes; absent without a detector.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -66,6 +68,7 @@ class Belief(eqx.Module):
     obstacles: Obstacles | None = None
     idleness: GridValues | None = None
     anomalies: Anomalies | None = None
+    objects: ObjectClasses | None = None
 
     @property
     def pull(self) -> ScalarField:

@@ -19,7 +19,8 @@ from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTheSpot
 from jaxplore.belief.idleness import IdlenessMap
-from jaxplore.belief.perception_checks import as_sensors, checked_test, safe_stride
+from jaxplore.belief.perception_checks import as_scans, as_sensors, checked_test, safe_stride
+from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
@@ -55,6 +56,9 @@ class Perception(eqx.Module):
     With `anomalies`, each scan of the first sensor is tested for what differs from the prior map,
     and the information field leads to a second look (`AnomalyTest`).
 
+    With a `recognition`, looks at the objects of the belief add to the information field
+    (`Recognition`).
+
     Args:
         sensors: sensor of the robot, or several. All of them update the map. Information and
             idleness are those of the first.
@@ -83,6 +87,8 @@ class Perception(eqx.Module):
         unknown_factor: additional cost per metre of unknown space in that cost-to-go.
         car: how a robot moves that cannot turn on the spot; by default it can.
         anomalies: test for what differs from the prior map; none by default.
+        recognition: classes of objects; none by default. The objects are a part of the belief that
+            the task adds.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -107,6 +113,7 @@ class Perception(eqx.Module):
     ground: Ground | None
     watch: IdlenessMap | None
     anomalies: AnomalyTest | None
+    recognition: Recognition | None
     unknown_factor: Scalar
     is_goal_apart: bool = eqx.field(static=True)
     is_batched: bool = eqx.field(static=True)
@@ -135,12 +142,14 @@ class Perception(eqx.Module):
         unknown_factor: ArrayLike = 0.5,
         car: CarMotion | None = None,
         anomalies: AnomalyTest | None = None,
+        recognition: Recognition | None = None,
     ) -> None:
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
         _kinds.instance("watch", watch, IdlenessMap, may_be_none=True)
         _kinds.flag("is_goal_apart", is_goal_apart)
         _kinds.instance("car", car, CarMotion, may_be_none=True)
+        _kinds.instance("recognition", recognition, Recognition, may_be_none=True)
         radius = _checks.scalar("robot_radius", robot_radius, above=0.0)
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
@@ -173,7 +182,7 @@ class Perception(eqx.Module):
         self.memory = _checks.scalar("memory", memory, above=0.0)
         self.goal = None if goal is None else _checks.vector("goal", goal, 2)
         self.max_unknown = _checks.scalar("max_unknown", max_unknown, at_least=0.0, at_most=1.0)
-        self.ground, self.watch = ground, watch
+        self.ground, self.watch, self.recognition = ground, watch, recognition
         self.anomalies = checked_test(anomalies, self.sensors[0], ground, watch)
         self.unknown_factor = _checks.scalar("unknown_factor", unknown_factor, at_least=0.0)
         if is_goal_apart and goal is None:
@@ -274,13 +283,7 @@ class Perception(eqx.Module):
         _checks.shaped("elapsed", elapsed, ())
         if time is not None:
             _checks.shaped("time", time, ())
-        scans = (scans,) if isinstance(scans, Scan) else scans
-        if not isinstance(scans, (list, tuple)):
-            _kinds.instance("scans", scans, Scan, hint="or a list of one for each sensor")
-        _kinds.instances("scans", scans, Scan)
-        if len(scans) != len(self.sensors):
-            number = len(self.sensors)
-            raise ValueError(f"scans has {len(scans)} scans; accepted: {number}, one per sensor")
+        scans = as_scans(scans, len(self.sensors))
         grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
         # Only the first sensor counts as observing a cell for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
@@ -315,6 +318,10 @@ class Perception(eqx.Module):
         information = self._information(belief.grid, belief.idleness, belief.information)
         if self.anomalies is not None and belief.anomalies is not None:
             information = self.anomalies.attended(belief.anomalies, information, belief.grid)
+        if self.recognition is not None and belief.objects is not None:
+            information = self.recognition.informed(
+                belief.objects, information, belief.grid, self.sensors[0].max_range
+            )
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)
         guidance = self._guidance(belief.clearance, information, dwell, is_known)
@@ -339,7 +346,8 @@ class Perception(eqx.Module):
             # The interest of every cell changes with time, so the whole field is recomputed.
             interest = self.watch.interest(idleness)
             return self.field_sensor.field(grid, self.sensor_model, interest)
-        if before is None or self.is_batched:
+        # What objects add is in the last field: an update would keep it where nothing else changed.
+        if before is None or self.is_batched or self.recognition is not None:
             return self.field_sensor.field(grid, self.sensor_model)
         return self.field_sensor.update(before, grid, self.sensor_model)
 

@@ -8,6 +8,7 @@ from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.maps.ground import Ground
 from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
 
 
@@ -55,6 +56,25 @@ def as_sensors(sensors: Sensor | Sequence[Sensor]) -> tuple[Sensor, ...]:
         raise ValueError("sensors is empty; accepted: a Sensor, or a list of them")
     _kinds.instances("sensors", sensors, Sensor)
     return tuple(sensors)
+
+
+def as_scans(scans: Scan | Sequence[Scan], number: int) -> Sequence[Scan]:
+    """Return one scan or several as a sequence.
+
+    Args:
+        scans: one scan, or one for each sensor.
+        number: number of sensors.
+
+    Raises:
+        ValueError: something that is not a scan, or another number of them.
+    """
+    scans = (scans,) if isinstance(scans, Scan) else scans
+    if not isinstance(scans, (list, tuple)):
+        _kinds.instance("scans", scans, Scan, hint="or a list of one for each sensor")
+    _kinds.instances("scans", scans, Scan)
+    if len(scans) != number:
+        raise ValueError(f"scans has {len(scans)} scans; accepted: {number}, one per sensor")
+    return scans
 
 
 def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:

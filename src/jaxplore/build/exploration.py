@@ -11,6 +11,7 @@ from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
 from jaxplore.build.parts import (
     build_faults,
+    build_recognition,
     build_robot,
     build_sensor_model,
     build_sensors,
@@ -88,6 +89,8 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         goal=None if world.goal is None else world.goal[:2],
         altitude=settings.altitude,
         targets=world.targets or None,
+        # Without a detector, objects other than the targets mean nothing to the robot.
+        objects=None if settings.detector is None else world.objects,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
         planted=None if settings.anomalies is None else world.planted,
@@ -118,6 +121,7 @@ def _perception(
             if test is None
             else AnomalyTest(forbidden=world.forbidden, **arguments(test, AnomalyTest))
         ),
+        recognition=build_recognition(settings.detector),
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         car=car_motion(robot),

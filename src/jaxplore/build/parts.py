@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from jaxplore.belief.recognition import Recognition
 from jaxplore.build.own import own_robot
 from jaxplore.control.adaptive_horizon import (
     AdaptiveHorizon,
@@ -26,10 +27,11 @@ from jaxplore.dynamics.unicycle import Unicycle
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
+from jaxplore.sensing.detector import Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import Settings
+from jaxplore.settings.exploration import DetectorSettings, Settings
 from jaxplore.settings.own import is_own
 from jaxplore.settings.robot import RobotSettings, SensorModelSettings
 from jaxplore.settings.sections import (
@@ -114,6 +116,14 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             **wheeled, min_speed=given.min_speed, max_lateral_speed=given.max_lateral_speed
         )
     return DifferentialDrive(**wheeled)
+
+
+def build_recognition(given: DetectorSettings | None) -> Recognition | None:
+    """Build the detector of objects, and the update of their classes; None without one."""
+    if given is None:
+        return None
+    detector = Detector(given.classes, given.confusion, **arguments(given, Detector))
+    return Recognition(detector, **arguments(given, Recognition))
 
 
 def build_faults(given: FaultSettings) -> Faults | None:

@@ -6,7 +6,7 @@ from jaxplore.maps.generators.office import office, start_pose
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
-from jaxplore.maps.world import MovingObstacle, World, is_world_file, three_zones
+from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, ZONES, Settings
 from jaxplore.simulation.exploration.planted import PlantedAnomalies, planted_anomalies
@@ -31,6 +31,7 @@ class RunWorld(NamedTuple):
         movers: moving obstacles.
         forbidden: rectangles in which nobody may be [m].
         planted: what differs from the prior map.
+        objects: objects other than the targets.
     """
 
     grid: OccupancyGrid
@@ -43,6 +44,7 @@ class RunWorld(NamedTuple):
     movers: tuple[MovingObstacle, ...] = ()
     forbidden: tuple[tuple[float, ...], ...] = ()
     planted: PlantedAnomalies | None = None
+    objects: tuple[LabelledObject, ...] = ()
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
@@ -96,6 +98,7 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.movers,
         world.forbidden,
         planted_anomalies(world),
+        world.objects,
     )
 
 

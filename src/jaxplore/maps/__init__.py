@@ -11,6 +11,7 @@ from jaxplore.maps.ground import GroundSample as GroundSample
 from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap as TerrainMap
 from jaxplore.maps.terrain import TerrainSample as TerrainSample
+from jaxplore.maps.world import LabelledObject as LabelledObject
 from jaxplore.maps.world import MovingObstacle as MovingObstacle
 from jaxplore.maps.world import Shapes as Shapes
 from jaxplore.maps.world import World as World

@@ -16,6 +16,7 @@ from jaxplore.maps.files import untrusted
 from jaxplore.maps.files.world_entries import (
     CHECKS,
     MOVER_ENTRIES,
+    OBJECT_ENTRIES,
     OPTIONAL_LISTS,
     SHAPES,
     WORLD_ENTRIES,
@@ -24,6 +25,7 @@ from jaxplore.maps.files.world_entries import (
     refuse_unknown,
     touches_solid,
 )
+from jaxplore.maps.files.world_entries import LabelledObject as LabelledObject
 from jaxplore.maps.files.world_entries import MovingObstacle as MovingObstacle
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
@@ -68,6 +70,7 @@ class World:
         hills: hills (x, y, height, radius) [m], whose sum is the elevation; a negative height is a
             pit. See `jaxplore.maps.hills.hill_elevation`.
         targets: points (x, y) [m] that the robot has to see.
+        objects: objects other than the targets, each of a class, for a detector.
         movers: moving obstacles, discs on closed paths; they are in neither of the two maps.
         gone: obstacles of the prior map that are not there: free in the true world.
         forbidden: rectangles (x_min, y_min, x_max, y_max) in which nobody may be [m]. Whoever walks
@@ -78,8 +81,8 @@ class World:
             finite or too few or many, a size or resolution that is not positive, more than 64
             million cells, a wall reach below half a cell (walls would have gaps), a shape without
             a cell on the map, a zone that leaves the map or holds no centre of a cell, a start,
-            goal, target or point of a path that is off the map or in a cell that is solid in the
-            true world, a hill whose radius is not positive or reaches no centre of a cell,
+            goal, target, object or point of a path that is off the map or in a cell that is solid
+            in the true world, a hill whose radius is not positive or reaches no centre of a cell,
             heights that add up to more than 1000 km, a mover that `MovingObstacle` refuses or whose
             disc touches a solid cell of the true world on its way (it may reach beyond the map).
     """
@@ -95,6 +98,7 @@ class World:
     hidden: Shapes = field(default_factory=Shapes)
     hills: tuple[Row, ...] = ()
     targets: tuple[Row, ...] = ()
+    objects: tuple[LabelledObject, ...] = ()
     movers: tuple[MovingObstacle, ...] = ()
     gone: Shapes = field(default_factory=Shapes)
     forbidden: tuple[Row, ...] = ()
@@ -114,6 +118,8 @@ class World:
         self._check_hills()
         for index, target in enumerate(self.targets):
             self._check_place(f"targets[{index}]", target, solid)
+        for index, each in enumerate(self.objects):
+            self._check_place(f"objects[{index}]", each.position, solid)
         for index, mover in enumerate(self.movers):
             self._check_path(f"movers[{index}].path", mover, solid)
 
@@ -123,7 +129,8 @@ class World:
 
         `walls`, `rectangles` and `discs` at the top level are the known obstacles, those under
         `hidden` and `gone` the hidden ones and those that are gone. A mover is a mapping with
-        `path`, `speed` and `radius`. `size` and `start` are required.
+        `path`, `speed` and `radius`, an object one with `position` and `label`. `size` and `start`
+        are required.
 
         Raises:
             ValueError: an unknown or missing entry, and what `World` raises.
@@ -374,7 +381,10 @@ def three_zones() -> World:
     )
 
 
-def _plain(entry: Row | MovingObstacle) -> object:
+def _plain(entry: Row | MovingObstacle | LabelledObject) -> object:
+    if isinstance(entry, LabelledObject):
+        row = (list(entry.position), entry.label)
+        return dict(zip(OBJECT_ENTRIES, row, strict=True))
     if isinstance(entry, MovingObstacle):
         path = [list(point) for point in entry.path]
         return dict(zip(MOVER_ENTRIES, (path, entry.speed, entry.radius), strict=True))

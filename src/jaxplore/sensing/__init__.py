@@ -4,5 +4,7 @@ from jaxplore.sensing.base import Sensor as Sensor
 from jaxplore.sensing.base import Sighting as Sighting
 from jaxplore.sensing.beams import Scan as Scan
 from jaxplore.sensing.camera import Camera as Camera
+from jaxplore.sensing.detector import Detections as Detections
+from jaxplore.sensing.detector import Detector as Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
 from jaxplore.sensing.lidar import Lidar as Lidar

@@ -11,6 +11,7 @@ from jaxplore._spelling import spelled
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.recognition import Recognition
 from jaxplore.maps.generators.office import office
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.terrain import TerrainMap
@@ -21,6 +22,7 @@ from jaxplore.planning.presets.explorer import explorer
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
+from jaxplore.sensing.detector import Detector
 from jaxplore.settings.defaults import difference_entries, setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
@@ -104,6 +106,27 @@ class AnomalySettings(Section):
     attention: Annotated[float, Field(ge=0, lt=1)] = setting(AnomalyTest, "attention")
     radius: Positive = setting(AnomalyTest, "radius")
     range_noise: Positive | None = setting(AnomalyTest, "range_noise")
+
+
+class DetectorSettings(Section):
+    """The detector of objects, and the update of their classes: see `jaxplore.sensing.Detector` and
+    `jaxplore.belief.Recognition`.
+
+    Args:
+        classes: names of the classes, at least two.
+        confusion: matrix of the classes; row c has the probability of each label for an object of
+            class c that is detected. Its rows sum to 1.
+    """
+
+    classes: tuple[str, ...]
+    confusion: tuple[tuple[Fraction, ...], ...]
+    recall: Share | tuple[Share, ...] = setting(Detector, "recall")
+    reach: Positive = setting(Detector, "reach")
+    prior: tuple[Fraction, ...] | None = setting(Recognition, "prior")
+    certainty: Annotated[float, Field(gt=0.5, lt=1)] = setting(Recognition, "certainty")
+    baseline: NonNegative = setting(Recognition, "baseline")
+    weight: NonNegative = setting(Recognition, "weight")
+    target: str | None = setting(Recognition, "target")
 
 
 class TerrainSettings(Section):
@@ -275,6 +298,7 @@ class Settings(RunSettings):
         camera: the camera, which becomes the primary sensor; no camera when absent.
         watch: settings of the idleness map, for search and patrol; none when absent.
         anomalies: the test for what differs from the known map; none when absent. It needs a watch.
+        detector: the detector of objects by the first sensor; none when absent.
         terrain: the ground.
         sensor_model: inverse sensor model, the update of a cell by a measurement.
         fields: the information and guidance fields.
@@ -301,6 +325,7 @@ class Settings(RunSettings):
     camera: CameraSettings | None = None
     watch: WatchSettings | None = None
     anomalies: AnomalySettings | None = None
+    detector: DetectorSettings | None = None
     terrain: TerrainSettings = TerrainSettings()
     sensor_model: SensorModelSettings = SensorModelSettings()
     fields: FieldSettings = FieldSettings()

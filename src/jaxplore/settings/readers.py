@@ -197,6 +197,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "anomalies": Reader(
             "runs that test for anomalies", lambda settings: settings.anomalies is not None
         ),
+        "detector": Reader("runs with a detector", lambda settings: settings.detector is not None),
         "terrain.height_map": Reader("ROS maps, worlds", lambda settings: not _is_office(settings)),
         "portfolio": _PORTFOLIO,
         "portfolio.members": _also(

@@ -20,12 +20,13 @@ from jaxplore.maps.rasterise import TOLERANCE
 Row = tuple[float, ...]
 
 SHAPES = ("walls", "rectangles", "discs")
-OPTIONAL_LISTS = ("hills", "targets", "movers", "forbidden")
+OPTIONAL_LISTS = ("hills", "targets", "objects", "movers", "forbidden")
 WORLD_ENTRIES = (
     *("origin", "size", "resolution", "wall_reach", "zones", "start", "goal"),
     *OPTIONAL_LISTS,
 )
 MOVER_ENTRIES = ("path", "speed", "radius")
+OBJECT_ENTRIES = ("position", "label")
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,26 @@ class MovingObstacle:
 
     def __post_init__(self) -> None:
         for name in MOVER_ENTRIES:
+            object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
+
+
+@dataclass(frozen=True)
+class LabelledObject:
+    """Object of a class, too small to stop a robot or a beam.
+
+    Args:
+        position: position (x, y) [m].
+        label: name of its class.
+
+    Raises:
+        ValueError: a position that is not two finite numbers, a label that is no text.
+    """
+
+    position: Row
+    label: str
+
+    def __post_init__(self) -> None:
+        for name in OBJECT_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
 
 
@@ -138,29 +159,35 @@ def _path(name: str, value: object) -> tuple[Row, ...]:
     return path
 
 
-def _movers(name: str, value: object) -> tuple[MovingObstacle, ...]:
+def _made[T](name: str, value: object, kind: type[T], keys: Collection[str]) -> tuple[T, ...]:
+    """Check a list of mappings, or of what is made of them, and return it made."""
     if not isinstance(value, (list, tuple)):
         raise ValueError(
-            f"{name} is {short_repr(value)}; accepted: a list of mappings with "
-            + ", ".join(MOVER_ENTRIES)
+            f"{name} is {short_repr(value)}; accepted: a list of mappings with " + ", ".join(keys)
         )
-    return tuple(_mover(f"{name}[{index}]", entry) for index, entry in enumerate(value))
+    return tuple(_one(f"{name}[{index}]", entry, kind, keys) for index, entry in enumerate(value))
 
 
-def _mover(name: str, value: object) -> MovingObstacle:
-    if isinstance(value, MovingObstacle):
+def _one[T](name: str, value: object, kind: type[T], keys: Collection[str]) -> T:
+    if isinstance(value, kind):
         return value
-    accepted = f"accepted: a mapping with {', '.join(MOVER_ENTRIES)}"
+    accepted = f"accepted: a mapping with {', '.join(keys)}"
     if not isinstance(value, Mapping):
         raise ValueError(f"{name} is {short_repr(value)}; {accepted}")
-    refuse_unknown(f"{name}: ", value, MOVER_ENTRIES)
-    for key in MOVER_ENTRIES:
+    refuse_unknown(f"{name}: ", value, keys)
+    for key in keys:
         if key not in value:
             raise ValueError(f"{name}.{key} is missing; {accepted}")
     try:
-        return MovingObstacle(**checked(value, MOVER_ENTRIES))
+        return kind(**checked(value, keys))
     except ValueError as error:
         raise ValueError(f"{name}.{error}") from None
+
+
+def _label(name: str, value: object) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: the name of a class")
+    return value
 
 
 CHECKS: Mapping[str, Callable[[str, object], Any]] = {
@@ -177,7 +204,10 @@ CHECKS: Mapping[str, Callable[[str, object], Any]] = {
     "goal": _goal,
     "hills": _hills,
     "targets": _points,
-    "movers": _movers,
+    "movers": lambda name, value: _made(name, value, MovingObstacle, MOVER_ENTRIES),
+    "objects": lambda name, value: _made(name, value, LabelledObject, OBJECT_ENTRIES),
+    "position": lambda name, value: _numbers(name, value, (2,), "2 finite numbers [x, y]"),
+    "label": _label,
     "path": _path,
     "speed": lambda name, value: _number(name, value, at_least=0.0),
     "radius": lambda name, value: _number(name, value, above=0.0),

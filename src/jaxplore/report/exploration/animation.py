@@ -43,6 +43,7 @@ from jaxplore.report.exploration.anomalies import found_at, middles
 from jaxplore.report.exploration.canvas import Canvas, make_canvas
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
 from jaxplore.report.exploration.footer import draw_footer
+from jaxplore.report.exploration.objects import class_colours, draw_objects
 
 NUM_RAYS = 45
 DASH = 7.0
@@ -142,6 +143,8 @@ def _draw_robot(canvas: Canvas, frame: ExplorationFrame, draw: ImageDraw.ImageDr
         line(np.stack([here, end]), LIDAR_RAY, 0.5)
     line(recording.positions[: frame.step + 1], TRAIL, 1.5)
     draw_targets(canvas, draw, recording.targets, frame.is_found, TARGET)
+    if recording.objects is not None and len(frame.classes):
+        draw_objects(canvas, draw, recording.objects, frame)
     if recording.anomalies is not None:
         is_found = found_at(recording.anomalies) <= frame.time
         draw_targets(canvas, draw, middles(recording.anomalies), is_found, ALARM)
@@ -209,8 +212,10 @@ def shared_palette(recording: ExplorationData, pictures: Sequence[Image.Image]) 
         given += [blend(CLOSED, ground, CLOSED_SHARE) for ground in (FREE, UNKNOWN)]
     if len(recording.targets):
         given.append(TARGET)
-    if recording.anomalies is not None:
+    if recording.anomalies is not None or recording.objects is not None:
         given.append(ALARM)
+    if recording.objects is not None:
+        given += [each for each in class_colours(recording.objects) if each != TARGET]
     if len(recording.mover_radii):
         given.append(MOVER_EDGE)
     return fitted_palette(given, pictures)

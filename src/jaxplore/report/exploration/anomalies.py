@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.belief.anomaly_reports import KIND_NAMES
+from jaxplore.report._numbers import finite
 from jaxplore.report.drawing.colours import ALARM, shade
 from jaxplore.report.exploration.data import AnomalyData
 from jaxplore.report.exploration.window import Window
@@ -63,6 +64,30 @@ def anomaly_rows(found: AnomalyData | None) -> list[dict[str, Any]] | None:
         for row in np.argsort(found.suspected)
         if np.isfinite(found.reported[row])
     ]
+
+
+def anomaly_metrics(found: AnomalyData | None) -> dict[str, Any]:
+    """Return the metrics of the anomalies, as in `ExplorationMetrics`."""
+    times = np.zeros(0) if found is None else found_at(found)
+    return {
+        "num_anomalies": len(times),
+        "anomalies_found": int(np.isfinite(times).sum()),
+        "false_alarms": 0 if found is None else false_alarms(found),
+        "cleared": 0 if found is None else found.num_cleared,
+        "last_anomaly_at": finite(times.max()) if len(times) else None,
+        "reports": anomaly_rows(found),
+    }
+
+
+def report_texts(reports: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Return the reports as (name, text), for tables."""
+    rows = []
+    for each in reports:
+        x, y = each["place"]
+        where = f"({x:.1f}, {y:.1f}) m after {each['reported_at']:.1f} s"
+        known = "" if each["is_planted"] else ", a false alarm"
+        rows.append((f"  {each['kind']}", where + known))
+    return rows
 
 
 def add_anomalies(axes: "Axes", found: AnomalyData | None, window: Window) -> None:

@@ -38,7 +38,7 @@ class ExplorationRecord(NamedTuple):
         effective_sample_size: effective sample size of the controller's rollouts.
         is_finite: whether any rollout had a finite cost.
         is_faulty: whether a fault of scans or odometry was active.
-        targets_seen: number of targets seen so far.
+        targets_seen: number of targets found so far: seen, or with a detector reported.
         mean_idleness: mean over the reachable cells of the time since each was last seen, or since
             the start [s]; 0 without an idleness map.
         worst_idleness: the greatest of these times [s].
@@ -85,6 +85,33 @@ class AnomalyData(NamedTuple):
     num_cleared: int
 
 
+class ObjectData(NamedTuple):
+    """Objects of N slots and C classes, and what the robot knew of them at the end.
+
+    Args:
+        classes: names of the classes.
+        target: number of the class of the targets.
+        place: (N, 2) true positions, the targets first [m].
+        label: (N,) numbers of the true classes.
+        probability: (N, C) probability of each class in the belief.
+        detected_at: (N,) times of the first detection [s]; infinite if there was none.
+        looks: (N,) number of looks that counted.
+        reported_at: (N, C) time at which each class was first certain [s]; infinite if it never
+            was.
+        reported_probability: (N, C) its probability then.
+    """
+
+    classes: tuple[str, ...]
+    target: int
+    place: np.ndarray
+    label: np.ndarray
+    probability: np.ndarray
+    detected_at: np.ndarray
+    looks: np.ndarray
+    reported_at: np.ndarray
+    reported_probability: np.ndarray
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ExplorationFrame(Frame):
     """A snapshot of an exploration run.
@@ -100,7 +127,9 @@ class ExplorationFrame(Frame):
         heading: heading of the robot [rad].
         reference: (R, 2) reference positions of the plan [m]; empty without a reference.
         movers: (M, 2) positions of the moving obstacles [m].
-        is_found: (K,) whether each target was seen so far.
+        is_found: (K,) whether each target was found so far.
+        classes: (N, C) probability of each class of each object; NaN for objects that were not
+            detected, (0, 0) without a detector.
         terms: value of each cost term for the nominal trajectory.
     """
 
@@ -116,6 +145,7 @@ class ExplorationFrame(Frame):
     movers: np.ndarray
     is_found: np.ndarray
     terms: dict[str, float]
+    classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -151,6 +181,7 @@ class ExplorationData(RunData):
         mover_radii: (M,) radii of the moving obstacles [m].
         member_names: names of the members of a controller that holds several.
         anomalies: what differs from the known map, and what was found of it; None without a test.
+        objects: objects and their classes; None without a detector.
     """
 
     records: ExplorationRecord
@@ -180,6 +211,7 @@ class ExplorationData(RunData):
     mover_radii: np.ndarray
     member_names: tuple[str, ...]
     anomalies: AnomalyData | None = None
+    objects: ObjectData | None = None
 
     @property
     def positions(self) -> np.ndarray:

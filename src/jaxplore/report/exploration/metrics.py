@@ -7,14 +7,15 @@ from typing import Any
 import numpy as np
 
 from jaxplore.report._numbers import finite, numbers, percent, text
-from jaxplore.report.exploration.anomalies import anomaly_rows, false_alarms, found_at
-from jaxplore.report.exploration.data import AnomalyData, ExplorationData
+from jaxplore.report.exploration.anomalies import anomaly_metrics, report_texts
+from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.missions import (
     fusion_means,
     idleness,
     last_target_at,
     member_means,
 )
+from jaxplore.report.exploration.objects import object_metrics, object_rows
 from jaxplore.report.exploration.progress import LEVELS, at_instants, longest_stall, progress
 from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
 from jaxplore.report.motion import command_jerk, episodes
@@ -54,8 +55,8 @@ class ExplorationMetrics(Metrics):
         untraversable_steps: number of steps that ended with part of the robot on untraversable
             ground.
         num_targets: number of targets.
-        targets_seen: number of targets that were seen.
-        last_target_at: time at which the last target was seen [s]; None if some were not seen.
+        targets_seen: number of targets that were found: seen, or with a detector reported.
+        last_target_at: time at which the last target was found [s]; None if some were not.
         mean_idleness: time since each reachable cell was last seen, mean over the cells and the
             second half of the run [s]: the first half is needed to see everything once. None
             without an idleness map.
@@ -73,6 +74,14 @@ class ExplorationMetrics(Metrics):
         last_anomaly_at: time at which the last anomaly was reported [s]; None if some were not.
         reports: the reports by time: `kind`, `place` [m], `suspected_at` and `reported_at` [s], and
             whether something `is_planted` there; None without a test for anomalies.
+        num_objects: number of objects, targets included; 0 without a detector.
+        objects_detected: number of them that were detected.
+        false_reports: number of objects that were reported as a target and are none.
+        mislabelled: number of other reports of a class that the object does not have.
+        class_entropy: sum of the entropies of the objects' classes at the end [nat]; None without a
+            detector.
+        labels: the reports by time: `label`, `place` [m], `reported_at` [s], `probability`,
+            `true_label` and `is_true`; None without a detector.
         reachable_area: area of the reachable cells [m^2].
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
@@ -115,6 +124,12 @@ class ExplorationMetrics(Metrics):
     cleared: int
     last_anomaly_at: float | None
     reports: list[dict[str, Any]] | None
+    num_objects: int
+    objects_detected: int
+    false_reports: int
+    mislabelled: int
+    class_entropy: float | None
+    labels: list[dict[str, Any]] | None
     reachable_area: float
     longest_stall: float
     coverage_curve: dict[str, list[float | None]] = dataclasses.field(repr=False)
@@ -175,6 +190,7 @@ class ExplorationMetrics(Metrics):
             "anomalies_found", "anomalies found", applies=lambda spread: spread[2] > 0.0
         ),
         Column.total("false_alarms", "false alarms", applies=lambda total: total > 0),
+        Column.total("false_reports", "false reports", applies=lambda total: total > 0),
         Column.total("collisions", "collisions"),
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
@@ -261,25 +277,22 @@ class ExplorationMetrics(Metrics):
     def _mission_rows(self) -> list[tuple[str, str]]:
         rows = []
         if self.num_targets:
-            seen, last = f"{self.targets_seen} of {self.num_targets} seen", self.last_target_at
+            done = "seen" if self.labels is None else "recognised"
+            seen, last = f"{self.targets_seen} of {self.num_targets} {done}", self.last_target_at
             rows.append(("targets", seen if last is None else f"{seen}, the last at {last:.2f} s"))
         # A search is judged by its targets; the idleness only leads it to places not seen lately.
         elif self.mean_idleness is not None:
             both = f"{self.mean_idleness:.1f} s, {text(self.worst_idleness, 1)} s at worst"
             rows.append(("idleness", f"{both}, in the second half"))
-        return [*rows, *self._anomaly_rows()]
+        counts = (self.num_objects, self.objects_detected, self.false_reports, self.mislabelled)
+        return [*rows, *object_rows(self.labels, counts), *self._anomaly_rows()]
 
     def _anomaly_rows(self) -> list[tuple[str, str]]:
         if self.reports is None:
             return []
         alarms = f"{self.false_alarms} false alarms, {self.cleared} suspicions dropped"
         rows = [("anomalies", f"{self.anomalies_found} of {self.num_anomalies} found; {alarms}")]
-        for each in self.reports:
-            x, y = each["place"]
-            where = f"({x:.1f}, {y:.1f}) m after {each['reported_at']:.1f} s"
-            known = "" if each["is_planted"] else ", a false alarm"
-            rows.append((f"  {each['kind']}", where + known))
-        return rows
+        return rows + report_texts(self.reports)
 
     def _member_rows(self) -> list[tuple[str, str]]:
         if self.members is None:
@@ -357,7 +370,8 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         members=member_means(recording),
         diversity=diversity,
         replaced=replaced,
-        **_anomalies(recording.anomalies),
+        **anomaly_metrics(recording.anomalies),
+        **object_metrics(recording.objects),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
         coverage_curve=sampled_series(curve, period),
@@ -378,18 +392,6 @@ def _goal_distance(recording: ExplorationData) -> float | None:
     if recording.goal is None:
         return None
     return float(np.hypot(*(recording.positions[-1] - recording.goal)))
-
-
-def _anomalies(found: AnomalyData | None) -> dict[str, Any]:
-    times = np.zeros(0) if found is None else found_at(found)
-    return {
-        "num_anomalies": len(times),
-        "anomalies_found": int(np.isfinite(times).sum()),
-        "false_alarms": 0 if found is None else false_alarms(found),
-        "cleared": 0 if found is None else found.num_cleared,
-        "last_anomaly_at": finite(times.max()) if len(times) else None,
-        "reports": anomaly_rows(found),
-    }
 
 
 def _first(mask: np.ndarray) -> int | None:

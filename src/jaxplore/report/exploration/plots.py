@@ -20,6 +20,7 @@ from jaxplore.report.drawing.series import style_count
 from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import (
     add_footprint,
     add_ground,
@@ -144,6 +145,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
         axes.plot([], [], color=shade(MISSED), linewidth=3.0, label="wall not seen")
     add_ground(axes, recording, window)
     add_targets(axes, recording, window)
+    add_objects(axes, recording.objects, window)
     add_moving_obstacles(axes, recording, window)
     add_anomalies(axes, recording.anomalies, window)
     add_footprint(axes, recording, window)

@@ -89,7 +89,9 @@ class ExplorationRecording(ExplorationData, Recording):
         Where they exist: each field of `Members` as `members_NAME`, one row per step, with
         `member_names`; `targets` (M, 2) [m]; `idleness` (H, W) [s], infinite where nothing was
         seen; `elevation` (H, W) [m] and `traversable` (H, W) of the ground; `mover_radii` (M,) [m];
-        `footprint` (4, 2) corners of a rectangular robot [m].
+        `footprint` (4, 2) corners of a rectangular robot [m]; `objects` (N, 2) [m] with their true
+        `object_labels` (N,), `class_names` (C,), and at the end `object_classes` (N, C), the
+        probability of each class.
         """
         time, *_ = progress(self)
         steps = self.records._asdict()
@@ -105,6 +107,13 @@ class ExplorationRecording(ExplorationData, Recording):
             "mover_radii": self.mover_radii,
             "footprint": self.footprint,
         }
+        if self.objects is not None:
+            optional |= {
+                "objects": self.objects.place,
+                "object_labels": self.objects.label,
+                "object_classes": self.objects.probability,
+                "class_names": np.asarray(self.objects.classes, np.str_),
+            }
         return {
             **{name: np.asarray(rows) for name, rows in steps.items()},
             "time": time,

@@ -66,15 +66,22 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
     given = _checks.floats("targets", targets, "(M, 2) with M >= 1")
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != 2:
         raise ValueError(f"targets has shape {given.shape}; accepted: (M, 2) with M >= 1")
-    for index, spot in enumerate(given):
+    check_spots("targets", given, world)
+    return on_device(given.copy())
+
+
+def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid) -> None:
+    """Check that positions (M, 2) are in free space [m].
+
+    Raises:
+        ValueError: one that is not.
+    """
+    for index, spot in enumerate(spots):
         if (
             not np.isfinite(spot).all()
             or float(probability_at(world, jnp.asarray(spot))) >= FREE_THRESHOLD
         ):
-            raise ValueError(
-                f"targets[{index}] is {spot.tolist()}; accepted: a place in free space"
-            )
-    return on_device(given.copy())
+            raise ValueError(f"{name}[{index}] is {spot.tolist()}; accepted: a place in free space")
 
 
 def checked_end(

@@ -37,6 +37,9 @@ def frame_arrays(
     angles = pose[2] + jnp.asarray(sensor.beam_angles)
     directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=-1)
     nowhere = jnp.zeros((0, 2))
+    objects, classes = state.belief.objects, jnp.zeros((0, 0))
+    if objects is not None:
+        classes = jnp.where(objects.is_known[:, None], objects.probability, jnp.nan)
     arrays = {
         "state": state.robot,
         "probability": jnp.round(255.0 * state.belief.grid.probability).astype(jnp.uint8),
@@ -49,6 +52,7 @@ def frame_arrays(
         "reference": nowhere,
         "movers": nowhere if movers is None else movers[:, :2],
         "is_found": state.is_seen,
+        "classes": classes,
         "terms": {},
     }
     if plan is None:

@@ -7,14 +7,21 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import Position, Scalar, StateVector
 from jaxplore.belief.anomalies import Anomalies
+from jaxplore.belief.recognition import ObjectClasses, Recognition
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.report.exploration.data import AnomalyData, ExplorationFrame, ExplorationRecord
+from jaxplore.report.exploration.data import (
+    AnomalyData,
+    ExplorationFrame,
+    ExplorationRecord,
+    ObjectData,
+)
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.finish import has_coverage_target
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.planted import PlantedAnomalies
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.robot_fields import robot_fields
 
 
@@ -30,6 +37,8 @@ def make_recording(
     targets: Float[Array, "M 2"],
     member_names: tuple[str, ...],
     planted: PlantedAnomalies | None = None,
+    objects: TrueObjects | None = None,
+    recognition: Recognition | None = None,
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
@@ -45,6 +54,8 @@ def make_recording(
         targets: (M, 2) positions of the targets [m].
         member_names: names of the controller's members.
         planted: what differs from the prior map; none when absent.
+        objects: the true objects; none when absent.
+        recognition: how the robot recognises them.
     """
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
@@ -72,6 +83,7 @@ def make_recording(
         traversable=None if ground is None else np.asarray(ground.is_traversable),
         idleness=None if belief.idleness is None else cropped(belief.idleness),
         anomalies=_anomalies(belief.anomalies, planted),
+        objects=_objects(belief.objects, objects, recognition),
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
     )
 
@@ -89,4 +101,20 @@ def _anomalies(found: Anomalies | None, planted: PlantedAnomalies | None) -> Ano
         suspected=rows["suspected"],
         reported=rows["reported"],
         num_cleared=int(found.num_cleared),
+    )
+
+
+def _objects(
+    known: ObjectClasses | None, objects: TrueObjects | None, recognition: Recognition | None
+) -> ObjectData | None:
+    if known is None or objects is None or recognition is None:
+        return None
+    names = ("detected_at", "looks", "reported_at", "reported_probability")
+    return ObjectData(
+        classes=recognition.detector.classes,
+        target=int(recognition.target),
+        place=np.asarray(objects.place),
+        label=np.asarray(objects.label),
+        probability=np.exp(np.asarray(known.log_probability)),
+        **{name: np.asarray(getattr(known, name)) for name in names},
     )

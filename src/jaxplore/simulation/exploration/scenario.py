@@ -27,7 +27,6 @@ from jaxplore._types import (
 )
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.perception_checks import as_sensors
 from jaxplore.control.base import Controller, Info
@@ -36,6 +35,7 @@ from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
+from jaxplore.maps.world import LabelledObject
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -51,11 +51,11 @@ from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.planted import PlantedAnomalies
-from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.reachability import drivable_cells, with_closed
 from jaxplore.simulation.exploration.recording import make_recording
 from jaxplore.simulation.exploration.senses import Senses
-from jaxplore.simulation.exploration.state import ExplorationState, max_ranges
+from jaxplore.simulation.exploration.state import ExplorationState, initial_state
+from jaxplore.simulation.exploration.true_objects import TrueObjects, true_objects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
@@ -70,7 +70,8 @@ class ExplorationScenario(Scenario):
     - With a goal: within `goal_radius` of it, with less than `max_unknown` of the map unknown or at
       the target coverage. With a goal apart (see `Perception`) the robot drives to the goal first
       and explores on the way.
-    - With `targets`: when the first sensor has seen all of them.
+    - With `targets`: when the first sensor has seen all of them, or recognised all of them if the
+      perception has a `Recognition`.
     - Without target coverage, goal and targets, as on a patrol: never before the time limit.
 
     Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
@@ -104,6 +105,7 @@ class ExplorationScenario(Scenario):
         hover_time: time that is simulated after the end [s].
         faults: injected faults; none when absent.
         targets: (M, 2) positions of the targets to find [m]; none when absent.
+        objects: objects of other classes, for a perception with a `Recognition`; none when absent.
         moving_obstacles: true moving obstacles; none when absent. The robot's tracker measures
             those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
@@ -115,7 +117,7 @@ class ExplorationScenario(Scenario):
             that the robot touches it; a rate that is not positive, above the control rate or no
             whole fraction of it; a target coverage outside (0, 1]; a prior or walls of another
             shape; a goal off the map, in a wall, or where the robot cannot get from its start; a
-            target off the map or in a wall.
+            target or an object off the map or in a wall; an object of an unknown class.
     """
 
     frame_type = ExplorationFrame
@@ -136,6 +138,7 @@ class ExplorationScenario(Scenario):
     hover_steps: Count
     faults: Faults | None
     targets: Float[Array, "M 2"]
+    objects: TrueObjects | None
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     planted: PlantedAnomalies | None
@@ -161,6 +164,7 @@ class ExplorationScenario(Scenario):
         hover_time: float = 0.0,
         faults: Faults | None = None,
         targets: Rows | None = None,
+        objects: Sequence[LabelledObject] | None = None,
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = (0.05, 0.1),
         planted: PlantedAnomalies | None = None,
@@ -172,6 +176,7 @@ class ExplorationScenario(Scenario):
         _kinds.instance("prior", prior, OccupancyGrid, may_be_none=True)
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
+        _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         world, ground = checks.grid_and_ground(world)
@@ -195,6 +200,7 @@ class ExplorationScenario(Scenario):
         if self.goal is not None:
             checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius))
         self.targets = checks.checked_targets(targets, world)
+        self.objects = true_objects(self.targets, objects, perception.recognition, world)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -205,7 +211,6 @@ class ExplorationScenario(Scenario):
         self.map_arrays = MapArrays(world, known, reachable, ground).padded()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
-        _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
         self.perception, self.planted = perception, planted
 
     @property
@@ -259,21 +264,16 @@ class ExplorationScenario(Scenario):
     def init(self, key: Key | None) -> tuple[ExplorationState, Belief]:
         """Return the initial state, and the belief with the prior map."""
         belief = self.perception.init(self.map_arrays.prior, self.robot.pose(self.start))
+        recognition = self.perception.recognition
+        if self.objects is not None and recognition is not None:
+            objects = recognition.init(self.objects.label.shape[0])
+            belief = dataclasses.replace(belief, objects=objects)
         moving = self.moving_obstacles
-        if moving is not None:
-            if key is not None:
-                moving = moving.at_random_phase(key)
-            belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
-        state = ExplorationState(
-            robot=self.start,
-            belief=belief,
-            progress=map_progress(belief, self.map_arrays.reachable, jnp.zeros(())),
-            finished=jnp.zeros((), jnp.int32),
-            is_seen=jnp.zeros(self.num_targets, bool),
-            moving_obstacles=moving,
-            ranges=jnp.asarray(max_ranges(self.sensors)),
-        )
-        return state, belief
+        if moving is not None and key is not None:
+            moving = moving.at_random_phase(key)
+        reachable, number = self.map_arrays.reachable, self.num_targets
+        state = initial_state(self.start, belief, reachable, number, moving, self.sensors)
+        return state, state.belief
 
     def perceive(
         self, state: ExplorationState, moment: Moment, key: Key
@@ -285,6 +285,7 @@ class ExplorationScenario(Scenario):
             self.perception,
             self.map_arrays.reachable,
             self.targets,
+            self.objects,
             self.tracking_noise,
             self.control_period,
             self.steps_per_scan,
@@ -338,7 +339,7 @@ class ExplorationScenario(Scenario):
         return is_finished(position, state.progress, state.is_seen, *end)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
-        """Return a share of 0, because the time left is unknown, and the coverage as text."""
+        """Return a share of 0, because the time left is unknown, and the coverage in words."""
         return 0.0, f"coverage {float(state.progress.coverage):6.1%}"
 
     def for_batches(self) -> "ExplorationScenario":
@@ -384,10 +385,10 @@ class ExplorationScenario(Scenario):
     ) -> ExplorationRecording:
         """Make the recording of a run."""
         names = () if controller is None else controller.member_names
-        parts = (self.robot, self.start, self.period)
-        end = (self.goal, self.target_coverage, self.targets)
-        arrays = self.map_arrays.cropped()
-        return make_recording(before, run, arrays, *parts, *end, names, self.planted)
+        parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
+        end = (self.goal, self.target_coverage, self.targets, names, self.planted)
+        recognised = self.objects, self.perception.recognition
+        return make_recording(before, run, *parts, *end, *recognised)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""

@@ -4,9 +4,9 @@ import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, GridMask, Key, Scalar
+from jaxplore._types import Count, GridMask, Key, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
@@ -15,6 +15,7 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.clock import when_due
 from jaxplore.simulation.exploration.progress import map_progress
 from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.scenario import Moment
 
@@ -28,6 +29,8 @@ class Senses(NamedTuple):
         perception: update of the belief from scans.
         reachable: (H, W) cells that count for the progress.
         targets: (M, 2) positions of the targets [m].
+        objects: objects that the robot recognises by the first sensor, the targets first; None
+            without any.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
         period: control period [s].
         steps_per_scan: control periods between two scans.
@@ -39,6 +42,7 @@ class Senses(NamedTuple):
     perception: Perception
     reachable: GridMask
     targets: Float[Array, "M 2"]
+    objects: TrueObjects | None
     tracking_noise: Float[Array, "2"]
     period: Scalar
     steps_per_scan: Count
@@ -68,8 +72,7 @@ class Senses(NamedTuple):
             scans = truth.scans(self.sensors, at, key)
             since = period * self.steps_per_scan.astype(jnp.float32)
             belief = perception.observe(belief, scans, pose, since, moment.time)
-            if self.targets.shape[0] > 0:
-                is_seen |= self.sensors[0].sees(truth.grid, at, self.targets, truth.ground)
+            belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
             known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
             belief = dataclasses.replace(belief, obstacles=known)
             ranges = jnp.concatenate([scan.ranges for scan in scans])
@@ -96,3 +99,28 @@ class Senses(NamedTuple):
         is_due = (step % every == every - 1) | (step == 0)
         (belief,) = when_due(is_due, is_placed, derive, (belief,))
         return state._replace(belief=belief, progress=progress, is_seen=is_seen, ranges=ranges)
+
+    def _looked(
+        self,
+        belief: Belief,
+        is_seen: Bool[Array, " M"],
+        truth: TrueWorld,
+        pose: Pose,
+        time: Scalar,
+        key: Key,
+    ) -> tuple[Belief, Bool[Array, " M"]]:
+        """Return the belief with the classes of objects, and which targets were found.
+
+        A target is found when it is seen, or if the robot recognises objects, when it was reported
+        as one.
+        """
+        recognition, number = self.perception.recognition, self.targets.shape[0]
+        if self.objects is not None and recognition is not None and belief.objects is not None:
+            known = self.objects.looked_at(
+                belief.objects, recognition, truth, self.sensors[0], pose, time, key
+            )
+            is_seen = jnp.isfinite(known.reported_at[:number, recognition.target])
+            return dataclasses.replace(belief, objects=known), is_seen
+        if number > 0:
+            is_seen |= self.sensors[0].sees(truth.grid, pose, self.targets, truth.ground)
+        return belief, is_seen

@@ -1,16 +1,20 @@
 """State of the exploration task."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Count, StateVector
+from jaxplore._types import Count, GridMask, StateVector
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.obstacles import Obstacles
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
+from jaxplore.simulation.exploration.progress import map_progress
 
 
 class ExplorationState(NamedTuple):
@@ -21,7 +25,7 @@ class ExplorationState(NamedTuple):
         belief: the robot's belief.
         progress: statistics of the known map, as of the last map update.
         finished: number of steps since the task was finished; 0 before.
-        is_seen: (M,) whether each target has been seen.
+        is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
     """
@@ -39,4 +43,35 @@ def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:
     """Return the greatest range (B,) of every beam of every sensor [m], for before a scan."""
     return np.concatenate(
         [np.full(sensor.num_beams, sensor.max_range, np.float32) for sensor in sensors]
+    )
+
+
+def initial_state(
+    start: StateVector,
+    belief: Belief,
+    reachable: GridMask,
+    num_targets: int,
+    moving: MovingObstacles | None,
+    sensors: Sequence[Sensor],
+) -> ExplorationState:
+    """Return the state at the start.
+
+    Args:
+        start: (nx,) state of the robot.
+        belief: its belief, without moving obstacles.
+        reachable: (H, W) cells that count for the progress.
+        num_targets: number of targets.
+        moving: moving obstacles; None without any.
+        sensors: the sensors.
+    """
+    if moving is not None:
+        belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
+    return ExplorationState(
+        robot=start,
+        belief=belief,
+        progress=map_progress(belief, reachable, jnp.zeros(())),
+        finished=jnp.zeros((), jnp.int32),
+        is_seen=jnp.zeros(num_targets, bool),
+        moving_obstacles=moving,
+        ranges=jnp.asarray(max_ranges(sensors)),
     )

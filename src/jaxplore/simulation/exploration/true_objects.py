@@ -1,0 +1,115 @@
+"""True objects of an exploration scenario, and what a detector says of them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxplore import _kinds
+from jaxplore._types import Key, Pose, Scalar
+from jaxplore._xla import on_device
+from jaxplore.belief.recognition import ObjectClasses, Recognition
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.world import LabelledObject
+from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.checks import check_spots
+from jaxplore.simulation.exploration.true_world import TrueWorld
+
+DETECTION = 2**31 - 2
+"""Number folded into the key of a step for what a detector draws. It is never the number of a step
+or of a sensor, nor that of moving obstacles."""
+
+
+class TrueObjects(NamedTuple):
+    """Positions and classes of N objects; the targets come first.
+
+    Args:
+        place: (N, 2) positions [m].
+        label: (N,) numbers of their classes.
+    """
+
+    place: Float[Array, "N 2"]
+    label: Int[Array, " N"]
+
+    def looked_at(
+        self,
+        known: ObjectClasses,
+        recognition: Recognition,
+        truth: TrueWorld,
+        sensor: Sensor,
+        pose: Pose,
+        time: Scalar,
+        key: Key,
+    ) -> ObjectClasses:
+        """Return what the robot knows of the objects after an image.
+
+        Positions and distances are measured without error.
+
+        Args:
+            known: what it knew before.
+            recognition: its detector, and the update.
+            truth: the true world.
+            sensor: the camera.
+            pose: true pose of the robot [m, m, rad].
+            time: time since the start [s].
+            key: random key of the step's measurements.
+        """
+        detections = recognition.detector.detect(
+            self.label,
+            jnp.linalg.norm(self.place - pose[:2], axis=-1),
+            sensor.sees(truth.grid, pose, self.place, truth.ground),
+            key=jax.random.fold_in(key, DETECTION),
+        )
+        return recognition.update(known, detections, self.place, pose[:2], time)
+
+
+def true_objects(
+    targets: Float[Array, "M 2"],
+    objects: Sequence[LabelledObject] | None,
+    recognition: Recognition | None,
+    world: OccupancyGrid,
+) -> TrueObjects | None:
+    """Check the objects of a scenario, and return them behind the targets.
+
+    Args:
+        targets: (M, 2) positions of the targets [m].
+        objects: the other objects; none when absent.
+        recognition: how the robot recognises objects; None if it does not.
+        world: true map.
+
+    Returns:
+        The objects; None without any, or if the robot recognises none.
+
+    Raises:
+        ValueError: objects without a recognition, of an unknown class or of that of the targets,
+            or not in free space.
+    """
+    given = () if objects is None else objects
+    _kinds.instances("objects", given, LabelledObject)
+    if recognition is None:
+        if given:
+            raise ValueError(
+                f"objects has {len(given)} objects; accepted: none, without a recognition in the "
+                "perception"
+            )
+        return None
+    detector, target = recognition.detector, int(recognition.target)
+    labels = [
+        detector.index_of(f"objects[{index}].label", each.label) for index, each in enumerate(given)
+    ]
+    if target in labels:
+        raise ValueError(
+            f"objects[{labels.index(target)}].label is {detector.classes[target]!r}, the class of "
+            "the targets; accepted: another class, or the position among the targets"
+        )
+    if not given and not targets.shape[0]:
+        return None
+    spots = np.array([each.position for each in given], np.float32).reshape(-1, 2)
+    check_spots("objects", spots, world)
+    return TrueObjects(
+        on_device(np.concatenate([np.asarray(targets), spots])),
+        on_device(np.array([target] * targets.shape[0] + labels, np.int32)),
+    )
