@@ -245,11 +245,12 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.Lidar: set(),
     jx.Camera: set(),
     jx.belief.IdlenessMap: set(),
+    jx.belief.Recognition: {"detector"},
     jx.InverseSensorModel: {"is_decisive"},
     jx.maps.Ground: {"elevation", "resolution", "origin", "traversability"},
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
-        *("ground", "watch", "anomalies", "is_goal_apart", "unknown_factor", "car"),
+        *("ground", "watch", "anomalies", "is_goal_apart", "unknown_factor", "car", "recognition"),
     },
     jx.planning.Contextual: {"names", "goal", "rules"},
     jx.planning.WeightedVote: set(),

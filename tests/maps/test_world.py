@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from jaxplore.belief.zones import Zones
 from jaxplore.maps.files import untrusted
-from jaxplore.maps.world import MovingObstacle, Shapes, World, three_zones
+from jaxplore.maps.world import LabelledObject, MovingObstacle, Shapes, World, three_zones
 
 FREE, UNKNOWN, SOLID = np.float32([0.01, 0.5, 0.99])
 
@@ -33,6 +33,7 @@ ENTRIES = {
 EXTRAS = {
     "hills": [[1, 2, 0.5, 1.0], [4.0, 4.0, -0.25, 1.5]],
     "targets": [[-0.5, 3.0], [2.8, 3.2]],
+    "objects": [{"position": [-0.5, 3.0], "label": "door"}],
     "movers": [
         {"path": [[-0.7, 0.8], [-0.7, 1.8], [-0.2, 1.8]], "speed": 0, "radius": 0.2},
         {"path": [[2.7, 2.2]], "speed": 1.5, "radius": 0.1},
@@ -247,6 +248,7 @@ def test_hills_targets_and_movers_are_written_and_read(tmp_path):
         MovingObstacle(path=((2.7, 2.2),), speed=1.5, radius=0.1),
     )
     assert type(world.movers[0].speed) is float
+    assert world.objects == (LabelledObject((-0.5, 3.0), "door"),)
     assert dataclasses.replace(world, targets=()) != world
     assert hash(dataclasses.replace(world)) == hash(world)
     world.to_yaml(tmp_path / "world.yaml")
@@ -489,6 +491,7 @@ REFUSED = [
 ]
 
 
+THING = {"position": [-0.5, 2.0], "label": "door"}
 MOVER = {"path": [[-0.7, 0.8], [-0.7, 1.8]], "speed": 1.0, "radius": 0.2}
 REFUSED += [
     ({"hills": None}, "hills is None; accepted: a list of 4 finite numbers"),
@@ -503,6 +506,10 @@ REFUSED += [
     ({"targets": [[-0.5, 3.0], [3.0, 2.0]]}, "targets[1] is [3.0, 2.0]; accepted: a point on the"),
     ({"targets": [[2.0, 2.5]]}, "targets[0] is [2.0, 2.5], in something solid"),
     ({"targets": [[0.0, 3.0]]}, "targets[0] is [0.0, 3.0], in something solid"),  # hidden
+    ({"objects": [[1, 2]]}, "objects[0] is [1, 2]; accepted: a mapping with position, label"),
+    ({"objects": [{"position": [1, 2]}]}, "objects[0].label is missing"),
+    ({"objects": [{**THING, "label": 3}]}, "objects[0].label is 3; accepted: the name of a class"),
+    ({"objects": [{**THING, "position": [9, 2]}]}, "objects[0] is [9.0, 2.0]; accepted: a point"),
     ({"movers": {}}, "movers is {}; accepted: a list of mappings with path, speed, radius"),
     ({"movers": [MOVER, [1, 2]]}, "movers[1] is [1, 2]; accepted: a mapping with path, speed"),
     ({"movers": [{**MOVER, "phase": 0}]}, "movers[0]: unknown entry 'phase'; accepted: path"),

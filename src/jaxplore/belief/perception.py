@@ -54,10 +54,8 @@ class Perception(eqx.Module):
     is added to the information field, so that guidance leads there as well.
 
     With `anomalies`, each scan of the first sensor is tested for what differs from the prior map,
-    and the information field leads to a second look (`AnomalyTest`).
-
-    With a `recognition`, looks at the objects of the belief add to the information field
-    (`Recognition`).
+    and the information field leads to a second look (`AnomalyTest`). With a `recognition`, looks at
+    the objects of the belief, which the task adds, add to the field (`Recognition`).
 
     Args:
         sensors: sensor of the robot, or several. All of them update the map. Information and
@@ -87,8 +85,7 @@ class Perception(eqx.Module):
         unknown_factor: additional cost per metre of unknown space in that cost-to-go.
         car: how a robot moves that cannot turn on the spot; by default it can.
         anomalies: test for what differs from the prior map; none by default.
-        recognition: classes of objects; none by default. The objects are a part of the belief that
-            the task adds.
+        recognition: classes of objects; none by default.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -228,8 +225,7 @@ class Perception(eqx.Module):
         freed = self.sensor_model.update(
             jnp.full(grid.shape, 0.5), jnp.where(stands_on, self.sensor_model.minimum, 0.0)
         )
-        probability = jnp.where(stands_on, freed, grid.probability)
-        grid = grid.with_probability(probability)
+        grid = grid.with_probability(jnp.where(stands_on, freed, grid.probability))
         clearance = self._clearance(grid)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
@@ -315,7 +311,9 @@ class Perception(eqx.Module):
         _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.shaped("elapsed", elapsed, ())
-        information = self._information(belief.grid, belief.idleness, belief.information)
+        # What objects add is in the last field: an update would keep it where nothing else changed.
+        before = belief.information if belief.objects is None else None
+        information = self._information(belief.grid, belief.idleness, before)
         if self.anomalies is not None and belief.anomalies is not None:
             information = self.anomalies.attended(belief.anomalies, information, belief.grid)
         if self.recognition is not None and belief.objects is not None:
@@ -346,8 +344,7 @@ class Perception(eqx.Module):
             # The interest of every cell changes with time, so the whole field is recomputed.
             interest = self.watch.interest(idleness)
             return self.field_sensor.field(grid, self.sensor_model, interest)
-        # What objects add is in the last field: an update would keep it where nothing else changed.
-        if before is None or self.is_batched or self.recognition is not None:
+        if before is None or self.is_batched:
             return self.field_sensor.field(grid, self.sensor_model)
         return self.field_sensor.update(before, grid, self.sensor_model)
 

@@ -9,6 +9,7 @@ from jaxplore.recorder.content import BASE, MAP, Content
 from jaxplore.report.drawing.colours import MOVER, TARGET, belief_colours
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, PALE, REFERENCE
 from jaxplore.report.exploration.data import ExplorationFrame
+from jaxplore.report.exploration.objects import known_objects
 
 UNKNOWN_LEVEL = 128
 """Level of the probability 1/2 of 255."""
@@ -61,12 +62,17 @@ class ExplorationContent(Content):
             messages.disc(place, MARK, PALE if is_found else TARGET)
             for place, is_found in zip(run.targets, frame.is_found, strict=True)
         ]
+        objects = [
+            messages.disc(place, MARK, colour)
+            for place, colour in known_objects(run.objects, frame)
+        ]
         goal = [] if run.goal is None else [messages.disc(run.goal, MARK, REFERENCE)]
         entities: dict[str, Any] = {
             "robot": self.body(),
             "moving obstacles": (MAP, {"cylinders": movers}),
             "targets": (MAP, {"cylinders": targets}),
             "goal": (MAP, {"cylinders": goal}),
+            "recognised": (MAP, {"cylinders": objects}),
         }
         self.log("/objects", messages.scene(self.channels.stamp(time), entities), time)
 

@@ -7,6 +7,7 @@ import numpy as np
 from jaxplore.report.drawing.colours import FREE, TARGET, blend
 from jaxplore.report.drawing.palette import LIDAR_RAY, REFERENCE
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.objects import known_objects
 from jaxplore.view.scene import HEAD_ROOM, REFERENCES, SCAN, Scene
 from jaxplore.view.shapes import segments
 from jaxplore.view.textures import Ground
@@ -45,6 +46,7 @@ class ExplorationScene(Scene):
         super().__init__(server)
         self._recording = recording
         self._found: np.ndarray | None = None
+        self._known: list[tuple[float, ...]] = []
         rows, columns = recording.frames[0].probability.shape
         self._ground = Ground(
             (rows, columns),
@@ -76,6 +78,7 @@ class ExplorationScene(Scene):
             height = HEAD_ROOM * 2.0 * recording.robot_radius
             self.obstacles("obstacles", frame.movers[:, None], radii, height)
         self._draw_targets(frame)
+        self._draw_objects(frame)
         self.body(recording.footprint, recording.robot_radius, here, frame.heading)
 
     def _draw_ground(self, frame: ExplorationFrame) -> None:
@@ -107,7 +110,20 @@ class ExplorationScene(Scene):
                 self._nodes.pop(name).remove()
             self.ring(name, place, radius, colour)
 
+    def _draw_objects(self, frame: ExplorationFrame) -> None:
+        """Draw a disc in the colour of the class that is most probable, paler if less certain."""
+        known = known_objects(self._recording.objects, frame)
+        shown = [(*place.tolist(), *colour) for place, colour in known]
+        if shown == self._known:
+            return
+        self._known = shown
+        for name in [each for each in self._nodes if each.startswith("objects/")]:
+            self._nodes.pop(name).remove()
+        for index, (place, colour) in enumerate(known):
+            self.ring(f"objects/{index}", place, 0.6 * self._recording.robot_radius, colour)
+
     def clear(self) -> None:
         """Remove everything that was drawn."""
         super().clear()
         self._found = None
+        self._known = []

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from PIL import ImageDraw
 
-from jaxplore.report.drawing.colours import ALARM, TARGET, shade
+from jaxplore.report.drawing.colours import ALARM, FREE, TARGET, blend, shade
 from jaxplore.report.drawing.palette import INK, PALE, PAPER, Colour
 from jaxplore.report.drawing.shapes import Surface
 from jaxplore.report.exploration.data import ExplorationFrame, ObjectData
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 OTHERS: tuple[tuple[int, int, int], ...] = (
-    (230, 159, 0),
     (0, 114, 178),
+    (230, 159, 0),
     (0, 158, 115),
     (204, 121, 167),
     (86, 180, 233),
@@ -24,7 +24,7 @@ OTHERS: tuple[tuple[int, int, int], ...] = (
 )
 """Colours of the classes other than the targets', in turn: those of Okabe and Ito, which
 colour-blind readers tell apart."""
-MARKERS = "s^DvPX"
+MARKERS = "^DvPXs"
 """Markers of these classes in the map, in turn."""
 BADGE, SHIFT = 6.5, 9.0
 """Radius of a badge, and its distance from its object in x and y [pixels of scale 1]."""
@@ -37,6 +37,24 @@ def class_colours(objects: ObjectData) -> list[tuple[int, int, int]]:
     return [
         OTHERS[ranks[number] % len(OTHERS)] if number in ranks else TARGET
         for number in range(len(objects.classes))
+    ]
+
+
+def known_objects(
+    objects: ObjectData | None, frame: ExplorationFrame
+) -> list[tuple[np.ndarray, tuple[int, int, int]]]:
+    """Return the place and a colour of each object that was detected by the time of a frame.
+
+    The colour is that of the most probable class, the paler the less certain it is. Targets that
+    were found are left out: they are drawn as such.
+    """
+    if objects is None:
+        return []
+    colours, found = class_colours(objects), np.flatnonzero(frame.is_found)
+    return [
+        (objects.place[row], blend(colours[int(np.argmax(known))], FREE, float(np.max(known)) ** 2))
+        for row, known in enumerate(frame.classes)
+        if np.isfinite(known).all() and row not in found
     ]
 
 

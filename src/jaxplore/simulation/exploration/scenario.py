@@ -386,9 +386,9 @@ class ExplorationScenario(Scenario):
         """Make the recording of a run."""
         names = () if controller is None else controller.member_names
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
-        end = (self.goal, self.target_coverage, self.targets, names, self.planted)
-        recognised = self.objects, self.perception.recognition
-        return make_recording(before, run, *parts, *end, *recognised)
+        end = (self.goal, self.target_coverage, self.targets)
+        planted, how = self.planted, self.perception.recognition
+        return make_recording(before, run, *parts, *end, names, planted, self.objects, how)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""
