@@ -21,6 +21,7 @@ from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTh
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception_checks import as_scans, as_sensors, checked_test, safe_stride
 from jaxplore.belief.recognition import Recognition
+from jaxplore.belief.standing import freed_below
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
@@ -193,7 +194,7 @@ class Perception(eqx.Module):
         The maps of a batch change in different places, and each iteration of a loop over these
         places would copy the fields of all maps. The beliefs are equal.
         """
-        # Modules are frozen, and `eqx.tree_at` sets leaves only, while this field is static.
+        # Modules are frozen, and `eqx.tree_at` sets leaves only; this field is static.
         same = copy.copy(self)
         object.__setattr__(same, "is_batched", True)
         return same
@@ -210,22 +211,7 @@ class Perception(eqx.Module):
         """
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
-        # The robot stands on free ground, whatever the prior map says: otherwise no path starts
-        # there.
-        height, width = grid.shape
-        rows, columns = jnp.mgrid[:height, :width]
-        centres = grid.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
-        distance = jnp.linalg.norm(centres - pose[:2], axis=-1)
-        # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
-        # give the cell of the robot the clearance that it requires.
-        stands_on = distance <= self.required_clearance + 1.5 * grid.resolution
-        if grid.is_on_map is not None:
-            stands_on = stands_on & grid.is_on_map
-        # Updated from 0.5 and not from the prior: a decisive model keeps cells that are occupied.
-        freed = self.sensor_model.update(
-            jnp.full(grid.shape, 0.5), jnp.where(stands_on, self.sensor_model.minimum, 0.0)
-        )
-        grid = grid.with_probability(jnp.where(stands_on, freed, grid.probability))
+        grid = freed_below(grid, pose, self.required_clearance, self.sensor_model)
         clearance = self._clearance(grid)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
@@ -264,7 +250,7 @@ class Perception(eqx.Module):
 
         Args:
             belief: belief before the scans.
-            scans: one scan for each sensor.
+            scans: one for each sensor.
             pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
             elapsed: time since the last scans [s], for the idleness.
             time: time since the start [s], for reports of anomalies; the sum of the times elapsed
@@ -281,7 +267,7 @@ class Perception(eqx.Module):
             _checks.shaped("time", time, ())
         scans = as_scans(scans, len(self.sensors))
         grid, idleness, anomalies = belief.grid, belief.idleness, belief.anomalies
-        # Only the first sensor counts as observing a cell for search and patrol.
+        # Only the first sensor observes cells for search and patrol.
         for index, (sensor, scan) in enumerate(zip(self.sensors, scans, strict=True)):
             sighting = sensor.sight(grid, scan, pose, self.ground)
             grid = update_grid(grid, sighting, self.sensor_model)
@@ -311,7 +297,7 @@ class Perception(eqx.Module):
         _kinds.instance("belief", belief, Belief)
         pose = _checks.pose("pose", pose)
         _checks.shaped("elapsed", elapsed, ())
-        # What objects add is in the last field: an update would keep it where nothing else changed.
+        # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
         if self.anomalies is not None and belief.anomalies is not None:

@@ -1,0 +1,34 @@
+"""The cells on which a robot stands."""
+
+import jax.numpy as jnp
+
+from jaxplore._types import Pose, Scalar
+from jaxplore.belief.anomaly_reports import cell_centres
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+
+
+def freed_below(
+    grid: OccupancyGrid, pose: Pose, required: Scalar, sensor_model: InverseSensorModel
+) -> OccupancyGrid:
+    """Return a map with the cells under a robot free.
+
+    The robot stands on free ground, whatever the prior map says: otherwise no path starts there.
+
+    Args:
+        grid: prior map.
+        pose: pose (x, y, yaw) of the robot [m, m, rad].
+        required: clearance that the robot needs [m].
+        sensor_model: inverse sensor model, whose least probability the cells get.
+    """
+    distance = jnp.linalg.norm(cell_centres(grid) - pose[:2], axis=-1)
+    # Clearance is measured from a cell's centre and less half a cell. The additional 1.5 cells
+    # give the cell of the robot the clearance that it requires.
+    stands_on = distance <= required + 1.5 * grid.resolution
+    if grid.is_on_map is not None:
+        stands_on = stands_on & grid.is_on_map
+    # Updated from 0.5 and not from the prior: a decisive model keeps cells that are occupied.
+    freed = sensor_model.update(
+        jnp.full(grid.shape, 0.5), jnp.where(stands_on, sensor_model.minimum, 0.0)
+    )
+    return grid.with_probability(jnp.where(stands_on, freed, grid.probability))
