@@ -3,6 +3,7 @@
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -227,8 +228,9 @@ STEP, NUM_STEPS = 0.02, 700
 
 
 def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
-    """The way to the source, with its reversals, is as long as the cost-to-go; and a car can drive
-    it: by arcs no tighter than its circle, along its heading, where it fits."""
+    """The way to the source, with its reversals, is as long as the cost-to-go where it begins: at
+    the car or a node beside it. A car can drive it: by arcs no tighter than its circle, along its
+    heading, where it fits."""
     roads = roads_of(jnp.asarray(rooms()), lattice_of())
     # A metre costs a metre, however tight it is.
     roads = eqx.tree_at(
@@ -239,15 +241,17 @@ def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
     costs, between = np.asarray(field.at_nodes), np.asarray(field.by_heading)
     # Where it does not begin on the way between two nodes.
     begins = np.argwhere((np.abs(costs - between) < 1e-5) & (costs > 2.0) & (costs < 12.0))
-    starts = np.random.default_rng(0).permutation(begins)[:40]
+    starts = np.random.default_rng(0).permutation(begins)[:200]
     centres = np.asarray(field.frame.cell_centre(jnp.asarray(starts[:, 2:])))
     poses = np.column_stack([centres, np.array(HEADINGS)[starts[:, 1]]]).astype(np.float32)
     speeds = np.where(starts[:, 0] == 0, 1.0, -1.0).astype(np.float32)
     driven = np.asarray(
         drive(field, jnp.asarray(poses), jnp.asarray(speeds), jnp.asarray(STEP), NUM_STEPS), float
     )
-    end, num_reversed = np.asarray(field.frame.cell_centre(jnp.asarray([22, 10]))), 0
-    for start, speed, first, path in zip(starts, speeds, poses, driven, strict=True):
+    away = np.asarray(jax.jit(lambda each: jax.vmap(roads.starts)(each))(poses))
+    end = np.asarray(field.frame.cell_centre(jnp.asarray([22, 10])))
+    num_reversed, errors = 0, []
+    for start, speed, aside, first, path in zip(starts, speeds, away, poses, driven, strict=True):
         path = np.concatenate([first[None], path])
         move, turn = np.diff(path[:, :2], axis=0), np.diff(path[:, 2])
         turn = np.mod(turn + math.pi, math.tau) - math.pi
@@ -255,24 +259,26 @@ def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
         moves = length > 1e-5
         middle = path[:-1, 2] + 0.5 * turn
         along = move[:, 0] * np.cos(middle) + move[:, 1] * np.sin(middle)
+        # The first step goes to where the way begins.
+        moves[0] = False
         travel = np.sign(np.concatenate([[speed], along[moves]]))
         reversals = int((np.diff(travel) != 0.0).sum())
         num_reversed += reversals
-        whole = length.sum() + REVERSAL * reversals
-        # It may join a motion half a node away, and a step in which it turns back counts less.
-        assert whole == pytest.approx(
-            costs[tuple(start)], abs=0.5 * SPACING + 2.0 * STEP * reversals
-        )
+        expected = aside + between[start[0]]
+        begin = np.unravel_index(np.argmin(expected), expected.shape)
+        whole = aside[begin] + length[1:].sum() + REVERSAL * reversals
+        errors.append(whole - expected[begin])
         np.testing.assert_allclose(path[-1, :2], end, atol=1e-4)
         # The first step joins the motion that begins at the start, or passes near it.
-        assert length[0] < SPACING
+        assert length[0] < 2.0 * SPACING
         is_whole = moves & (length > 0.99 * STEP)
-        is_whole[0] = False
         assert (np.abs(along[is_whole]) > 0.999 * length[is_whole]).all()
         assert (np.abs(turn[1:]) <= STEP / (SPACING * roads.radius) + 1e-4).all()
         rows, columns = np.floor(path[:, 1::-1].T / SPACING).astype(int)
         assert np.asarray(roads.is_open)[rows, columns].all()
     assert num_reversed > 10
+    # Less than two steps: the last one, and one in which the car turns back, are counted short.
+    np.testing.assert_allclose(errors, 0.0, atol=2.0 * STEP)
 
 
 def test_a_car_that_is_nowhere_or_at_its_end_stands() -> None:

@@ -10,10 +10,9 @@ from scipy.ndimage import binary_dilation, distance_transform_edt
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from jaxplore.belief.descent import descent, extend
 from jaxplore.belief.guidance import (
     _relax,
-    descent,
-    extend,
     geodesic,
 )
 from jaxplore.belief.guidance import descent_field as to_go

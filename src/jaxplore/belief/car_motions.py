@@ -43,7 +43,8 @@ class MotionTable(NamedTuple):
         length: (M,) length [node spacings].
         before: (M,) length of the straight piece before the circle [node spacings].
         turn: (M,) angle by which it turns [rad].
-        via: (M, L, 3) rows and columns from the start, and heading, of the states that it passes.
+        via: (M, L, 3) rows and columns from the start, and heading, of the states that it passes,
+            with the first one.
     """
 
     start: np.ndarray
@@ -60,17 +61,18 @@ class MotionTable(NamedTuple):
 def motion_table(radius: float) -> MotionTable:
     """Return the motions of a car with a turning radius [node spacings] as arrays."""
     found = motions(radius)
-    longest = max(len(each.via) for each in found)
-    # The first pose fills up the list: a motion from a closed pose is blocked anyway.
+    # The first pose is one of them, and fills up the list.
+    longest = 1 + max(len(each.via) for each in found)
     via = [
         [*(state[:3] for state in each.via), *[(0, 0, each.start)] * (longest - len(each.via))]
         for each in found
     ]
     whole = np.array([[each.end, each.down, each.right] for each in found], np.int32)
+    end, down, right = whole.T
     real = [(HEADINGS[each.start], each.length, each.before, each.turn) for each in found]
     start, length, before, turn = np.array(real, np.float32).T
     via_array = np.array(via, np.int32).reshape(len(found), longest, 3)
-    return MotionTable(start, *whole.T, length, before, turn, via_array)
+    return MotionTable(start, end, down, right, length, before, turn, via_array)
 
 
 @functools.cache

@@ -149,7 +149,7 @@ class CarRoadmap(Roadmap):
 
         own = value[..., margin : margin + height, margin : margin + width]
         best: Array = jax.lax.map(at_heading, (own, jnp.asarray(table), jnp.asarray(shares)))
-        return best
+        return _turned_over(best, self.reversal_cost)
 
     def _prices(
         self, is_closed: Bool[Array, "N D h w"], half: Float[Array, "N D h w"]
@@ -308,11 +308,15 @@ def _relax(radius: float, margin: int, value: Array, prices: Array, reversal: Ar
         beyond = value[each.end, :, top : top + height, left : left + width]
         least[each.start].append(beyond + prices[number])
     nearest = jnp.stack([functools.reduce(jnp.minimum, each) for each in least])
-    if nearest.shape[1] == 1:
-        return nearest
+    return _turned_over(nearest, reversal)
+
+
+def _turned_over(costs: Float[Array, "N D H W"], reversal: Scalar) -> Float[Array, "N D H W"]:
+    """Return the least of the costs and those in the other direction of travel with its price."""
+    if costs.shape[1] == 1:
+        return costs
     # With the body as it is, the other direction of travel is the opposite heading of motion.
-    turned = jnp.roll(nearest, HALF, axis=0)[:, ::-1]
-    return jnp.minimum(nearest, turned + reversal)
+    return jnp.minimum(costs, jnp.roll(costs, HALF, axis=0)[:, ::-1] + reversal)
 
 
 def _extended(costs: Float[Array, "D N H W"], step: Scalar) -> Float[Array, "D N H W"]:
