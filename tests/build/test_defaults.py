@@ -97,7 +97,7 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
     flight, fields = jx.Flight(), jx.FieldNumbers()
     if place in SCENARIOS:
         flight = jx.Flight(max_speed=robot.max_speed)
-        fields = jx.FieldNumbers(field_of_view=VIEWS.get(place, fields.field_of_view))
+        fields = jx.FieldNumbers(field_of_view=VIEWS.get(place, math.tau))
     else:
         robot = jx.Quadrotor()
     if architecture == "random-walk":
@@ -126,8 +126,7 @@ CASES = [
     *((place, architecture) for place in ROBOTS for architecture in EVERYWHERE),
     # They differ in their rule, wherever they are.
     *(("office", rule) for rule in BASELINES[1:]),
-    # A car has no follower.
-    *((place, "two-layer") for place in ROBOTS if place != "search-rescue"),
+    *((place, "two-layer") for place in ROBOTS),
     ("zones", "sequential"),
     ("zones", "goal"),
 ]
@@ -278,7 +277,7 @@ def test_differences_are_differences_and_have_a_reason() -> None:
     for name, difference in DIFFERENCES.items():
         kind, *sections, last = name.split(".")
         assert difference.reason
-        if kind in ("quadrotor", "car"):
+        if kind in ("quadrotor", "car", "bicycle"):
             (section,) = sections
             assert getattr(getattr(ground, section), last) != difference.value
             continue

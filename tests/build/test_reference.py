@@ -261,4 +261,4 @@ def test_the_yaml_says_what_a_run_does_not_read() -> None:
     assert "Only read by: the map office, ROS maps." in text
     assert "# Its settings: jaxplore settings camera.\ncamera: null" in text
     informative = text[: text.index("\ninformative:")].rpartition("\n\n")[2]
-    assert informative == "# settings of the quadrotor architectures."
+    assert informative == "# settings of informative MPPI and of its baselines."
