@@ -49,6 +49,31 @@ def make(**changes) -> MPPI:
     return MPPI(ROBOT, ToPoint(), **{**settings, **changes})
 
 
+def driven(x0: np.ndarray, controls: np.ndarray) -> np.ndarray:
+    """States that controls lead to, in double precision with a loop."""
+    x, reached = np.asarray(x0, float), []
+    for u in controls:
+        px, py, yaw, v, w = x
+        x = np.array(
+            [
+                px + v * math.cos(yaw) * DT,
+                py + v * math.sin(yaw) * DT,
+                yaw + w * DT,
+                min(max(v + (u[0] - 0.1 * v) * DT, 0.0), 1.0),
+                min(max(w + (u[1] - 0.1 * w) * DT, -2.0), 2.0),
+            ]
+        )
+        reached.append(x)
+    return np.array(reached)
+
+
+def to_point(states: np.ndarray, controls: np.ndarray) -> float:
+    """The cost of `ToPoint` in double precision."""
+    times = DT * np.arange(1, len(states) + 1)
+    errors = ((states[:, :2] - TARGET) ** 2).sum(axis=1)
+    return errors @ (1 + times) + 0.1 * (controls**2).sum() + 3.0 * abs(states[-1, 3] - 0.2)
+
+
 def reference(nominal: np.ndarray, x0: np.ndarray, noise: np.ndarray, shift: float = 1.0):
     """MPPI in double precision with loops: (nominal, costs, weights)."""
     low, high = np.array([-0.7, -1.0]), np.array([0.7, 1.0])
@@ -61,23 +86,10 @@ def reference(nominal: np.ndarray, x0: np.ndarray, noise: np.ndarray, shift: flo
     costs, effective = np.zeros(SAMPLES), np.zeros((SAMPLES, HORIZON, 2))
     importance = np.zeros(SAMPLES)
     for k in range(SAMPLES):
-        x = x0.astype(float).copy()
-        for t in range(HORIZON):
-            u = np.clip(moved[t] + noise[t, :, k], low, high)
-            effective[k, t] = u - moved[t]
-            importance[k] += moved[t] @ np.diag(1 / STD**2) @ effective[k, t]
-            px, py, yaw, v, w = x
-            x = np.array(
-                [
-                    px + v * math.cos(yaw) * DT,
-                    py + v * math.sin(yaw) * DT,
-                    yaw + w * DT,
-                    min(max(v + (u[0] - 0.1 * v) * DT, 0.0), 1.0),
-                    min(max(w + (u[1] - 0.1 * w) * DT, -2.0), 2.0),
-                ]
-            )
-            costs[k] += ((x[:2] - TARGET) ** 2).sum() * (1 + (t + 1) * DT) + 0.1 * (u**2).sum()
-        costs[k] += 3.0 * abs(x[3] - 0.2)
+        controls = np.clip(moved[:HORIZON] + noise[:, :, k], low, high)
+        effective[k] = controls - moved[:HORIZON]
+        importance[k] = np.einsum("tu,u,tu->", moved[:HORIZON], 1 / STD**2, effective[k])
+        costs[k] = to_point(driven(x0, controls), controls)
     total = costs + TEMPERATURE * importance
     weights = np.exp(-(total - total.min()) / TEMPERATURE)
     weights /= weights.sum()
@@ -229,6 +241,41 @@ def test_inspect_shows_what_step_does(empty_belief) -> None:
         paid += (error @ error) * (1 + (t + 1) * DT) + 0.1 * float(control @ control)
     paid += 3.0 * abs(float(state[3]) - 0.2)
     assert float(plan.nominal.terms["ToPoint"]) == pytest.approx(paid, rel=1e-4)
+
+
+class Turning(Cost):
+    """The square of the turn rate, whatever else there is."""
+
+    def stage(self, state, control, t, belief):
+        return jnp.square(state["omega"])
+
+
+def test_each_rollout_that_is_shown_has_its_cost_by_term(empty_belief) -> None:
+    mppi = make()
+    mppi = eqx.tree_at(lambda c: c.cost, mppi, 2.0 * mppi.cost + 0.5 * Turning() + Turning())
+
+    @eqx.filter_jit
+    def look(mppi, x0, belief, key):
+        sampled = mppi.sample(mppi.init(), key=key)
+        plan = mppi.inspect(mppi.init(), x0, belief, key=key, num_trajectories=9)
+        return sampled.controls, mppi.evaluate(sampled, x0, belief), plan
+
+    x0 = ROBOT.at_pose(0.2, 0.1, 0.4)
+    controls, totals, plan = look(mppi, x0, empty_belief, jax.random.key(3))
+    assert set(plan.sample_terms) == set(plan.nominal.terms) == {"ToPoint", "Turning"}
+    chosen = np.linspace(0, SAMPLES - 1, 9).round().astype(int)
+    for i, k in enumerate(chosen):
+        given = np.asarray(controls[:, :, k], float)
+        states = driven(x0, given)
+        np.testing.assert_allclose(plan.samples[i, 1:], states, atol=1e-5)
+        # Terms of one name are added up.
+        expected = {
+            "ToPoint": 2.0 * to_point(states, given),
+            "Turning": 1.5 * sum(states[:, 4] ** 2),
+        }
+        paid = {name: float(each[i]) for name, each in plan.sample_terms.items()}
+        assert paid == pytest.approx(expected, rel=1e-4)
+    np.testing.assert_allclose(sum(plan.sample_terms.values()), totals[chosen], rtol=1e-5)
 
 
 def test_the_same_key_gives_the_same_step(empty_belief) -> None:

@@ -272,6 +272,16 @@ def test_inspect_shows_the_plan_of_the_step(empty_belief) -> None:
     assert set(look.nominal.terms) == {*OBJECTIVES, "DiscObstacleCost"}
     assert_alike(sum(look.best.terms.values()), info.members.costs.min(), 1e-3)
     assert look.samples.shape == (*look.weights.shape, HORIZON + 1, 5) == (12, HORIZON + 1, 5)
+    # Those of each member, four of 32 at even distances, as other code prices its samples.
+    for index, rows in enumerate(np.split(np.arange(12), 3)):
+        costs = (HARD, *OBJECTIVES.values(), RegionCost(TURNS[index]))
+        member = every.members.member(index), costs, of_member(state.members, index)
+        paid = np.asarray(priced(*member, empty_belief)[1])[:, [0, 10, 21, 31]]
+        for name, own in zip(("DiscObstacleCost", *OBJECTIVES), paid, strict=False):
+            shown = np.asarray(look.sample_terms[name])[rows]
+            # Objectives are weighted: their factors are the same for all.
+            factor = 1.0 if name == "DiscObstacleCost" else shown.sum() / max(own.sum(), 1e-9)
+            np.testing.assert_allclose(shown, factor * own, rtol=1e-4, atol=1e-4)
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(look))
 
 

@@ -14,6 +14,11 @@ from jaxplore.report.following.recording import PathRecording
 
 PERIOD = 0.5
 NAMES = ("x", "y", "yaw", "v", "omega")
+SAMPLE_TERMS = {
+    "ControlCost": np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0], np.float32),
+    "ObstacleCost": np.array([0.0, 0.5, np.inf, 0.0, 0.5, np.nan], np.float32),
+}
+"""What the six rollouts of a frame cost."""
 
 
 def turned(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -71,6 +76,7 @@ def make_recording() -> Callable[..., ExplorationRecording]:
                     movers=np.zeros((0, 2), np.float32),
                     is_found=np.zeros(0, bool),
                     terms={"ControlCost": 1.0},
+                    sample_terms=dict(SAMPLE_TERMS),
                 )
             )
         records = ExplorationRecord(
@@ -286,6 +292,7 @@ def _path_frame(step: int, state: np.ndarray) -> PathFrame:
         samples=(state[:2] + fan).astype(np.float32),
         weights=np.array([0.5, 0.1, 1e-3, 1e-9, 0.0, 0.3], np.float32),
         plan=(state[:2] + fan[2]).astype(np.float32),
+        sample_terms=dict(SAMPLE_TERMS),
     )
 
 

@@ -2,11 +2,13 @@
 
 import itertools
 
+import matplotlib
 import numpy as np
 import pytest
 
 from jaxplore.report.drawing import colours, palette
 from jaxplore.report.drawing.colours import blend
+from jaxplore.report.drawing.rollout_costs import cost_colours
 from jaxplore.report.drawing.series import line_style
 
 LEAST = 20.0
@@ -101,6 +103,12 @@ GROUPS = {
     "course": [colours.FREE, palette.TRAIL, palette.PLAN, palette.INK, palette.PALE],
     "violation": [colours.FREE, palette.TRAIL, colours.MISSED, palette.INK],
     "mover": [colours.FREE, colours.UNKNOWN, colours.MOVER_EDGE, colours.MOVER],
+    # Thirds of the range: what lies between is told by the order of lightness.
+    "rollouts by cost": [
+        *map(tuple, cost_colours(np.arange(4.0)).tolist()),
+        colours.FREE,
+        colours.UNKNOWN,
+    ],
     "target": [colours.FREE, colours.UNKNOWN, HEAT, colours.TARGET],
 }
 
@@ -119,3 +127,22 @@ def test_colours_of_a_picture_are_told_apart(name, vision):
 def test_many_curves_differ_in_line_style_where_colours_repeat():
     styles = [tuple(line_style(number).items()) for number in range(4 * len(colours.SERIES))]
     assert len(set(styles)) == len(styles)
+
+
+@pytest.mark.parametrize("vision", VISION)
+def test_a_cheaper_rollout_is_darker(vision):
+    shown = cost_colours(np.linspace(-3.0, 5.0, 41))
+    lightness = [lab(each, vision)[0] for each in shown]
+    assert (np.diff(lightness) > 0.1).all()
+
+
+def test_colours_of_costs_are_those_of_viridis_between_the_finite_ones():
+    costs = np.random.default_rng(0).normal(size=200) * 1e30
+    expected = matplotlib.colormaps["viridis"](0.8 * (costs - costs.min()) / np.ptp(costs))
+    odd = np.array([np.nan, np.inf, -np.inf])
+    shown = cost_colours(np.concatenate([costs, odd]))
+    np.testing.assert_allclose(shown[:-3], 255.0 * expected[:, :3], atol=6.0)
+    assert {tuple(each) for each in shown[-3:].tolist()} == {palette.PALE}
+    assert cost_colours(odd).tolist() == [list(palette.PALE)] * 3
+    assert len(np.unique(cost_colours(np.full(5, 2.0)), axis=0)) == 1
+    assert cost_colours(np.zeros(0)).shape == (0, 3)

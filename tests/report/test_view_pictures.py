@@ -13,10 +13,12 @@ from PIL import Image
 
 from jaxplore.report.drawing.colours import FREE, OCCUPIED, UNKNOWN
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT
+from jaxplore.report.drawing.rollout_costs import cost_colours
 from jaxplore.report.following.laps import speeds
 from jaxplore.view.history import History, Thinned, plain
 from jaxplore.view.replay import Replay
-from jaxplore.view.scene import rollout_colours
+from jaxplore.view.rollouts import weight_colours
+from jaxplore.view.scene import linear_light
 from jaxplore.view.shapes import prisms, rounded, segments, strip, turn
 from jaxplore.view.textures import Ground
 
@@ -120,7 +122,7 @@ def test_a_map_larger_than_a_picture_is_thinned() -> None:
 
 
 def test_a_weight_is_a_colour_and_nan_counts_as_none() -> None:
-    colours = rollout_colours(np.array([1.0, 0.5, 0.0, np.nan])).astype(int)
+    colours = weight_colours(np.array([1.0, 0.5, 0.0, np.nan])).astype(int)
     faint = colours[2]
     distance = np.abs(colours - faint).sum(axis=1)
     assert distance[0] > distance[1] > distance[2] == distance[3] == 0
@@ -233,6 +235,56 @@ def test_a_layer_is_hidden_and_the_information_with_the_next_frame(vehicle) -> N
         display._show_layer(SimpleNamespace(target=SimpleNamespace(label="obstacles", value=1)))
         assert scene._nodes["obstacles"].visible
         assert scene._nodes["obstacles/rim"].visible
+    finally:
+        replay.close()
+
+
+@pytest.mark.parametrize("name", ["recording", "make_straight"])
+def test_rollouts_are_coloured_by_what_a_page_chooses(name, request) -> None:
+    made = request.getfixturevalue(name)
+    run = made() if callable(made) else made
+    replay = Replay(run)
+    try:
+        display = replay._display
+        choice, legend, nodes = (
+            display._rollouts._choice,
+            display._rollouts._legend,
+            display._scene._nodes,
+        )
+        assert choice.options == ("weight", "total cost", "ControlCost", "ObstacleCost")
+        by_weight = nodes["rollouts"].colors
+        assert legend.content == ""
+        for label, cost, text in (
+            ("total cost", [1.0, 2.5, np.inf, 4.0, 5.5, np.nan], ("1<", "5.5<", "2 not finite")),
+            ("ControlCost", np.arange(1.0, 7.0), ("1<", "6<")),
+            ("ObstacleCost", [0.0, 0.5, np.inf, 0.0, 0.5, np.nan], ("0<", "0.5<", "2 not finite")),
+        ):
+            # It is drawn at once: a run may wait.
+            choice.value = label
+            per_rollout = nodes["rollouts"].colors.reshape(6, -1, 3)
+            assert (per_rollout == per_rollout[:, :1]).all()
+            shown = linear_light(cost_colours(np.array(cost)))
+            np.testing.assert_array_equal(per_rollout[:, 0], shown)
+            assert all(each in legend.content for each in text)
+        # A page could send anything.
+        choice.value = "<script>"
+        np.testing.assert_array_equal(nodes["rollouts"].colors, by_weight)
+    finally:
+        replay.close()
+
+
+def test_a_run_without_costs_of_rollouts_says_so(recording) -> None:
+    frames = [dataclasses.replace(each, sample_terms={}) for each in recording.frames]
+    replay = Replay(dataclasses.replace(recording, frames=tuple(frames)))
+    try:
+        rollouts = replay._display._rollouts
+        assert rollouts._choice.options == ("weight",)
+        assert "tells no costs" in rollouts._legend.content
+        odd = {"<b>": np.ones(6), "?b?": np.ones(6), "weight": np.ones(6)}
+        rollouts.offer(dataclasses.replace(frames[0], sample_terms=odd))
+        assert rollouts._choice.options == ("weight", "total cost", "?b?", "?b?*")
+        rollouts.offer(dataclasses.replace(frames[0], samples=np.zeros((0, 1, 2))))
+        assert not rollouts._choice.visible
     finally:
         replay.close()
 

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxplore import Lidar, OccupancyGrid
+from jaxplore.report.drawing.rollout_costs import cost_colours
 from jaxplore.ros import map_messages, messages
+from jaxplore.ros.drive_publisher import rollout_colours
 from jaxplore.ros.messages import Mount
 from jaxplore.sensing.beams import Scan
 
@@ -265,3 +267,16 @@ def test_velocities_that_are_not_finite_are_refused(value) -> None:
 def test_texts_of_messages_are_printable_and_short() -> None:
     assert messages.text_of("odom\n\x1b[31m") == "odom??[31m"
     assert len(messages.text_of("x" * 1000)) == messages.MOST_LETTERS + 3
+
+
+def test_markers_are_coloured_by_weight_or_by_a_cost() -> None:
+    terms = {"a": np.array([1.0, 2.0, np.inf]), "b": np.array([1.0, -1.0, 0.0])}
+    frame = SimpleNamespace(weights=np.array([0.0, 0.5, 0.25]), sample_terms=terms)
+    by_weight = rollout_colours(frame, "weight")
+    np.testing.assert_allclose(by_weight[:2], [[0.0, 0.2, 1.0, 0.15], [1.0, 0.2, 0.0, 1.0]])
+    for name, costs in (("total cost", terms["a"] + terms["b"]), ("b", terms["b"])):
+        colours = rollout_colours(frame, name)
+        assert colours.shape == (3, 4)
+        np.testing.assert_allclose(255.0 * colours[:, :3], cost_colours(costs), atol=1e-9)
+    with pytest.raises(ValueError, match="is 'c'; accepted: weight, total cost, a, b"):
+        rollout_colours(frame, "c")

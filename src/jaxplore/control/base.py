@@ -1,6 +1,7 @@
 """The interface of all controllers."""
 
 import abc
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -88,6 +89,8 @@ class SampledPlan(NamedTuple):
         samples: (N, T + 1, nx) states of N rollouts.
         weights: (N,) weights of these rollouts.
         reference: (R, D) positions that the plan should follow [m]; None without a reference.
+        sample_terms: cost of each term of the N rollouts (N,), by name, summed over time as in
+            `Trajectory.terms`; empty if the controller does not tell them.
     """
 
     nominal: Trajectory
@@ -95,6 +98,7 @@ class SampledPlan(NamedTuple):
     samples: Float[Array, "N T+1 nx"]
     weights: Float[Array, " N"]
     reference: Float[Array, "R D"] | None = None
+    sample_terms: Mapping[str, Float[Array, " N"]] = {}
 
     @classmethod
     def from_trajectories(
@@ -102,7 +106,8 @@ class SampledPlan(NamedTuple):
     ) -> "SampledPlan":
         """Split a stack of N + 2 trajectories into the nominal, the best one and N samples."""
         nominal, best = (jax.tree.map(lambda leaf, i=i: leaf[i], trajectories) for i in (0, 1))
-        return cls(nominal, best, trajectories.states[2:], weights)
+        terms = {name: paid[2:] for name, paid in trajectories.terms.items()}
+        return cls(nominal, best, trajectories.states[2:], weights, sample_terms=terms)
 
 
 class Controller(eqx.Module):

@@ -31,6 +31,8 @@ NODE = "jaxplore"
 """Name of the node."""
 COMPILED = "/jax/core/compile/backend_compile_duration"
 """Event of JAX for a program that was compiled, or loaded from the cache."""
+ROLLOUT_COLOUR = "rollout_colour"
+"""ROS parameter that says what colours the published rollouts, see `DrivePublisher`."""
 MOST_STATE = 10_000
 """Greatest length of the state of another node that is read."""
 LEAST_SHARE = 0.25
@@ -107,7 +109,7 @@ class ControlNode:
         self._commands = link.publisher(
             ros.TwistStamped if self._has_twist else ros.Twist, settings.command_topic
         )
-        self._publisher = DrivePublisher(link, pilot)
+        self._publisher = DrivePublisher(link, pilot, settings.rollout_colour)
         self._began = math.inf
         subscribe_scan(link, settings, pilot.sensor, lidar_mount(settings), self._take_scan)
         subscribe_pose(link, settings, self._take_pose)
@@ -125,19 +127,23 @@ class ControlNode:
         for path, value in get_parameters(self.pilot.controller).items():
             if value.ndim == 0:
                 node.declare_parameter(path, float(value))
+        node.declare_parameter(ROLLOUT_COLOUR, self._publisher.rollout_colour)
         node.add_on_set_parameters_callback(self._take_parameters)
 
     def _take_parameters(self, changed: Sequence[Any]) -> Any:
         result = self.link.ros.SetParametersResult
         values = {each.name: each.value for each in changed}
         known = {name: each for name, each in values.items() if not name.startswith("use_sim_time")}
+        colour = known.pop(ROLLOUT_COLOUR, self._publisher.rollout_colour)
         try:
+            self._publisher.check_colour(colour)
             # Tried here, so that the caller gets the reason, and set in the thread of the loop.
             set_parameters(self.pilot.controller, known)
         except (ValueError, TypeError) as error:
             return result(successful=False, reason=" ".join(str(error).split()))
         with self._lock:
             self._parameters |= known
+        self._publisher.rollout_colour = colour
         return result(successful=True)
 
     def _take_scan(self, scan: messages.LaserScan, arrived: float) -> None:

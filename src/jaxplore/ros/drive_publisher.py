@@ -2,15 +2,24 @@
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.report.drawing.rollout_costs import (
+    WEIGHT,
+    cost_colours,
+    cost_names,
+    costs_of_rollouts,
+)
 from jaxplore.ros import map_messages
 from jaxplore.ros.link import Link
 
 MAP_SECONDS, STATE_SECONDS, PLAN_SECONDS = 1.0, 0.5, 0.5
 """Time between two messages of the maps, of the state, and of the plan [s]."""
+COST_OPACITY = 0.8
+"""Opacity of rollouts that are coloured by cost."""
 
 
 class DrivePublisher:
@@ -20,11 +29,18 @@ class DrivePublisher:
 
     Args:
         link: connection to ROS 2.
-        pilot: the pilot.
+        pilot: the pilot, which is compiled.
+        rollout_colour: what colours the rollouts: their weight, total cost, or a term by name.
+
+    Raises:
+        ValueError: a colour that is not known of the rollouts of the controller.
     """
 
-    def __init__(self, link: Link, pilot: Pilot) -> None:
+    def __init__(self, link: Link, pilot: Pilot, rollout_colour: str = WEIGHT) -> None:
         self._link, self._pilot = link, pilot
+        self._known = (WEIGHT, *cost_names(pilot.make_frame()))
+        self.check_colour(rollout_colour)
+        self.rollout_colour = rollout_colour
         ros = link.ros
         self._due = dict.fromkeys(("map", "state", "plan"), -math.inf)
         self._state = link.publisher(ros.String, "~/state")
@@ -34,6 +50,11 @@ class DrivePublisher:
         self._rollouts = None
         if ros.MarkerArray is not None:
             self._rollouts = link.publisher(ros.MarkerArray, "~/rollouts")
+
+    def check_colour(self, name: object) -> None:
+        """Raise a `ValueError` unless the controller tells this of its rollouts."""
+        if name not in self._known:
+            raise ValueError(f"rollout_colour is {name!r}; accepted: {', '.join(self._known)}")
 
     def publish_due(self, now: float, frame: str, state: dict[str, object]) -> bool:
         """Publish what is due; return whether the state was.
@@ -103,11 +124,21 @@ class DrivePublisher:
         if self._rollouts is None or not self._rollouts.get_subscription_count():
             return
         markers = ros.MarkerArray()
-        shares = shown.weights / max(float(shown.weights.max()), 1e-9)
-        # Blue for rollouts without weight, red for the heaviest.
-        colours = np.stack(
-            [shares, 0.2 + 0.0 * shares, 1.0 - shares, 0.15 + 0.85 * shares], axis=-1
-        )
+        colours = rollout_colours(shown, self.rollout_colour)
         points = shown.samples + pilot.offset
         map_messages.fill_rollouts(markers, ros.Marker, ros.Point, points, colours, now, frame)
         self._rollouts.publish(markers)
+
+
+def rollout_colours(frame: Any, name: str) -> np.ndarray:
+    """Return red, green, blue and opacity (N, 4) of the rollouts of a frame, from 0 to 1.
+
+    Args:
+        frame: frame with rollouts, their weights and their costs.
+        name: what colours them: their weight, from blue to red, their total cost, or a term of it.
+    """
+    if name != WEIGHT:
+        colours = cost_colours(costs_of_rollouts(frame, name)) / 255.0
+        return np.concatenate([colours, np.full((len(colours), 1), COST_OPACITY)], axis=1)
+    shares = frame.weights / max(float(frame.weights.max()), 1e-9)
+    return np.stack([shares, 0.2 + 0.0 * shares, 1.0 - shares, 0.15 + 0.85 * shares], axis=-1)

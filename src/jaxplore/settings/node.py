@@ -5,6 +5,7 @@ from typing import Any, Literal
 
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.planning.presets.path_following import mpcc
+from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
 from jaxplore.settings.sections import NonNegative, Positive, Section, checked_section
@@ -50,6 +51,8 @@ class NodeSettings(Section):
         lidar_yaw_degrees: heading of the lidar relative to the robot's [degrees].
         is_lidar_inverted: whether the lidar hangs upside down.
         deadline: share of the control period after which the last plan's next command is sent.
+        rollout_colour: what colours the published rollouts: `weight`, `total cost`, or the name of
+            a term of the controller's cost.
         is_autostarted: whether the robot drives at once, or waits for `start`.
         contouring: contouring control along the paths of the mode `follow`.
     """
@@ -71,6 +74,7 @@ class NodeSettings(Section):
     lidar_yaw_degrees: float = 0.0
     is_lidar_inverted: bool = False
     deadline: Positive = 0.9
+    rollout_colour: str = WEIGHT
     is_autostarted: bool = True
     latency: NonNegative = setting(PilotOptions, "latency")
     max_age: Positive = setting(PilotOptions, "max_age")

@@ -1,6 +1,7 @@
 """The page of a view: a scene, curves, and a panel whose other parts are added by its owner."""
 
 import io
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxplore.view.exploration import ExplorationScene
 from jaxplore.view.following import PathScene
 from jaxplore.view.history import History, plain
 from jaxplore.view.other import PictureScene
+from jaxplore.view.rollouts import RolloutColours
 from jaxplore.view.scene import Scene
 
 if TYPE_CHECKING:
@@ -36,6 +38,8 @@ class Display:
         self.history: History | None = None
         self._scene: Scene | None = None
         self._frame: Frame | None = None
+        # A page may choose other colours while a frame is drawn.
+        self._drawing = threading.RLock()
         group = gui.add_tab_group()
         self.run_tab: Any = group.add_tab("Run")
         self.tabs: dict[str, Any] = {name: group.add_tab(name) for name in tabs}
@@ -43,6 +47,7 @@ class Display:
         with self.run_tab:
             self._time: Any = gui.add_text("Time", initial_value="", disabled=True)
             self._progress: Any = gui.add_text("Progress", initial_value="", disabled=True)
+            self._rollouts = RolloutColours(server, self._recolour)
             self.buttons: Any = gui.add_folder("Control")
             self._curves = Curves(server, gui.add_folder("Curves"))
         self._layers: list[Any] = []
@@ -53,11 +58,13 @@ class Display:
         Args:
             recording: the run, with or without steps.
         """
-        if self._scene is not None:
-            self._scene.clear()
         self._curves.clear()
         self.history = History(recording)
-        self._scene = make_scene(self.server, recording)
+        with self._drawing:
+            if self._scene is not None:
+                self._scene.clear()
+            self._scene, self._frame = make_scene(self.server, recording), None
+            self._rollouts.offer(next(iter(recording.frames), None))
         self._list_layers(self._scene)
 
     def draw(self, frame: Frame, text: str, trail: np.ndarray | None = None) -> None:
@@ -70,14 +77,25 @@ class Display:
         """
         assert self._scene is not None
         assert self.history is not None
-        self._frame = frame
         # Pages show all of it at once.
-        with self.server.atomic():
+        with self._drawing, self.server.atomic():
+            self._frame = frame
             if isinstance(self._scene, PictureScene):
                 self._scene.recording = self.history.recording_at(frame)
             self._scene.draw(frame, self.history.trail if trail is None else trail)
+            self._draw_rollouts()
             self._time.value = f"{frame.time:.2f} s"
             self._progress.value = plain(text)
+
+    def _draw_rollouts(self) -> None:
+        frame: Any = self._frame
+        if self._scene is not None and frame is not None and "rollouts" in self._scene.layers:
+            self._scene.rollouts(frame.samples, self._rollouts.colours(frame))
+
+    def _recolour(self) -> None:
+        """Draw the rollouts of the frame that is shown in the colours that a page has chosen."""
+        with self._drawing, self.server.atomic():
+            self._draw_rollouts()
 
     def draw_curves(self, *, at_once: bool = False) -> None:
         """Draw the curves, unless that was a moment ago."""

@@ -62,14 +62,14 @@ class ExplorationScene(Scene):
         self.look_at(corners @ turned + recording.origin[:2])
 
     def draw(self, frame: ExplorationFrame, trail: np.ndarray) -> None:
-        """Draw a frame."""
+        """Draw a frame, but for its rollouts."""
         recording = self._recording
         names = recording.state_names
         here = frame.state[[names.index("x"), names.index("y")]].astype(np.float64)
         self._draw_ground(frame)
         self._draw_scan(frame, here)
         self.trail(trail)
-        self.plan(frame.samples, frame.weights, frame.plan)
+        self.plan(frame.plan)
         if len(frame.reference) > 1:
             pieces = segments(frame.reference[None], REFERENCES)
             self.lines("reference", pieces, REFERENCE, 3.0)

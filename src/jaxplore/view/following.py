@@ -39,12 +39,12 @@ class PathScene(Scene):
         self.look_at(drawn[np.isfinite(drawn).all(axis=-1)])
 
     def draw(self, frame: PathFrame, trail: np.ndarray) -> None:
-        """Draw a frame."""
+        """Draw a frame, but for its rollouts."""
         recording = self._recording
         if "course" not in self._nodes:
             self._draw_course()
         self.trail(trail)
-        self.plan(frame.samples, frame.weights, frame.plan)
+        self.plan(frame.plan)
         height = HEAD_ROOM * 2.0 * recording.robot_radius
         self.obstacles("obstacles", frame.corners, recording.obstacle_radii, height)
         self.body(recording.footprint, recording.robot_radius, frame.position, frame.heading)

@@ -5,9 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.report.drawing.colours import FREE, MOVER, MOVER_EDGE, blend
-from jaxplore.report.drawing.palette import FAINT, PAPER, PLAN, ROBOT, STRONG, TRAIL, Colour
-from jaxplore.report.drawing.shapes import STRONG_SHARE
+from jaxplore.report.drawing.colours import MOVER, MOVER_EDGE
+from jaxplore.report.drawing.palette import PAPER, PLAN, ROBOT, TRAIL, Colour
 from jaxplore.view.shapes import prisms, raised, rounded, segments, turn
 
 if TYPE_CHECKING:
@@ -39,7 +38,7 @@ class Scene(abc.ABC):
 
     @abc.abstractmethod
     def draw(self, frame: Any, trail: np.ndarray) -> None:
-        """Draw a frame.
+        """Draw a frame, but for its rollouts.
 
         Args:
             frame: the frame.
@@ -84,7 +83,7 @@ class Scene(abc.ABC):
             thickness: width of the lines [pixels].
         """
         colours = np.asarray(colour, np.uint8)
-        colours = colours[:3] if colours.ndim == 1 else colours
+        colours = colours[:3] if colours.ndim == 1 else linear_light(colours)
         node = self._nodes.get(name)
         if node is not None and (colours.ndim == 1 or node.points.shape == pieces.shape):
             node.points = pieces
@@ -191,15 +190,17 @@ class Scene(abc.ABC):
         if len(points) > 1:
             self.lines("trail", segments(points[None], TRAILS), TRAIL, 2.0)
 
-    def plan(self, samples: np.ndarray, weights: np.ndarray, plan: np.ndarray) -> None:
-        """Draw the rollouts (S, T, 2) [m] by their weights (S,), and the plan (T, 2) [m]."""
+    def rollouts(self, samples: np.ndarray, colours: np.ndarray) -> None:
+        """Draw rollouts (S, T, 2) [m] in their colours (S, 3)."""
         if samples.size and samples.shape[1] > 1:
-            colours = rollout_colours(weights)
             each = np.repeat(colours, samples.shape[1] - 1, axis=0)
             ends = np.repeat(each[:, None], 2, axis=1)
             self.lines("rollouts", segments(samples, ROLLOUTS), ends, 1.5)
-        if len(plan) > 1:
-            self.lines("plan", segments(plan[None], PLANS), PLAN, 4.0)
+
+    def plan(self, points: np.ndarray) -> None:
+        """Draw the plan (T, 2) [m]."""
+        if len(points) > 1:
+            self.lines("plan", segments(points[None], PLANS), PLAN, 4.0)
 
     def obstacles(self, name: str, corners: np.ndarray, radii: np.ndarray, height: float) -> None:
         """Draw moving obstacles: convex polygons (N, V, 2) grown by radii (N,) [m]."""
@@ -216,23 +217,14 @@ class Scene(abc.ABC):
         self.mesh(name, *prisms(outline[None], 0.0, 0.3 * radius), colour)
 
 
-def rollout_colours(weights: np.ndarray) -> np.ndarray:
-    """Return the colours (S, 3) of rollouts: faint, and strong from a share of the greatest weight.
+def linear_light(colours: np.ndarray) -> np.ndarray:
+    """Return sRGB colours in 256 levels as levels of linear light (IEC 61966-2-1).
 
-    Between them the colour follows the weight.
-
-    Args:
-        weights: (S,) weights; NaN counts as 0.
+    viser takes the colours of the ends of lines as such, and all others as sRGB.
     """
-    known = np.nan_to_num(weights)
-    greatest = max(float(known.max(initial=0.0)), 1e-30)
-    share = np.clip(known / greatest, 0.0, 1.0)
-    # A weight at the bound between faint and bold lines of the animation is seen as well.
-    level = np.where(share >= STRONG_SHARE, 0.4 + 0.6 * np.sqrt(share), 0.0)[:, None]
-    faint, strong = (
-        np.asarray(blend(each, FREE, share_of)) for each, share_of in ((FAINT, 0.4), (STRONG, 0.95))
-    )
-    return np.asarray(((1.0 - level) * faint + level * strong).round(), np.uint8)
+    level = colours / 255.0
+    light = np.where(level <= 0.04045, level / 12.92, ((level + 0.055) / 1.055) ** 2.4)
+    return np.asarray((255.0 * light).round(), np.uint8)
 
 
 def _disc(radius: float) -> np.ndarray:

@@ -131,6 +131,7 @@ class ExplorationFrame(Frame):
         classes: (N, C) probability of each class of each object; NaN for objects that were not
             detected, (0, 0) without a detector.
         terms: value of each cost term for the nominal trajectory.
+        sample_terms: cost of each term of the rollouts (N,), by name; empty if they are not known.
     """
 
     state: np.ndarray
@@ -145,6 +146,7 @@ class ExplorationFrame(Frame):
     movers: np.ndarray
     is_found: np.ndarray
     terms: dict[str, float]
+    sample_terms: dict[str, np.ndarray]
     classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
 

@@ -56,6 +56,7 @@ class PathFrame(Frame):
         samples: (S, T + 1, 2) positions of some rollouts [m].
         weights: (S,) weights of these rollouts.
         plan: (T + 1, 2) positions of the nominal trajectory [m].
+        sample_terms: cost of each term of the rollouts (S,), by name; empty if they are not known.
     """
 
     position: np.ndarray
@@ -64,6 +65,7 @@ class PathFrame(Frame):
     samples: np.ndarray
     weights: np.ndarray
     plan: np.ndarray
+    sample_terms: dict[str, np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)

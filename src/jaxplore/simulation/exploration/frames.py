@@ -54,6 +54,7 @@ def frame_arrays(
         "is_found": state.is_seen,
         "classes": classes,
         "terms": {},
+        "sample_terms": {},
     }
     if plan is None:
         return arrays
@@ -64,6 +65,7 @@ def frame_arrays(
         "plan": position(plan.nominal.states),
         "reference": nowhere if plan.reference is None else plan.reference[:, :2],
         "terms": plan.nominal.terms,
+        "sample_terms": dict(plan.sample_terms),
     }
 
 

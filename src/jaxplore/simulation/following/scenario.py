@@ -282,6 +282,7 @@ class PathScenario(Scenario):
             "samples": jnp.zeros((0, 1, 2)),
             "weights": jnp.zeros(0),
             "plan": jnp.zeros((0, 2)),
+            "sample_terms": {},
         }
         if inspect is None:
             return arrays
@@ -292,6 +293,7 @@ class PathScenario(Scenario):
             "samples": jax.vmap(position)(plan.samples),
             "weights": plan.weights,
             "plan": position(plan.nominal.states),
+            "sample_terms": dict(plan.sample_terms),
         }
 
     def agent_view(self, view_cells: int | None) -> PathView:
