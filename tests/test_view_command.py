@@ -28,10 +28,13 @@ def _in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     """What a page asks for, run by run."""
-    told = {"parameters": {}, "seeds": [], "again": []}
+    told = {"parameters": {}, "seeds": [], "again": [], "records": False}
 
     class Asked(LiveView):
         def requests(self) -> Requests:
+            if told["records"]:
+                told["records"] = False
+                self.recorder.start()
             return Requests(told["parameters"], is_stopped=bool(told["seeds"]))
 
         def asked_seed(self) -> int | None:
@@ -49,13 +52,16 @@ def run(*arguments: str) -> None:
 
 
 def test_parameters_that_were_changed_are_told_and_kept(page, capsys) -> None:
-    page["parameters"] = {TEMPERATURE: 0.9, "cost.guidance.weight": 1.0}
+    page["parameters"], page["records"] = {TEMPERATURE: 0.9, "cost.guidance.weight": 1.0}, True
     run("--view", "--out", "out", "--set", "parameters={controller.temperature: 0.4}")
     told = capsys.readouterr().err.splitlines()
     assert told[0].startswith("View: http://127.0.0.1:")
     assert [line for line in told if line.startswith("Changed")] == [
         f"Changed during the run: {TEMPERATURE} 0.4 -> 0.9"
     ]
+    # What the button has recorded is beside the run folder, which was not there yet.
+    (file,) = Path.cwd().glob("out-20*.mcap")
+    assert f"Recorded to {file}" in told
     settings = yaml.safe_load(Path("out/settings.yaml").read_text())
     assert settings["parameters"] == {
         TEMPERATURE: pytest.approx(0.9),

@@ -5,10 +5,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from jaxplore.onboard.options import Mode
 from jaxplore.onboard.watch import DriveWatch
 from jaxplore.parameters import get_parameters
+from jaxplore.recorder import SwitchedRecorder
 from jaxplore.ros import messages
 from jaxplore.ros.bag_writer import BagWriter
 from jaxplore.ros.replay import GAP_SECONDS, replay, replay_topics
@@ -180,9 +182,10 @@ class Notes(Monitor):
         self.ended += 1
 
 
-def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive) -> None:
+def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive, tmp_path) -> None:
     pilot, robot, notes = make_pilot(latency=LATENCY), make_robot(delay=0.04), Notes()
-    watch = DriveWatch(pilot, [notes])
+    recorder = SwitchedRecorder(tmp_path, began=BEGAN)
+    watch = DriveWatch(pilot, [notes, recorder])
     watch.begin()
     assert notes.began == 1
 
@@ -202,6 +205,17 @@ def test_monitors_see_a_drive_and_change_it(make_pilot, make_robot, drive) -> No
     shown = notes.updates[-1].frame
     assert shown.plan.shape[0] == 31
     assert shown.samples.shape[0] == 30
+    # A part of the drive is recorded, with wall-clock times.
+    recorder.start()
+    step(0.5)
+    recorder.stop()
+    step(0.1)
+    (file,) = tmp_path.glob("*.mcap")
+    with file.open("rb") as stream:
+        at = [each.log_time for *_, each in make_reader(stream).iter_messages(["/command"])]
+    np.testing.assert_allclose(np.diff(at), 0.02e9, atol=1e4)
+    assert 0.4e9 < at[-1] - at[0] < 0.62e9
+    assert at[0] > 1e9 * (BEGAN + 0.99)
     notes.asked = Requests({WEIGHT: 7.0, "cost.beauty.weight": 1.0})
     step(0.2)
     assert float(get_parameters(pilot.controller)[WEIGHT]) == 7.0

@@ -5,6 +5,7 @@ import errno
 import io
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,16 +18,17 @@ from mcap.reader import make_reader
 
 import jaxplore as jx
 from jaxplore.control.mppi import MPPI
-from jaxplore.recorder import McapRecorder
+from jaxplore.recorder import McapRecorder, SwitchedRecorder
 from jaxplore.recorder.messages import even_angles
 from jaxplore.recorder.recorder import RecordingWarning
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.following.data import PathRecord
 from jaxplore.report.recording import Recording
-from jaxplore.simulation.monitor import Update
+from jaxplore.simulation.monitor import Requests, Update
 
-COMMON = ["/command", "/metrics", "/objects", "/plan", "/pose", "/rollouts", "/state", "/tf"]
+COMMON = ["/command", "/metrics", "/objects", "/plan", "/pose"]
+COMMON += ["/rollout_costs", "/rollouts", "/state", "/tf"]
 EXPLORATION = sorted([*COMMON, "/belief", "/cost_terms", "/information", "/scan", "/world"])
 
 
@@ -173,6 +175,13 @@ def test_an_exploration_is_recorded_as_it_was(vehicle, controller, tmp_path: Pat
     best = rollouts.lines[-1]
     points = np.float32([(point.x, point.y) for point in best.points])
     np.testing.assert_array_equal(points, frame.samples[np.argmax(frame.weights)])
+    # In the order of the lines: all six of the frame, by weight.
+    order = np.argsort(frame.weights, kind="stable")
+    costs = of(messages, "/rollout_costs")[-1].content
+    assert list(costs) == ["weight", "total cost", "ControlCost", "ObstacleCost"]
+    np.testing.assert_array_equal(costs["ControlCost"], 1.0 + order)
+    obstacle = [0.0, 0.5, None, 0.0, 0.5, None]
+    assert costs["ObstacleCost"] == [obstacle[i] for i in order]
     # The rollouts of great weight are as opaque as in the animation.
     opacity = sorted(round(255 * line.color.a) for line in rollouts.lines)
     assert opacity == [70, 70, 70, 235, 235, 235]
@@ -307,6 +316,89 @@ def test_a_run_that_fails_leaves_no_file(recording, controller, tmp_path: Path) 
     recorder.end(None)
     recorder.end(None)
     assert not list(tmp_path.iterdir())
+
+
+def drive(recorder: SwitchedRecorder, run: Recording, controller: MPPI, **acts: Any) -> None:
+    """Show a run step by step, as a loop does; acts come before the update after so many steps."""
+    first, shown = run.frames[0], 0
+    blank = jax.tree.map(lambda rows: rows[:0], run.records)
+    recorder.begin(dataclasses.replace(run, records=blank, frames=(first,)), controller)
+    for step in range(1, run.num_steps + 1):
+        acts.get(f"s{step}", lambda: None)()
+        if recorder.is_due((step - shown) * run.control_period, 0.0):
+            rows = jax.tree.map(lambda each, a=shown, b=step: each[a:b], run.records)
+            frame = dataclasses.replace(first, step=step, time=run.time[step].item())
+            recorder.show(Update(frame, rows, run.time[shown + 1 : step + 1], "on"))
+            shown = step
+        assert recorder.requests() == Requests()
+
+
+def test_parts_of_a_run_are_recorded_while_it_goes_on(ring, controller, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "runs"
+    recorder = SwitchedRecorder(folder, name="ring")
+    told: list[tuple[bool, str]] = []
+    recorder.on_change = lambda: told.append((recorder.is_on, recorder.message))
+    with pytest.raises(ValueError, match="no run goes on; accepted"):
+        recorder.start()
+    drive(
+        recorder,
+        ring,
+        controller,
+        s10=recorder.start,
+        s15=recorder.stop,
+        s18=recorder.start,
+    )
+    (hidden,) = set(folder.iterdir()) - set(folder.glob("*.mcap"))
+    recorder.end(ring)
+    assert not hidden.exists()
+    recorder.stop()
+    parts = sorted(folder.iterdir(), key=lambda each: (len(each.name), each.name))
+    # Both begin in the same second, or not.
+    assert [each.name.startswith("ring-20") for each in parts] == [True, True]
+    assert recorder.path == parts[-1]
+    assert [is_on for is_on, _ in told][-1] is False
+    assert told[0] == (True, "Recording starts with the next step.")
+    assert (True, f"Recording to {parts[0]}") in told
+    assert (False, f"Recorded to {parts[0]}") in told
+    assert told[-1] == (False, f"Recorded to {parts[1]}")
+    # A recording is whole: what stays the same is at its beginning, and the steps follow.
+    for part, steps in zip(parts, (range(11, 16), range(19, 41)), strict=True):
+        messages = read(part)
+        assert sorted({each.topic for each in messages}) == sorted([*COMMON, "/course"])
+        times = [each.time for each in messages]
+        assert times == sorted(times)
+        (course,) = of(messages, "/course")
+        assert course.time == of(messages, "/tf")[0].time == ring.time[steps[0] - 1]
+        found = [each.time for each in of(messages, "/state")]
+        np.testing.assert_allclose(found, ring.time[list(steps)])
+        rows = [list(each.content.values()) for each in of(messages, "/state")]
+        np.testing.assert_array_equal(rows, ring.records.state[np.array(steps) - 1])
+
+
+def test_a_run_that_fails_ends_a_switched_recording(ring, controller, tmp_path: Path) -> None:
+    recorder = SwitchedRecorder(tmp_path)
+    drive(recorder, ring, controller, s10=recorder.start)
+    recorder.end(None)
+    (part,) = tmp_path.iterdir()
+    assert len(of(read(part), "/state")) == ring.num_steps - 10
+    assert not recorder.is_on
+
+
+def test_a_recording_that_cannot_begin_is_one_line_and_the_run_goes_on(
+    ring, controller, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    recorder = SwitchedRecorder(tmp_path / "file")
+    drive(recorder, ring, controller, s10=recorder.start)
+    assert "cannot be written" in recorder.message
+    assert "\n" not in recorder.message
+    assert not recorder.is_on
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(ValueError, match=r"foxglove is not installed; accepted: pip install"):
+        recorder.start()
+    assert recorder.longest_chunk(1.0) == 0.5
+    with pytest.raises(ValueError, match="name is 'a/b'; accepted: the first part"):
+        SwitchedRecorder(name="a/b")
 
 
 def test_a_full_disk_costs_the_recording_and_not_the_run(

@@ -1,6 +1,7 @@
 """Live views of runs, with pages that speak viser's protocol in place of browsers."""
 
 import itertools
+import json
 import math
 import socket
 import time
@@ -14,15 +15,19 @@ import numpy as np
 import pytest
 import viser
 import zstandard
+from mcap.reader import make_reader
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from jaxplore import simulate
 from jaxplore.parameters import get_parameters, set_parameters
-from jaxplore.simulation.loop import run_chunk
+from jaxplore.recorder import SwitchedRecorder
+from jaxplore.report.drawing.rollout_costs import cost_colours
+from jaxplore.simulation.loop import frame_arrays, run_chunk
 from jaxplore.simulation.monitor import Requests
 from jaxplore.view import LiveView, is_public
 from jaxplore.view.live import SPEEDS
+from jaxplore.view.scene import linear_light
 from jaxplore.view.server import close_server, link, open_server
 from jaxplore.view.sliders import choose_knobs, slider_range
 
@@ -140,8 +145,8 @@ def plain(experiment):
 class Script(LiveView):
     """A view whose run waits after given steps for what a page does."""
 
-    def __init__(self, **acts: Callable[[], Any]) -> None:
-        super().__init__()
+    def __init__(self, recorder: SwitchedRecorder | None = None, **acts: Callable[[], Any]) -> None:
+        super().__init__(recorder=recorder)
         self.acts = {int(name[1:]): act for name, act in acts.items()}
 
     def is_due(self, simulated: float, elapsed: float) -> bool:
@@ -257,6 +262,68 @@ def test_a_page_starts_the_run_again_with_another_seed(experiment) -> None:
         page.close()
         view.close()
     assert again.recording.num_steps == 20
+
+
+def test_a_button_records_from_the_middle_of_a_run(experiment, plain, tmp_path) -> None:
+    def switch() -> None:
+        page.set("Record", True)
+        wait_until(lambda: recorder.is_on)
+
+    def switch_off() -> None:
+        # The button is called otherwise by now.
+        page._send("GuiUpdateMessage", uuid=button, updates={"value": True})
+        wait_until(lambda: not recorder.is_on)
+
+    recorder = SwitchedRecorder(tmp_path)
+    view = Script(recorder=recorder, s10=switch, s20=switch_off)
+    page = Page(view.link)
+    try:
+        button = page.find("Record")
+        told = page.find("Recording")
+        page.set("Record", True)
+        while "no run goes on" not in page.panel[told]["value"]:
+            page.read()
+        seen = run(experiment, view, recorder)
+        while not page.panel[told]["value"].startswith("Recorded to"):
+            page.read()
+        assert page.panel[button]["label"] == "Record"
+    finally:
+        page.close()
+        view.close()
+    np.testing.assert_array_equal(seen.recording.records.state, plain.recording.records.state)
+    (file,) = tmp_path.iterdir()
+    assert page.panel[told]["value"] == f"Recorded to {file}"
+    topics = {"/world", "/belief", "/tf", "/plan", "/rollouts", "/rollout_costs", "/command"}
+    with file.open("rb") as stream:
+        found = list(make_reader(stream).iter_messages())
+    assert topics <= {channel.topic for _, channel, _ in found}
+    rows = [json.loads(each.data) for _, channel, each in found if channel.topic == "/command"]
+    (first, last) = (
+        round(np.argmax((plain.recording.records.control == list(row.values())).all(axis=1)))
+        for row in (rows[0], rows[-1])
+    )
+    # Some steps after each click, which acts between two chunks.
+    assert 10 <= first < 20 <= last + 1 < 30
+    np.testing.assert_array_equal(
+        [list(each.values()) for each in rows], plain.recording.records.control[first : last + 1]
+    )
+
+
+def test_the_colours_of_rollouts_are_chosen_without_compiling(
+    view, page, experiment, plain
+) -> None:
+    size = frame_arrays._cached._cache_size()
+    run(experiment, view, steps=4)
+    choice = page.find("Colour rollouts by")
+    while "/rollouts" not in page.scene:
+        page.read()
+    *others, term = page.panel[choice]["options"]
+    assert others[:2] == ["weight", "total cost"]
+    page.set("Colour rollouts by", term)
+    wait_until(lambda: view._display._frame.step == 4)
+    wanted = linear_light(cost_colours(view._display._frame.sample_terms[term].astype(float)))
+    wait_until(lambda: (view._display._scene._nodes["rollouts"].colors[::30, 0] == wanted).all())
+    assert frame_arrays._cached._cache_size() == size
 
 
 def test_the_speed_is_one_of_the_list(view, page) -> None:

@@ -163,11 +163,12 @@ def _monitors(options: dict[str, Any], folder: Path, stack: ExitStack) -> list[M
     wanted = {name: options[name] for name in VIEW}
     if any(each is not None for each in wanted.values()):
         # viser takes a second to import.
-        from jaxplore.cli._view import open_view
+        from jaxplore.cli._view import open_view, tell_recording, watching
 
-        view = open_view(**wanted, label=folder.name, is_simulation=False)
+        view = open_view(**wanted, folder=folder, began=time.time())
+        stack.callback(tell_recording, view)
         stack.callback(view.close)
-        monitors.append(view)
+        monitors += watching(view)
     if options["record"] is not None:
         overwrite = options["overwrite"]
         check_recording(options["record"], overwrite=overwrite, name="--record")

@@ -56,7 +56,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
         # viser takes a second to import.
         from jaxplore.cli._view import open_view, run_viewed
 
-        with closing(open_view(**wanted, label=folder.name)) as view:
+        with closing(open_view(**wanted, folder=folder)) as view:
             show_starts({"": given}, {"": entries})
             run_viewed(view, settings, folder, pictures, recorder, overwrite=overwrite)
         return

@@ -12,7 +12,7 @@ from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._show import free_name, save
 from jaxplore.cli._view_options import HOST
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters
-from jaxplore.recorder.recorder import McapRecorder
+from jaxplore.recorder import McapRecorder, SwitchedRecorder
 from jaxplore.settings.sections import RunSettings
 from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run, simulate
@@ -27,17 +27,20 @@ def open_view(
     view_port: int | None,
     host: str | None,
     *,
-    label: str,
-    is_simulation: bool = True,
+    folder: Path,
+    began: float | None = None,
 ) -> LiveView:
     """Open a live view and print its link.
+
+    Its button records to files beside the run folder, which is written at the end of the run.
 
     Args:
         view: whether one is wanted.
         view_port: its port; a free one when absent.
         host: its address; that of this machine when absent.
-        label: title of the page's panel.
-        is_simulation: whether it shows a simulation, which has a speed and can be started again.
+        folder: run folder, whose name is the title of the page's panel.
+        began: time of the start of a robot's drive since the epoch [s]; None for a simulation,
+            which has a speed and can be started again.
 
     Raises:
         ValueError: another option of a view without --view; a view that cannot be opened.
@@ -45,15 +48,27 @@ def open_view(
     if not view:
         name, value = ("--host", host) if view_port is None else ("--view-port", view_port)
         raise ValueError(f"{name} is {value} without --view; accepted: with --view")
-    where = HOST if host is None else host
+    where, whole = HOST if host is None else host, folder.resolve()
     opened = LiveView(
         host=where,
         port=0 if view_port is None else view_port,
-        label=label,
-        is_simulation=is_simulation,
+        label=folder.name,
+        is_simulation=began is None,
+        recorder=SwitchedRecorder(whole.parent, name=whole.name, began=began or 0.0),
     )
     _tell(opened.link, where, "drive the sliders")
     return opened
+
+
+def watching(view: LiveView) -> list[Monitor]:
+    """Return the monitors of a run that a view shows: the view, and the recorder of its button."""
+    return [view] if view.recorder is None else [view, view.recorder]
+
+
+def tell_recording(view: LiveView) -> None:
+    """Print where the button of a view has recorded to, if it has."""
+    if view.recorder is not None and view.recorder.path is not None:
+        click.echo(view.recorder.message, err=True)
 
 
 def run_viewed(
@@ -74,7 +89,8 @@ def run_viewed(
         ValueError: the recording could not be written; the run was saved.
     """
     changed: dict[str, float | list[float]] = {}
-    monitors: list[Monitor] = [view] if recorder is None else [view, recorder]
+    shown: list[Monitor] = watching(view)
+    monitors = shown if recorder is None else [*shown, recorder]
     while True:
         experiment = build(settings)
         # What the sliders have set holds from the first step of a further run.
@@ -82,7 +98,8 @@ def run_viewed(
         run = simulate(
             controller, *experiment[1:3], key=experiment.key, progress=True, monitors=monitors
         )
-        monitors = [view]
+        monitors = shown
+        tell_recording(view)
         changed.update(run.parameters)
         seed = view.asked_seed()
         if seed is None:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -14,7 +14,13 @@ from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Recording
-from jaxplore.simulation.monitor import Monitor, ParameterRequests, Update, begin_all
+from jaxplore.simulation.monitor import (
+    Monitor,
+    ParameterRequests,
+    Requests,
+    Update,
+    begin_all,
+)
 from jaxplore.simulation.scenario import LoopState, blank_recording
 
 
@@ -77,7 +83,7 @@ class DriveWatch:
                 text = f"{command.mode}{why}, explored {area:.1f} m\u00b2"
                 each.show(Update(frame, records, times, text))
                 self._shown[each] = (log.num_commands, simulated, now)
-            self._take(each)
+        self._take({each: each.requests() for each in self._shown})
 
     def end(self, recording: Recording | None) -> None:
         """Tell the monitors that the drive has ended.
@@ -88,11 +94,14 @@ class DriveWatch:
         for each in self._shown if self._has_begun else ():
             each.end(recording)
 
-    def _take(self, monitor: Monitor) -> None:
-        asked, pilot = monitor.requests(), self._pilot
-        pilot.controller, _ = self._requested.take(pilot.controller, monitor, asked.parameters)
-        if asked.is_stopped:
-            pilot.finish("stopped in the view")
-        if asked.is_paused != self._is_paused:
-            self._is_paused = asked.is_paused
-            pilot.is_started = not asked.is_paused
+    def _take(self, requests: Mapping[Monitor, Requests]) -> None:
+        pilot = self._pilot
+        for monitor, asked in requests.items():
+            pilot.controller, _ = self._requested.take(pilot.controller, monitor, asked.parameters)
+            if asked.is_stopped:
+                pilot.finish("stopped in the view")
+        # One that asks for nothing must not end the pause of another.
+        is_paused = any(asked.is_paused for asked in requests.values())
+        if is_paused != self._is_paused:
+            self._is_paused = is_paused
+            pilot.is_started = not is_paused

@@ -2,3 +2,4 @@
 
 from jaxplore.recorder.recorder import McapRecorder as McapRecorder
 from jaxplore.recorder.recorder import RecordingWarning as RecordingWarning
+from jaxplore.recorder.switched import SwitchedRecorder as SwitchedRecorder

@@ -1,7 +1,7 @@
 """Channels of Foxglove, made when they are first written to."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxplore._optional import import_optional
@@ -49,21 +49,44 @@ class Channels:
             values: the values.
             time: time since the start of the run [s].
         """
-        if topic not in self._channels:
-            kinds = {name: "string" if isinstance(each, str) else "number"
-                     for name, each in values.items()}  # fmt: skip
-            schema = {
-                "title": f"jaxplore{topic.replace('/', '.')}",
-                "type": "object",
-                "properties": {name: {"type": kind} for name, kind in kinds.items()},
-            }
-            self._channels[topic] = self._sdk.Channel(topic, schema=schema, context=self._context)
+        kinds = {
+            name: {"type": "string" if isinstance(each, str) else "number"}
+            for name, each in values.items()
+        }
         known = {
             name: each
             for name, each in values.items()
             if isinstance(each, str) or math.isfinite(each)
         }
-        self._channels[topic].log(known, log_time=self.stamp(time))
+        self._log_json(topic, known, kinds, time)
+
+    def log_lists(self, topic: str, values: Mapping[str, Sequence[float]], time: float) -> None:
+        """Write lists of numbers by name, as JSON; one that is not finite is null.
+
+        Args:
+            topic: the topic; all its messages have the same names.
+            values: the lists.
+            time: time since the start of the run [s].
+        """
+        kind = {"type": "array", "items": {"type": "number"}}
+        known = {
+            name: [each if math.isfinite(each) else None for each in some]
+            for name, some in values.items()
+        }
+        self._log_json(topic, known, dict.fromkeys(values, kind), time)
+
+    def _log_json(
+        self, topic: str, content: Mapping[str, Any], properties: Mapping[str, Any], time: float
+    ) -> None:
+        """Write a JSON object; `properties` is the schema of its entries by name."""
+        if topic not in self._channels:
+            schema = {
+                "title": f"jaxplore{topic.replace('/', '.')}",
+                "type": "object",
+                "properties": properties,
+            }
+            self._channels[topic] = self._sdk.Channel(topic, schema=schema, context=self._context)
+        self._channels[topic].log(content, log_time=self.stamp(time))
 
     def close(self) -> None:
         """Close all channels."""

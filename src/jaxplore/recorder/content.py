@@ -10,6 +10,7 @@ from jaxplore.dynamics.base import Dynamics
 from jaxplore.recorder import messages
 from jaxplore.recorder.channels import Channels
 from jaxplore.report.drawing.palette import FAINT, PLAN, ROBOT, STRONG, Colour
+from jaxplore.report.drawing.rollout_costs import WEIGHT, cost_names, costs_of_rollouts
 from jaxplore.report.drawing.shapes import STRONG_SHARE
 
 MAP, BASE = "map", "base_link"
@@ -102,31 +103,22 @@ class Content:
         self.log("/tf", messages.frame_transform(stamp, MAP, BASE, x, y, yaw, z=z), time)
         self.log("/pose", messages.pose_in_frame(stamp, MAP, x, y, yaw, z=z), time)
 
-    def log_plan(
-        self,
-        time: float,
-        plan: np.ndarray,
-        samples: np.ndarray,
-        weights: np.ndarray,
-        **others: tuple[np.ndarray, Colour],
-    ) -> None:
-        """Write the plan and some rollouts, those of great weight in another colour.
+    def log_plan(self, frame: Any, **others: tuple[np.ndarray, Colour]) -> None:
+        """Write the plan and some rollouts, those of great weight in another colour, with what each
+        of them weighs and costs.
 
         Args:
-            time: time of the plan [s].
-            plan: (T, 2) positions of the plan [m].
-            samples: (N, T, 2) positions of rollouts [m].
-            weights: (N,) their weights.
+            frame: frame with a plan (T, 2), rollouts (N, T, 2) [m], their weights and costs.
             others: more lines beside the plan, with their colours.
         """
-        stamp = self.channels.stamp(time)
-        lines = {**others, "plan": (plan, PLAN)}
+        stamp, samples = self.channels.stamp(frame.time), frame.samples
+        lines = {**others, "plan": (frame.plan, PLAN)}
         entities: dict[str, Any] = {
             name: (MAP, {"lines": [messages.line(points, colour, 3.0, z=2.0 * messages.FLAT)]})
             for name, (points, colour) in lines.items()
         }
-        self.log("/plan", messages.scene(stamp, entities), time)
-        known = np.nan_to_num(weights)
+        self.log("/plan", messages.scene(stamp, entities), frame.time)
+        known = np.nan_to_num(frame.weights)
         bold = STRONG_SHARE * known.max(initial=0.0)
         # The last in the order of weight is the rollout of greatest weight, which is kept.
         shown = np.argsort(known, kind="stable")[_evenly(len(samples), MOST_ROLLOUTS)]
@@ -141,7 +133,11 @@ class Content:
             for i in shown.tolist()
         ]
         update = messages.scene(stamp, {"rollouts": (MAP, {"lines": rollouts})})
-        self.log("/rollouts", update, time)
+        self.log("/rollouts", update, frame.time)
+        if names := cost_names(frame):
+            costs = {name: costs_of_rollouts(frame, name)[shown].tolist() for name in names}
+            weights = {WEIGHT: frame.weights[shown].tolist()}
+            self.channels.log_lists("/rollout_costs", weights | costs, frame.time)
 
     def body(self) -> tuple[str, dict[str, Any]]:
         """Return the robot as an entity of a scene."""

@@ -48,9 +48,7 @@ class ExplorationContent(Content):
         z = float(frame.state[names.index("z")]) if "z" in names else 0.0
         self.log_pose(time, here, frame.heading, z)
         self._log_scan(frame, here)
-        self.log_plan(
-            time, frame.plan, frame.samples, frame.weights, reference=(frame.reference, REFERENCE)
-        )
+        self.log_plan(frame, reference=(frame.reference, REFERENCE))
         if frame.terms:
             self.channels.log_values("/cost_terms", frame.terms, time)
         movers = [

@@ -31,7 +31,7 @@ class PathContent(Content):
         """Write the pose, the plan, rollouts and obstacles."""
         run, time = self.recording, frame.time
         self.log_pose(time, frame.position, frame.heading, 0.0)
-        self.log_plan(time, frame.plan, frame.samples, frame.weights)
+        self.log_plan(frame)
         primitives: dict[str, list[Any]] = {"cylinders": [], "triangles": [], "lines": []}
         for corners, radius in zip(frame.corners, run.obstacle_radii.tolist(), strict=True):
             if np.isfinite(corners).all():

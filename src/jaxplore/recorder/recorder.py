@@ -2,6 +2,7 @@
 
 import os
 import warnings
+from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import BinaryIO
@@ -115,14 +116,26 @@ class McapRecorder(Monitor):
 
     def end(self, recording: Recording | None) -> None:
         """Write the rest of the run and put the file in its place; remove it if the run failed."""
+
+        def write_rest() -> None:
+            if recording is None:
+                raise _Failed
+            self._write_rest(recording)
+
+        self._close(write_rest)
+
+    def stop(self) -> None:
+        """Put the file in its place with what was written so far, while the run goes on."""
+        self._close(lambda: None)
+
+    def _close(self, write: Callable[[], None]) -> None:
+        """Write what is left and put the file in its place; once."""
         if self._open is None:
             return
         stack, self._open = self._open, None
         try:
             with stack:
-                if recording is None:
-                    raise _Failed
-                self._write_rest(recording)
+                write()
         except _Failed:
             return
         except (ValueError, RuntimeError) as error:

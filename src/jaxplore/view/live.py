@@ -6,8 +6,10 @@ import time
 import warnings
 from typing import Any, NamedTuple
 
+from jaxplore import _kinds
 from jaxplore.control.base import Controller
 from jaxplore.parameters import get_parameters
+from jaxplore.recorder.switched import SwitchedRecorder
 from jaxplore.report.recording import Frame, Recording
 from jaxplore.simulation.chunks import CHUNK_SECONDS
 from jaxplore.simulation.monitor import Monitor, Requests, Update
@@ -66,6 +68,8 @@ class LiveView(Monitor):
         port: port; 0 for a free one.
         label: title of the page's panel.
         is_simulation: whether the run is a simulation, and no robot.
+        recorder: recorder that a button of the page switches on and off; another monitor of the
+            run. There is no button without one.
 
     Raises:
         ValueError: viser is not installed; an address or a port that cannot be used.
@@ -78,7 +82,10 @@ class LiveView(Monitor):
         port: int = 0,
         label: str = "jaxplore",
         is_simulation: bool = True,
+        recorder: SwitchedRecorder | None = None,
     ) -> None:
+        _kinds.instance("recorder", recorder, SwitchedRecorder, may_be_none=True)
+        self.recorder = recorder
         self._server = open_server(host, port, label=label)
         self._display = Display(self._server, "Parameters")
         self._sliders: Sliders | None = None
@@ -186,7 +193,10 @@ class LiveView(Monitor):
         return self._seed
 
     def close(self) -> None:
-        """Stop the server; open pages lose their connection."""
+        """Stop the server; open pages lose their connection, and a recording ends."""
+        if self.recorder is not None:
+            self.recorder.on_change = lambda: None
+            self.recorder.stop()
         with self._news:
             self._mail.is_closed = True
             self._news.notify()
@@ -213,6 +223,8 @@ class LiveView(Monitor):
         if is_simulation:
             self._add_simulation_buttons()
         display.add_picture_button()
+        if self.recorder is not None:
+            self._add_record_button(self.recorder)
         with display.tabs["Parameters"]:
             gui.add_button("Reset all").on_click(self._reset)
 
@@ -235,6 +247,32 @@ class LiveView(Monitor):
 
         again.on_click(restart)
         stop.on_click(end)
+
+    def _add_record_button(self, recorder: SwitchedRecorder) -> None:
+        gui = self._server.gui
+        with self._display.buttons:
+            button = gui.add_button("Record", hint="to an MCAP file, for Foxglove")
+            told: Any = gui.add_text("Recording", initial_value="", multiline=True, disabled=True)
+
+        # The run and a page may tell of a change at once: the newer state is shown last.
+        showing = threading.Lock()
+
+        def show() -> None:
+            with showing:
+                button.label = "Stop recording" if recorder.is_on else "Record"
+                told.value = recorder.message
+
+        def switch(_: Any) -> None:
+            try:
+                if recorder.is_on:
+                    recorder.stop()
+                else:
+                    recorder.start()
+            except ValueError as error:
+                told.value = str(error)
+
+        button.on_click(switch)
+        recorder.on_change = show
 
     def _reset(self, _: Any) -> None:
         if self._sliders is not None:
