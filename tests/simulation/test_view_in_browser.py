@@ -20,6 +20,7 @@ from PIL import Image
 from websockets.sync.client import connect
 
 from jaxplore import simulate
+from jaxplore.recorder import SwitchedRecorder
 from jaxplore.report.drawing.colours import UNKNOWN
 from jaxplore.report.drawing.palette import ROBOT
 from jaxplore.view import LiveView
@@ -29,17 +30,19 @@ pytestmark = pytest.mark.skipif(
 )
 KEY = jax.random.key(3)
 
+DRAWN = 0.3
+"""Time between two looks at the canvas, each of which the processor draws anew [s]."""
 PATIENCE = 60.0
 """Time after which a test that waits has failed [s]: no test passes because of a duration."""
 
 
-def wait_until(is_true: Callable[[], Any], what: str) -> Any:
+def wait_until(is_true: Callable[[], Any], what: str, pause: float = 0.02) -> Any:
     """Wait until a function returns something true, and return that."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
         if found := is_true():
             return found
-        time.sleep(0.02)
+        time.sleep(pause)
     raise AssertionError(f"waited in vain: {what}")
 
 
@@ -51,7 +54,7 @@ class Browser:
         size: width and height of the window [pixels].
     """
 
-    def __init__(self, profile: Path, size: tuple[int, int] = (1280, 800)) -> None:
+    def __init__(self, profile: Path, size: tuple[int, int] = (960, 600)) -> None:
         # WebGL is computed by the processor.
         self._process = subprocess.Popen(
             [
@@ -153,11 +156,14 @@ def browser(tmp_path_factory):
 
 
 class Watched(LiveView):
-    """A view that notes which parameters the run was asked for, and how far it is."""
+    """A view that notes which parameters the run was asked for, and how far it is.
+
+    The run waits after a number of steps, which leaves the processor to the browser.
+    """
 
     def __init__(self) -> None:
-        super().__init__()
-        self.steps, self.asked = 0, {}
+        super().__init__(recorder=SwitchedRecorder())
+        self.steps, self.allowed, self.asked = 0, 20, {}
 
     def show(self, update) -> None:
         super().show(update)
@@ -166,8 +172,7 @@ class Watched(LiveView):
     def requests(self):
         requests = super().requests()
         self.asked = {name: float(value) for name, value in requests.parameters.items()}
-        # Slow, which leaves the processor to the browser.
-        return requests._replace(speed=0.2)
+        return requests._replace(is_paused=self.steps >= self.allowed)
 
 
 def element(kind: str, text: str) -> str:
@@ -183,23 +188,32 @@ SLIDER = "[...document.querySelectorAll('[role=slider]')].find(each => each.offs
 
 
 def test_a_page_shows_a_run_drives_its_sliders_and_is_closed(browser, make) -> None:
-    controller, scenario = make(target=None)
+    # The same programs as those of the other files.
+    controller, scenario = make()
     view, result = Watched(), []
 
     def run() -> None:
-        # It never ends by itself: without a target, and with more steps than anybody waits for.
         result.append(
             simulate(controller, scenario, 10**6, key=KEY, num_trajectories=8, monitors=[view])
         )
 
     thread = threading.Thread(target=run)
     thread.start()
+    # Nothing is compiled any more, and nothing changes, while the browser draws.
+    wait_until(lambda: view.steps >= view.allowed, "a pause")
     page = browser.open(view.link)
     try:
         wait_until(lambda: view.num_pages == 1, "a page")
         page.wait_for("!!document.querySelector('canvas')")
         # What nobody has seen, and the robot on it, in their colours.
-        wait_until(lambda: {UNKNOWN, ROBOT} <= colours(page), "a map with a robot")
+        wait_until(lambda: {UNKNOWN, ROBOT} <= colours(page), "a map with a robot", DRAWN)
+        before, choice = canvas(page), "document.querySelector('input[value=weight]')"
+        page.click_on(choice)
+        page.wait_for(f"!!({element('[role=option]', 'total cost')})")
+        page.click_on(element("[role=option]", "total cost"))
+        page.wait_for("document.body.innerHTML.includes('linear-gradient')")
+        wait_until(lambda: (canvas(page) != before).any(), "rollouts coloured by cost", DRAWN)
+        page.wait_for(f"!!({element('button', 'Record')})")
         page.click_on(element("[role=tab]", "Parameters"))
         page.wait_for(f"!!({SLIDER})")
         low, high = (float(page.value(f"({SLIDER}).ariaValue{each}")) for each in ("Min", "Max"))
@@ -217,6 +231,7 @@ def test_a_page_shows_a_run_drives_its_sliders_and_is_closed(browser, make) -> N
         page.close()
         wait_until(lambda: view.num_pages == 0, "no page")
         done = view.steps
+        view.allowed = 2 * done
         wait_until(lambda: view.steps > done, "further steps")
         assert thread.is_alive()
     finally:
@@ -235,16 +250,20 @@ def press(page: Page, key: str) -> None:
         page.tell("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=37)
 
 
+def canvas(page: Page) -> np.ndarray:
+    """Return a picture (rows, columns, 3) of the half of the page that has no panel."""
+    picture = np.asarray(Image.open(io.BytesIO(page.picture())).convert("RGB")).astype(int)
+    return picture[:, : picture.shape[1] // 2]
+
+
 def colours(page: Page) -> set[tuple[int, int, int]]:
     """Return the colours of belief and robot that the canvas shows, within what light changes."""
-    picture = np.asarray(Image.open(io.BytesIO(page.picture())).convert("RGB")).astype(int)
-    canvas = picture[:, : picture.shape[1] // 2]
-    found = set()
+    picture, found = canvas(page), set()
     for colour in (UNKNOWN, ROBOT):
-        share = canvas / np.maximum(np.linalg.norm(canvas, axis=-1, keepdims=True), 1.0)
+        share = picture / np.maximum(np.linalg.norm(picture, axis=-1, keepdims=True), 1.0)
         wanted = np.array(colour) / np.linalg.norm(colour)
         # The robot is lit: its hue stays, its brightness does not.
-        is_like = (share @ wanted > 0.995) & (canvas.max(axis=-1) < 235)
+        is_like = (share @ wanted > 0.995) & (picture.max(axis=-1) < 235)
         if is_like.sum() >= 10:
             found.add(colour)
     return found
