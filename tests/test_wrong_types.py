@@ -117,6 +117,7 @@ SAID = {
 }
 
 RIGHT = {
+    "LabelledObject(label=text)",
     "ExplorationScenario(target_coverage=None)",
     "MovingObstacleCost(collision=None)",
     "MovingObstacleCost(nearness=None)",

@@ -182,6 +182,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "AugmentedProposal": {"physical": physical_proposal, "virtual": jx.GaussianProposal([1.0])},
         "ControlNoise": {"std": [0.1, 0.1]},
         "CorridorCost": {"path": wide},
+        "Detector": {"classes": ("a", "b"), "confusion": [[0.9, 0.1], [0.2, 0.8]]},
         "Environment": {"mode": simulation.ControlMode(robot)},
         "FieldSensor": {"num_directions": 8},
         "Flight": {},
@@ -196,6 +197,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "InjectedProposal": {"null_action": True},
         "Knots": {"num_knots": 3},
         "LatencyCompensation": {"latency": 0.1},
+        "LabelledObject": {"position": (1.0, 1.0), "label": "a"},
         "MPPI": {"noise_std": [1.0, 2.0]},
         "MovingObstacle": {"path": ((1.0, 1.0), (2.0, 1.0)), "speed": 1.0},
         "MovingObstacles": {"movers": [jx.MovingObstacle(((1.0, 1.0), (2.0, 1.0)), 1.0, 0.2)]},
@@ -218,6 +220,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "PoseInformation": {},
         "QuadraticControlCost": {"weights": [1.0, 1.0]},
         "target_explorer": {"rule": "nearest-frontier", "perception": scenario.perception},
+        "Recognition": {"detector": sensing.Detector(("a", "b"), [[0.9, 0.1], [0.2, 0.8]])},
         "Rectangle": {"front": 0.5, "rear": 0.5, "width": 0.5},
         "ReferenceCost": {"reference": np.zeros((4, 2)), "period": 0.1},
         "ShortRangeField": {

@@ -98,11 +98,11 @@ class Detector(eqx.Module):
         Raises:
             ValueError: an unknown class.
         """
-        if label not in self.classes:
+        if not isinstance(label, str) or label not in self.classes:
             raise ValueError(
                 f"{name} is {_kinds.described(label)}; accepted: {', '.join(self.classes)}"
             )
-        return self.classes.index(str(label))
+        return self.classes.index(label)
 
     def recall_at(self, distance: Scalar) -> Float[Array, " C"]:
         """Return the probability that an object of each class is detected (C,).
