@@ -131,7 +131,6 @@ RIGHT = {
     "avoidance_cost(caution=None)",
     "avoidance_cost(clearance=None)",
     "enable_compilation_cache(path=text)",
-    "explorer(temperature=None)",
     "find_parameter(path=text)",  # refused, as a path that is not known
     "get_parameters(controller=None)",  # any pytree: these have no parameters
     "get_parameters(controller=class)",
@@ -139,7 +138,6 @@ RIGHT = {
     "get_parameters(controller=object)",
     "get_parameters(controller=text)",
     "mpcc(comfort_weight=None)",
-    "waypoint_mppi(temperature=None)",
 }
 """Calls of the walk whose argument is of an accepted type."""
 

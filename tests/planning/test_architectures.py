@@ -30,7 +30,7 @@ from jaxplore.belief.zones import Zones
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.dynamics.base import State
 from jaxplore.information.heading_field import HeadingField
-from jaxplore.planning import InformativeMPPI
+from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
@@ -177,7 +177,8 @@ def strategy_by_parts(controller, belief, state) -> Strategy:
     field = remaining(field, belief, 3.0)
     if controller.reference is None:
         return Strategy(field, np.zeros((1, 3), np.float32))
-    start = jnp.asarray([state[0], state[1], -2.0])
+    at = jnp.asarray([state[0], state[1], -2.0])
+    start = ReferenceStart(at, pose_of(state)[2], jnp.zeros(()))
     return Strategy(field, np.asarray(climb(controller.reference, belief, field.best, start)))
 
 
