@@ -166,7 +166,13 @@ def test_two_controllers_are_compared(tmp_path: Path) -> None:
 def test_it_is_tuned() -> None:
     episodes = ControllerEpisodes(CONTROLLER, {"beacons": TASK}, time_limit=15.0)
     result: Any = tune(
-        episodes, ["temperature=0.01:3:log"], "finished_at", budget=4, seeds=1, population=2
+        episodes,
+        ["temperature=0.01:3:log"],
+        "finished_at",
+        budget=4,
+        seeds=1,
+        population=2,
+        unseen=2,
     )
     assert len(result.trials) == 4
     assert result.chosen.state == "done"
