@@ -19,8 +19,6 @@ from jaxplore import (
     Smooth,
     Softmax,
     StateCost,
-    StateNoise,
-    Unicycle,
     WaypointCost,
 )
 from jaxplore.control import (
@@ -45,10 +43,9 @@ HOVER = StateCost(
     {"x": 0.4, "z": -0.3},
     terminal_weight=3.0,
 )
-LEVEL = FLIGHT.at_pose(0.0, 0.0, 0.2)
-AT_MASS = jnp.asarray([0.1, -0.2, 0.3, 0.1])
+LEVEL = np.asarray(FLIGHT.at_pose(0.0, 0.0, 0.2))
+AT_MASS = np.float32([0.1, -0.2, 0.3, 0.1])
 UPRIGHT = StateCost({"angle": 1.0, "rate": 0.1}, angles=("angle",))
-UNCERTAIN = {"disturbance": StateNoise([0.1] * 4), "num_outcomes": 4}
 ENSEMBLE = {
     "disturbance": ModelEnsemble(
         *(PointMass(2, max_acceleration=4.0, drag=drag) for drag in (0.0, 0.5, 1.0))
@@ -74,7 +71,7 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
 
     offsets = steps * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
     offsets = np.concatenate([offsets, -offsets[1:]]).astype(np.float32)
-    found, controls = both(mppi, start + offsets)
+    found, controls = both(mppi, jnp.asarray(start + offsets))
     np.testing.assert_allclose(found[0], controls[0], atol=1e-6)
     ahead, behind = np.split(np.asarray(controls)[1:], 2)
     return np.asarray(found[3]), ((ahead - behind) / (2.0 * steps)).T
@@ -84,7 +81,12 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
     ("model", "cost", "start", "std", "changes"),
     [
         pytest.param(
-            MASS, TO_POINT, AT_MASS, [4.0, 4.0], {"parameterisation": Smooth()}, id="mass, smooth"
+            CAR,
+            POSE,
+            np.float32([0.0, 0.0, 0.4, 0.8, 0.2]),
+            [3.0, 6.0],
+            {"parameterisation": Smooth()},
+            id="differential drive, smooth",
         ),
         pytest.param(
             MASS,
@@ -94,7 +96,6 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
             {"parameterisation": Knots(4, CubicSpline()), "smoothing": SavitzkyGolay(5, 2)},
             id="mass, knots, smoothed",
         ),
-        pytest.param(MASS, TO_POINT, AT_MASS, [1.0, 1.0], UNCERTAIN, id="mass, outcomes"),
         pytest.param(
             MASS,
             TO_POINT,
@@ -102,30 +103,6 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
             [1.0, 1.0],
             {**ENSEMBLE, "risk": Entropic(0.2), "parameterisation": Knots(5)},
             id="mass, ensemble, entropic",
-        ),
-        pytest.param(
-            CAR,
-            POSE,
-            jnp.asarray([0.0, 0.0, 0.4, 0.8, 0.2]),
-            [0.8, 1.5],
-            {},
-            id="differential drive",
-        ),
-        pytest.param(
-            Pendulum(max_torque=4.0),
-            UPRIGHT,
-            jnp.asarray([0.3, -0.2]),
-            [1.5],
-            {},
-            id="pendulum",
-        ),
-        pytest.param(
-            Unicycle(max_speed=3.0, min_speed=-3.0),
-            WaypointCost([1.0, 0.5], terminal_weight=2.0),
-            jnp.asarray([0.0, 0.0, 0.2]),
-            [0.8, 0.8],
-            {"parameterisation": Knots(4, CubicSpline())},
-            id="unicycle, knots",
         ),
         pytest.param(FLIGHT, HOVER, LEVEL, [3.0, 1.0, 1.0, 1.0], {}, id="quadrotor"),
     ],
@@ -142,10 +119,10 @@ def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) 
 
 def test_gains_pass_through_a_temperature_that_adapts() -> None:
     gains, differences = gains_and_differences(
-        MASS,
-        TO_POINT,
-        AT_MASS,
-        [1.0, 1.0],
+        Pendulum(max_torque=4.0),
+        UPRIGHT,
+        np.float32([0.3, -0.2]),
+        [1.5],
         jax.random.key(1),
         5e-3,
         weighting=AdaptiveSoftmax(16.0),
@@ -193,35 +170,15 @@ def test_gains_are_the_formula_in_double_precision() -> None:
     np.testing.assert_allclose(gains[0], expected, rtol=2e-4)
 
 
-def test_gains_push_back() -> None:
-    mppi = MPPI(
-        MASS,
-        TO_POINT,
-        horizon=15,
-        num_samples=1024,
-        noise_std=[1.0, 1.0],
-        dt=0.1,
-        weighting=Softmax(0.5, 0.0),
-    )
-    _, _, _, gains = eqx.filter_jit(step_with_gains)(
-        mppi, mppi.init(), jnp.asarray([0.5, 0.0, 0.0, 0.0]), key=jax.random.key(0)
-    )
-    away, across = np.asarray(gains[:, :2]), np.asarray(gains[:, 2:])
-    for block in (away, across):
-        assert (np.diag(block) < -0.1).all()
-        # Each axis answers for itself.
-        assert np.abs(block - np.diag(np.diag(block))).max() < 0.5 * np.abs(np.diag(block)).min()
-
-
 def test_elites_have_no_derivative() -> None:
     mppi = MPPI(
         MASS, TO_POINT, horizon=6, num_samples=32, noise_std=[1.0, 1.0], weighting=Elite(0.2)
     )
     control, _, _, gains = eqx.filter_jit(step_with_gains)(
-        mppi, mppi.init(), AT_MASS, key=jax.random.key(0)
+        mppi, mppi.init(), jnp.asarray(AT_MASS), key=jax.random.key(0)
     )
     np.testing.assert_array_equal(gains, 0.0)
-    assert (control != 0.0).any()
+    assert (np.asarray(control) != 0.0).any()
 
 
 class Edge(Cost):
@@ -314,13 +271,14 @@ def test_between_plans_the_command_is_the_plan_and_the_gains() -> None:
                 expected, _, _, gains = eqx.filter_jit(step_with_gains)(planner, before, x, key=key)
                 np.testing.assert_allclose(control, expected, atol=1e-5)
                 np.testing.assert_allclose(state.gains, gains, rtol=1e-3, atol=1e-4)
-                np.testing.assert_array_equal(state.states[0], x)
+                np.testing.assert_array_equal(np.asarray(state.states)[0], x)
             else:
                 np.testing.assert_array_equal(plans[-1], plans[-2])
             steps = since * period / 4 / dt
             row, share = int(steps + 1e-6), steps - int(steps + 1e-6)
-            planned = (1 - share) * state.states[row] + share * state.states[row + 1]
-            wanted = info.controls[row] + state.gains @ (x - planned)
+            states, gains = np.asarray(state.states), np.asarray(state.gains)
+            planned = (1 - share) * states[row] + share * states[row + 1]
+            wanted = plans[-1][row] + gains @ (np.asarray(x) - planned)
             np.testing.assert_allclose(control, np.clip(wanted, -4.0, 4.0), atol=2e-4)
             np.testing.assert_array_equal(state.planner.applied, control)
         assert not np.array_equal(plans[0], plans[4])
@@ -330,11 +288,12 @@ def test_between_plans_the_command_is_the_plan_and_the_gains() -> None:
 def test_commands_stay_within_the_bounds_and_finite() -> None:
     controller = follower()
     step = eqx.filter_jit(controller.step)
-    _, state, _ = step(controller.init(), AT_MASS, key=jax.random.key(0))
+    _, state, _ = step(controller.init(), jnp.asarray(AT_MASS), key=jax.random.key(0))
     for away in (1e4, -1e4):
-        control, _, _ = step(state, AT_MASS + away, key=jax.random.key(0))
+        control, _, _ = step(state, jnp.asarray(AT_MASS + away), key=jax.random.key(0))
         np.testing.assert_allclose(np.abs(control), 4.0)
-    control, _, _ = step(state, jnp.full(4, jnp.nan), key=jax.random.key(0))
+    lost = jnp.asarray(np.full(4, np.nan, np.float32))
+    control, _, _ = step(state, lost, key=jax.random.key(0))
     assert np.isfinite(control).all()
 
 
