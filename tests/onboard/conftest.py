@@ -26,6 +26,11 @@ def rooms() -> OccupancyGrid:
     return OccupancyGrid(world, 0.1)
 
 
+def blank() -> OccupancyGrid:
+    """The pilot's map before a drive that starts at (1, 1): the two rooms, and little more."""
+    return OccupancyGrid(np.zeros((64, 80), np.float32), 0.1, (-1.6, -1.6, 0.0))
+
+
 def scenario_in(world: OccupancyGrid, start, robot=ROBOT, goal=None) -> ExplorationScenario:
     perception = Perception(LIDAR, 0.1, 0.2, num_directions=16, margin=0.05, goal=goal)
     return ExplorationScenario(
@@ -46,13 +51,11 @@ def make_robot():
 @pytest.fixture(scope="session")
 def make_pilot():
     """Return a maker of pilots, all of one compiled program."""
-    side = 128
-    blank = OccupancyGrid(np.zeros((side, side), np.float32), 0.1, (-6.4, -6.4, 0.0))
 
     def make(**options) -> Pilot:
         controller = explorer(ROBOT, horizon=30, num_samples=128)
         # Its goal is the way back.
-        scenario = scenario_in(blank, (0.0, 0.0, 0.0), goal=(0.0, 0.0))
+        scenario = scenario_in(blank(), (0.0, 0.0, 0.0), goal=(0.0, 0.0))
         return Pilot(scenario, controller, jax.random.key(5), PilotOptions(**options))
 
     return make
@@ -61,12 +64,11 @@ def make_pilot():
 @pytest.fixture(scope="session")
 def make_follower():
     """Return a maker of pilots that follow paths, all of one compiled program."""
-    blank = OccupancyGrid(np.zeros((128, 128), np.float32), 0.1, (-6.4, -6.4, 0.0))
 
     def make(**options) -> Pilot:
         weights = arguments(NodeContouring(num_samples=128), mpcc)
         following = mpcc(ROBOT, blank_path(), other=ObstacleCost(), **weights)
-        scenario = scenario_in(blank, (0.0, 0.0, 0.0), following.model)
+        scenario = scenario_in(blank(), (0.0, 0.0, 0.0), following.model)
         options, key = PilotOptions(**options), jax.random.key(5)
         task = Following(scenario.perception)
         return Pilot(scenario, following.controller, key, options, task)
@@ -99,3 +101,19 @@ def drive():
         return commands, np.array(states)
 
     return drive
+
+
+@pytest.fixture(scope="session")
+def drive_until(drive):
+    """Return a function that lets a pilot drive a robot until something is so, for seconds."""
+
+    def drive_until(is_so, pilot, robot, seconds, *changes):
+        """Look every half second; return what `drive` returns."""
+        commands, states = [], []
+        while not commands or (len(commands) < round(seconds / robot.period) and not is_so()):
+            more = drive(pilot, robot, 0.5, *changes)
+            commands += more[0]
+            states.append(more[1])
+        return commands, np.concatenate(states)
+
+    return drive_until

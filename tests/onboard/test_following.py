@@ -26,7 +26,7 @@ def dense(corners) -> np.ndarray:
 
 
 def test_a_robot_follows_paths_one_after_the_other_and_stands_at_their_ends(
-    make_follower, make_robot, drive
+    make_follower, make_robot, drive, drive_until
 ) -> None:
     # Far from the origin of the odometry, as in UTM coordinates.
     place = np.array([500_000.0, 4_649_776.0, 0.0])
@@ -35,11 +35,17 @@ def test_a_robot_follows_paths_one_after_the_other_and_stands_at_their_ends(
     def moved(now, measured):
         return measured._replace(pose=measured.pose + place)
 
+    def follow():
+        """Drive to the end of the path, and stand there."""
+        commands, states = drive_until(lambda: pilot.task.is_done, pilot, robot, 7.0, moved)
+        more, after = drive(pilot, robot, 1.0, moved)
+        return commands + more, np.concatenate([states, after])
+
     commands, _ = drive(pilot, robot, 0.5, moved)
     assert {(each.mode, each.reason) for each in commands} == {(Mode.WAITING, "no path yet")}
     first = dense([(1.0, 1.0), (2.2, 1.2), (2.6, 2.0), (2.6, 2.6)])
     pilot.task.take(first + place[:2])
-    commands, states = drive(pilot, robot, 8.0, moved)
+    commands, states = follow()
     assert distance_from(first, states).max() < 0.2
     assert np.hypot(*(states[-1][:2] - first[-1])) < 0.35
     assert commands[-1].reason == "at the end of the path"
@@ -47,7 +53,7 @@ def test_a_robot_follows_paths_one_after_the_other_and_stands_at_their_ends(
     before = steps.plan._cached._cache_size()
     second = dense([(2.6, 2.6), (1.4, 3.6)])
     pilot.task.take(second + place[:2])
-    _, states = drive(pilot, robot, 8.0, moved)
+    _, states = follow()
     assert np.hypot(*(states[-1][:2] - second[-1])) < 0.35
     # Another path is the same program.
     assert steps.plan._cached._cache_size() == before
@@ -62,7 +68,7 @@ def test_a_robot_stops_where_its_map_shows_a_wall_across_the_path(
     drive(pilot, robot, 0.2)
     # The wall between the rooms is at x = 3.2.
     pilot.task.take(dense([(1.0, 1.0), (5.0, 1.0)]))
-    _, states = drive(pilot, robot, 8.0)
+    _, states = drive(pilot, robot, 5.0)
     assert robot.num_contacts == 0
     assert 2.0 < states[-1][0] < 3.05
 

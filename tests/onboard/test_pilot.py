@@ -13,12 +13,12 @@ LATENCY = 0.06
 
 @pytest.fixture(scope="module")
 def drive_once(make_pilot, make_robot, drive):
-    def run(seconds, change=lambda now, measured: measured, offset=(0.0, 0.0), **options):
+    def run(seconds, change=lambda now, measured: measured, offset=(0.0, 0.0)):
         def moved(now, measured):
             place = np.array([*offset, 0.0])
             return change(now, measured._replace(pose=measured.pose + place))
 
-        pilot = make_pilot(latency=LATENCY, **options)
+        pilot = make_pilot(latency=LATENCY)
         robot = make_robot(delay=0.04)
         commands, states = drive(pilot, robot, seconds, moved)
         return pilot, robot, commands, states
@@ -27,8 +27,10 @@ def drive_once(make_pilot, make_robot, drive):
 
 
 @pytest.fixture(scope="module")
-def explored(drive_once):
-    return drive_once(24.0)
+def explored(make_pilot, make_robot, drive_until):
+    """One drive until nothing is left to explore, of which most tests here look at a part."""
+    pilot, robot = make_pilot(latency=LATENCY, done_after=2.0), make_robot(delay=0.04)
+    return pilot, robot, *drive_until(lambda: pilot.finished, pilot, robot, 40.0)
 
 
 def speeds(commands) -> np.ndarray:
@@ -37,31 +39,34 @@ def speeds(commands) -> np.ndarray:
 
 def test_the_robot_explores_without_a_contact(explored) -> None:
     _, robot, commands, _ = explored
-    assert robot.coverage > 0.9
+    assert robot.coverage > 0.95
     assert robot.num_contacts == 0
     assert commands[0].mode is Mode.DRIVING
     assert robot.watchdog_stops == 0
 
 
-def test_the_same_data_give_the_same_commands(explored, drive_once) -> None:
-    again = drive_once(5.0)[2]
+def test_the_robot_is_done_when_nothing_is_worth_a_visit(explored) -> None:
+    pilot, _, commands, _ = explored
+    assert commands[-1].mode is Mode.DONE
+    assert commands[-1].reason == "no place that is worth a visit is reachable"
+    assert pilot.recording().metrics().is_finished
+
+
+def test_the_same_data_give_the_same_commands_and_compile_nothing(explored, drive_once) -> None:
+    programs = (steps.observe, steps.derive, steps.plan)
+    before = [each._cached._cache_size() for each in programs]
+    again = drive_once(2.0)[2]
     for one, other in zip(again, explored[2], strict=False):
         np.testing.assert_array_equal(one.twist, other.twist)
+    assert [each._cached._cache_size() for each in programs] == before
 
 
 def test_a_drive_far_from_the_origin_is_the_same_to_within_rounding(explored, drive_once) -> None:
     offset = (500_000.0, 4_649_776.0)
-    pilot, robot, _, states = drive_once(5.0, offset=offset)
+    pilot, robot, _, states = drive_once(2.0, offset=offset)
     np.testing.assert_allclose(states, explored[3][: len(states)], atol=2e-2)
     np.testing.assert_allclose(pilot.offset, np.array(offset) + 1.0, atol=0.05)
     assert robot.num_contacts == 0
-
-
-def test_nothing_compiles_while_it_drives(explored, drive_once) -> None:
-    programs = (steps.observe, steps.derive, steps.plan)
-    before = [each._cached._cache_size() for each in programs]
-    drive_once(1.0)
-    assert [each._cached._cache_size() for each in programs] == before
 
 
 def test_the_recording_of_a_drive_is_that_of_an_exploration(explored) -> None:
@@ -113,78 +118,98 @@ def drop(begin, end, what):
     return change
 
 
+FAULTS = [
+    (drop, "scan", "the scan is 0.3"),
+    (drop, "pose", "the odometry is 0.3"),
+    (drop, "both", "s old"),
+    (freeze, "scan", "the scan does not change"),
+    (freeze, "pose", "the pose does not change"),
+]
+FIRST, EVERY, LASTS = 1.5, 2.2, 0.9
+"""When the first fault begins, how long after it the next does, and how long each lasts [s]."""
+
+
+@pytest.fixture(scope="module")
+def faulty(drive_once):
+    """Drive through all faults, one after the other."""
+    begins = [FIRST + EVERY * number for number in range(len(FAULTS))]
+    changes = [
+        make(begin, begin + LASTS, what)
+        for begin, (make, what, _) in zip(begins, FAULTS, strict=True)
+    ]
+
+    def change(now, measured):
+        for each in changes:
+            measured = each(now, measured)
+        return measured
+
+    return drive_once(FIRST + EVERY * len(FAULTS), change)
+
+
 @pytest.mark.parametrize(
-    ("make", "what", "reason", "within"),
-    [
-        (drop, "scan", "the scan is 0.3", 0.32),
-        (drop, "pose", "the odometry is 0.3", 0.32),
-        (drop, "both", "s old", 0.32),
-        (freeze, "scan", "the scan does not change", 0.32),
-        (freeze, "pose", "the pose does not change", 0.32),
-    ],
+    "number", range(len(FAULTS)), ids=[f"{m.__name__}-{w}" for m, w, _ in FAULTS]
 )
-def test_data_that_stop_or_freeze_brake_the_robot_and_say_why(
-    drive_once, make, what, reason, within
-) -> None:
-    begin, end = 3.0, 5.0
-    _, robot, commands, _ = drive_once(6.5, make(begin, end, what))
-    times = robot.period * np.arange(len(commands))
+def test_data_that_stop_or_freeze_brake_the_robot_and_say_why(faulty, number) -> None:
+    _, robot, commands, _ = faulty
+    reason, begin = FAULTS[number][2], FIRST + EVERY * number
+    end = begin + LASTS
+    times = robot.period * np.arange(len(commands)) + 1e-9
     braking = np.array([each.mode is Mode.BRAKING for each in commands])
-    assert not braking[times < begin].any()
-    first = np.argmax(braking)
-    assert begin < times[first] <= begin + within
+    # It had gone on after the fault before.
+    assert not braking[(times > begin - 1.0) & (times < begin)].any()
+    first = np.argmax(braking & (times > begin))
+    assert begin < times[first] <= begin + 0.32 + 1e-6
     assert reason in commands[first].reason
     # A ramp of 10 m/s^2 from at most 1 m/s.
     fast = speeds(commands)
     ramp = np.diff(fast[first - 1 : first + 10])
     assert (ramp >= -0.2 - 1e-6).all()
     assert (ramp <= 1e-9).all()
-    # A robot whose pose did not change tries again after two seconds.
     stands = (times > begin + 0.42) & (times < end - 0.02)
     assert not fast[stands].any()
     # It goes on when the data are back.
-    assert fast[times > end + 1.0].max() > 0.1
+    assert fast[(times > end) & (times < begin + EVERY)].max() > 0.1
     assert robot.num_contacts == 0
 
 
 def test_a_pose_that_jumps_brakes_the_robot_for_a_second(drive_once) -> None:
     def jump(now, measured):
-        return measured._replace(pose=measured.pose + np.array([2.0 * (now >= 3.0), 0.0, 0.0]))
+        return measured._replace(pose=measured.pose + np.array([2.0 * (now >= 1.0), 0.0, 0.0]))
 
-    _, _, commands, _ = drive_once(5.0, jump)
+    _, _, commands, _ = drive_once(2.5, jump)
     reasons = [each.reason for each in commands]
-    assert reasons[150].startswith("the pose jumped by 2.0")
-    assert commands[150].mode is Mode.BRAKING
+    assert reasons[50].startswith("the pose jumped by 2.0")
+    assert commands[50].mode is Mode.BRAKING
     assert commands[-1].mode is Mode.DRIVING
 
 
 def test_measurements_that_are_not_finite_never_reach_the_robot(drive_once) -> None:
     def poison(now, measured):
-        if 2.0 <= now < 3.0:
+        if 0.8 <= now < 1.4:
             bad = measured.pose.copy()
             bad[0] = np.nan
             return measured._replace(pose=bad)
-        if 3.5 <= now < 4.0 and measured.scan is not None:
+        if 2.0 <= now < 2.4 and measured.scan is not None:
             nan = np.full_like(np.asarray(measured.scan.ranges), np.nan)
             return measured._replace(scan=Scan(nan, np.asarray(measured.scan.is_return)))
         return measured
 
-    _, robot, commands, _ = drive_once(6.0, poison)
+    _, robot, commands, _ = drive_once(3.0, poison)
     assert np.isfinite([each.twist for each in commands]).all()
     assert robot.num_contacts == 0
 
 
 def test_a_paused_pilot_stands_and_goes_on(make_pilot, make_robot, drive) -> None:
     pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
-    drive(pilot, robot, 2.0)
+    drive(pilot, robot, 1.0)
     pilot.is_started = False
-    commands, _ = drive(pilot, robot, 2.0)
+    commands, _ = drive(pilot, robot, 1.4)
     assert commands[-1].mode is Mode.PAUSED
     assert not commands[-1].twist.any()
     pilot.is_started = True
-    assert speeds(drive(pilot, robot, 2.0)[0]).max() > 0.1
+    assert speeds(drive(pilot, robot, 1.0)[0]).max() > 0.1
     pilot.finish("enough")
-    commands, _ = drive(pilot, robot, 2.0)
+    commands, _ = drive(pilot, robot, 1.4)
     assert (commands[-1].mode, commands[-1].reason) == (Mode.DONE, "enough")
     assert not commands[-1].twist.any()
 
@@ -193,7 +218,7 @@ def test_a_late_plan_is_bridged_by_the_last_one_and_then_by_braking(
     make_pilot, make_robot, drive
 ) -> None:
     pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
-    commands, _ = drive(pilot, robot, 2.0)
+    commands, _ = drive(pilot, robot, 1.0)
     now = robot.time
     bridged = [pilot.next_command(now + k * robot.period) for k in range(60)]
     assert all(each.reason == "a plan was late" for each in bridged)
@@ -206,18 +231,6 @@ def test_a_late_plan_is_bridged_by_the_last_one_and_then_by_braking(
     steps_ = np.diff([commands[-1].twist[0], *(each.twist[0] for each in bridged)])
     assert np.abs(steps_)[: modes.index(Mode.BRAKING)].max() < 0.021
     assert np.abs(steps_).max() < 0.2 + 1e-6
-
-
-def test_the_robot_is_done_when_nothing_is_worth_a_visit(make_pilot, make_robot, drive) -> None:
-    pilot, robot = make_pilot(latency=LATENCY, done_after=2.0), make_robot(delay=0.04)
-    for _ in range(4):
-        commands, _ = drive(pilot, robot, 10.0)
-        if pilot.finished:
-            break
-    assert commands[-1].mode is Mode.DONE
-    assert commands[-1].reason == "no place that is worth a visit is reachable"
-    assert robot.coverage > 0.95
-    assert pilot.recording().metrics().is_finished
 
 
 def test_beams_start_at_the_lidar_and_not_at_the_robots_centre(make_pilot, make_robot) -> None:
@@ -241,14 +254,15 @@ def test_beams_start_at_the_lidar_and_not_at_the_robots_centre(make_pilot, make_
 
 
 def test_a_robot_that_is_told_to_return_drives_back_to_its_start(
-    make_pilot, make_robot, drive
+    make_pilot, make_robot, drive, drive_until
 ) -> None:
     pilot, robot = make_pilot(latency=LATENCY), make_robot(delay=0.04)
     before = steps.derive._cached._cache_size()
-    _, states = drive(pilot, robot, 4.0)
+    _, states = drive(pilot, robot, 2.5)
     assert np.hypot(*(states[-1][:2] - states[0][:2])) > 1.0
-    pilot.task.turn_back(4.0, "told to return")
-    commands, states = drive(pilot, robot, 8.0)
+    pilot.task.turn_back(2.5, "told to return")
+    drive_until(lambda: pilot.finished, pilot, robot, 8.0)
+    commands, states = drive(pilot, robot, 0.5)
     assert pilot.finished == "told to return; the robot is back at its start"
     assert np.hypot(*(states[-1][:2] - 1.0)) < 0.35
     assert not commands[-1].twist.any()
