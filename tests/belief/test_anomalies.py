@@ -4,6 +4,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -275,14 +276,14 @@ def test_a_full_list_takes_no_more() -> None:
 def test_information_leads_to_where_a_second_look_is_possible() -> None:
     known = hall((slice(2, 30), slice(28, 32)))
     sensor, model = FieldSensor(SENSOR, RESOLUTION, 8, 2), InverseSensorModel.line_of_sight()
-    field = sensor.field(known, model, jnp.ones(SHAPE))
-    state = TEST.init(known)
-    same = TEST.attended(state, field, known)
+    field = eqx.filter_jit(sensor.field)(known, model, np.ones(SHAPE, np.float32))
+    state, attended = TEST.init(known), eqx.filter_jit(TEST.attended)
+    same = attended(state, field, known)
     np.testing.assert_array_equal(same.cumulative, field.cumulative)
     place, pose = jnp.array([4.5, 1.0]), jnp.array([4.5, 3.5, 0.0])
     reports = state.reports.opened(jnp.array(True), place, jnp.int32(GONE), jnp.ones(()), pose)
     state = dataclasses.replace(state, reports=reports)
-    led = TEST.attended(state, field, known)
+    led = attended(state, field, known)
     rows, columns = np.mgrid[: led.total.shape[0], : led.total.shape[1]]
     x, y = 0.2 * columns + 0.15, 0.2 * rows + 0.15
     raised = np.asarray(led.total) > 0.5 * float(field.total.max())
