@@ -89,7 +89,6 @@ NOISES: dict[str, tuple[RangeNoise | None, np.ndarray | None, Law]] = {
 }
 NOISE = pytest.mark.parametrize("noise", NOISES)
 SENSOR = pytest.mark.parametrize("sensor", SENSORS)
-NO_RETURN = pytest.mark.parametrize("no_return", [True, False])
 
 
 def worth(p: np.ndarray, sensor: CellSensor, reading: int) -> float:
@@ -133,12 +132,15 @@ def as_input(p: np.ndarray | list[float], edges: np.ndarray | None = None) -> tu
     return jnp.asarray(p), p.astype(float), given, exact
 
 
+def is_told(noise: str, sensor: str = "clamped") -> bool:
+    """Return whether no return is counted: in every second pair, and of every noise and sensor."""
+    return (list(NOISES).index(noise) + list(SENSORS).index(sensor)) % 2 == 0
+
+
 @NOISE
 @SENSOR
-@NO_RETURN
-def test_value_is_the_expectation_over_all_maps_and_readings(
-    noise: str, sensor: str, no_return: bool
-) -> None:
+def test_value_is_the_expectation_over_all_maps_and_readings(noise: str, sensor: str) -> None:
+    no_return = is_told(noise, sensor)
     model, edges, law = NOISES[noise]
     for seed in range(2):
         probability = np.random.default_rng(seed).uniform(0.02, 0.98, 7)
@@ -166,8 +168,8 @@ def test_beam_of_one_cell(noise: str) -> None:
 
 
 @pytest.mark.parametrize("noise", ["none", "uniform 2", "gaussian 0.8", "toeplitz"])
-@NO_RETURN
-def test_cells_out_of_range_only_fill_the_array(noise: str, no_return: bool) -> None:
+def test_cells_out_of_range_only_fill_the_array(noise: str) -> None:
+    no_return = noise != "uniform 2"
     model, sensor = NOISES[noise][0], SENSORS["clamped"]
     p = jnp.asarray([0.2, 0.4, 0.05, 0.6, 0.1, 0.0, 0.0])
     in_range = jnp.arange(7) < 5
@@ -305,7 +307,7 @@ def finite_differences(p: np.ndarray, sensor: CellSensor, law: Law) -> list[floa
 
 
 @SENSOR
-@pytest.mark.parametrize("noise", ["none", "uniform 1", "gaussian 0.8"])
+@pytest.mark.parametrize("noise", ["uniform 1", "gaussian 0.8"])
 def test_gradient_is_that_of_the_expectation(sensor: str, noise: str) -> None:
     model, _, law = NOISES[noise]
     p, exact_p, _, _ = as_input([0.2, 0.45, 0.03, 0.6, 0.1, 0.9, 0.7])

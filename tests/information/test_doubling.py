@@ -54,7 +54,6 @@ CASES = {
     "a few periods": Case(40, 32, 2.2),
     "near all along": Case(400, 12, 2.2, 2),
     "longer than the map": Case(12, 14, 6.0, 2, sensor=IdealSensor()),
-    "far longer": Case(10, 24, 30.0, 3, near_weight=False),
     "a thin map": Case(20, 18, 5.0, 3, shape=(70, 5)),
     "along the axes": Case(20, 9, 2.2),
 }
@@ -91,6 +90,7 @@ def test_doubling_is_the_scan_of_the_same_beams(name: str, beam_by_definition: C
     grid = open_map(case.shape)
     found = sectors(doubling, grid, case.sensor)
     np.testing.assert_allclose(found, sectors(scan, grid, case.sensor), rtol=1e-5, atol=1e-6)
+    found = np.asarray(found)
 
     p = np.asarray(grid.probability, float)
     nodes = np.random.default_rng(1).integers(0, found.shape[1:], (8, 2))

@@ -137,7 +137,7 @@ def test_sectors_are_rays_from_the_nodes(name: str, beam_by_definition: Callable
     assert num_open > 10
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["one tile", "stride 3", "banded"])
 def test_total_is_the_information_of_a_scan(name: str) -> None:
     """Where the scanner's first beam, half a turn behind, is in the middle of the first sector."""
     case = CASES[name]
@@ -308,7 +308,7 @@ def test_no_slope_is_lost() -> None:
 
 
 # A sensor, and windows smaller than a tile and larger than one.
-WINDOWS = {"one tile": (13, 10), "stride 2": (44, 60), "stride 3": (4, 5)}
+WINDOWS = {"one tile": (13, 10), "stride 2": (44, 60)}
 
 
 @pytest.mark.parametrize("name", WINDOWS)
@@ -376,7 +376,7 @@ def changed_maps(rng: np.random.Generator, p: np.ndarray) -> dict[str, np.ndarra
     return {name: cells.astype(np.float32) for name, cells in maps.items()}
 
 
-@pytest.mark.parametrize("name", ["many tiles", "stride 2", "stride 3", "banded"])
+@pytest.mark.parametrize("name", ["many tiles", "stride 3", "banded"])
 def test_an_update_is_the_new_maps_field_to_the_bit(name: str) -> None:
     sensor, (grid, found) = SENSORS[name], random_field(name)
     maps = changed_maps(np.random.default_rng(6), np.asarray(grid.probability))
@@ -524,20 +524,21 @@ def test_bad_number_of_headings() -> None:
 
 
 def test_nothing_is_learned_from_nowhere_and_a_window_is_not_updated() -> None:
-    p = np.random.default_rng(3).choice([0.01, 0.3, 0.5], (40, 50)).astype(np.float32)
-    grid, model = OccupancyGrid(p, 0.1), InverseSensorModel()
-    sensor = FieldSensor(Lidar(12, 1.0), 0.1, 8)
-    nowhere = window(sensor, grid, jnp.asarray([math.nan, 2.0]), (5, 5))
-    assert float(nowhere.total.max()) == 0.0
+    name, shape = "stride 2", WINDOWS["stride 2"]
+    p = np.random.default_rng(3).choice([0.01, 0.3, 0.5], CASES[name].shape).astype(np.float32)
+    grid, sensor = OccupancyGrid(p, RESOLUTION), SENSORS[name]
+    nowhere = window(sensor, grid, jnp.asarray([math.nan, 2.0]), shape)
+    assert np.max(nowhere.total) == 0.0
     found, position = field(sensor, grid), jnp.asarray([2.05, 2.05])
-    headings = jnp.asarray([math.nan, 0.0])
-    values = look_ups(found, jnp.stack([position] * 2), headings, 1.0)
+    headings = np.zeros(50, np.float32)
+    headings[0] = math.nan
+    values = look_ups(found, jnp.asarray(np.tile(position, (50, 1))), jnp.asarray(headings), 1.9)
     assert float(values[0]) == 0.0 < float(values[1])
     assert float(eqx.filter_jit(found.at_headings(4))(position, headings[0])) == 0.0
-    seen = window(sensor, grid, position, (5, 5))
-    with pytest.raises(ValueError, match=r"field has \(5, 5\) nodes; accepted: \(40, 50\)"):
-        sensor.update(seen, grid, model)
-    moved = OccupancyGrid(p, 0.1, (1.0, 0.0, 0.0))
+    seen = window(sensor, grid, position, shape)
+    with pytest.raises(ValueError, match=r"field has \(44, 60\) nodes; accepted: \(42, 54\)"):
+        sensor.update(seen, grid, MODEL)
+    moved = OccupancyGrid(p, RESOLUTION, (1.0, 0.0, 0.0))
     np.testing.assert_allclose(
         update(sensor, found, moved).frame.origin, field(sensor, moved).frame.origin
     )
