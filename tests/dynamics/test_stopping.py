@@ -119,28 +119,34 @@ def brake(robot, states, turns):
     return jax.vmap(stop)(states, turns)
 
 
+speeds = eqx.filter_jit(lambda robot, states: jax.vmap(robot.speed)(states))
+projected = eqx.filter_jit(lambda robot, states: jax.vmap(robot.project)(states))
+COUNT = 60
+
+
 def some_states(robot, count: int) -> np.ndarray:
     """Admissible states (count, nx), from rest to the bounds."""
     drawn = np.random.default_rng(1).uniform(-3.0, 3.0, (count, robot.state_size))
     physical = getattr(robot, "physical", robot)
     size = physical.state_size
-    admissible = jax.vmap(physical.project)(jnp.asarray(drawn[:, :size], jnp.float32))
+    admissible = projected(physical, jnp.asarray(drawn[:, :size], jnp.float32))
     return np.concatenate([admissible, drawn[:, size:]], axis=1).astype(np.float32)
 
 
 @every_robot
 def test_it_comes_to_rest_as_fast_as_its_brakes_allow_and_stays(name: str) -> None:
-    robot, count = ROBOTS[name], 60
-    states = some_states(robot, count)
-    turns = np.tile(np.float32([-1.0, -0.3, 0.0, 1.0]), count // 4)
+    robot = ROBOTS[name]
+    states = some_states(robot, COUNT)
+    turns = np.tile(np.float32([-1.0, -0.3, 0.0, 1.0]), COUNT // 4)
     controls, twists = brake(robot, jnp.asarray(states), jnp.asarray(turns))
-    assert (controls >= robot.control_min - 1e-6).all()
-    assert (controls <= robot.control_max + 1e-6).all()
+    controls, twists = np.asarray(controls), np.asarray(twists)
+    assert (controls >= np.asarray(robot.control_min) - 1e-6).all()
+    assert (controls <= np.asarray(robot.control_max) + 1e-6).all()
     is_moving = (np.abs(twists) > 1e-5).any(axis=-1)
     steps = np.array([0 if not each.any() else 1 + np.flatnonzero(each)[-1] for each in is_moving])
     physical = getattr(robot, "physical", robot)
     moving = states[:, : physical.state_size]
-    speed = np.abs(jax.vmap(physical.speed)(jnp.asarray(moving)))
+    speed = np.abs(speeds(physical, jnp.asarray(moving)))
     needed = speed / DECELERATION.get(name, 1.0)
     if "omega" in physical.state_names:
         needed = np.maximum(needed, np.abs(moving[:, physical.state_names.index("omega")]) / 2.0)
@@ -161,15 +167,19 @@ def test_it_turns_by_its_share_while_it_moves(name: str) -> None:
     start[3] = 0.9  # v or vx
     backwards = start.copy()
     backwards[3] *= -1.0
-    turns = jnp.asarray([-1.0, 0.0, 0.1, 1.0], jnp.float32)
-    _, twists = brake(robot, jnp.tile(start, (4, 1)), turns)
-    yaw = DT * np.asarray(twists)[..., 2].sum(axis=1)
+    turns = jnp.asarray(np.tile(np.float32([-1.0, 0.0, 0.1, 1.0]), COUNT // 4))
+
+    def turned(start: np.ndarray) -> np.ndarray:
+        # As many as in the other test: another number would be another program.
+        _, twists = brake(robot, jnp.asarray(np.tile(start, (COUNT, 1))), turns)
+        return DT * np.asarray(twists)[:4, :, 2].sum(axis=1)
+
+    yaw = turned(start)
     assert yaw[0] < yaw[1] < yaw[2] < yaw[3]
     assert yaw[0] == pytest.approx(-yaw[3], rel=1e-3)
     assert yaw[1] == pytest.approx(0.0, abs=1e-4)
     if isinstance(robot, (Ackermann, KinematicBicycle)):
-        _, twists = brake(robot, jnp.tile(backwards, (4, 1)), turns)
-        yaw = DT * np.asarray(twists)[..., 2].sum(axis=1)
+        yaw = turned(backwards)
         assert yaw[0] < yaw[1] < yaw[2] < yaw[3]
 
 
