@@ -32,7 +32,7 @@ INTERPOLATIONS = {
     "matern": MaternKernel(3.0),
 }
 every = pytest.mark.parametrize("name", INTERPOLATIONS)
-SIZES = [(1, 6), (2, 6), (4, 10), (5, 13)]
+SIZES = [(1, 6), (2, 6), (4, 10)]
 sizes = pytest.mark.parametrize(("num_knots", "horizon"), SIZES)
 
 
@@ -42,24 +42,18 @@ def build_space(horizon: int) -> ControlSpace:
     )
 
 
-@eqx.filter_jit
-def weights_of(interpolation, times, num_knots, end):
-    return interpolation.weights(times, num_knots, end)
+def compiled(function):
+    """Return what computes in one program and answers in NumPy, whose operations are none."""
+    program = eqx.filter_jit(function)
+    return lambda *given: jax.tree.map(np.asarray, program(*given))
 
 
-@eqx.filter_jit
-def decode(knots, nominal, samples, space):
-    return knots.decode(nominal, samples, space)
-
-
-@eqx.filter_jit
-def controls_of(knots, nominal, space):
-    return knots.controls(nominal, space)
-
-
-@eqx.filter_jit
-def shift(knots, nominal, steps, space):
-    return knots.shift(nominal, steps, space)
+weights_of = compiled(lambda part, times, num_knots, end: part.weights(times, num_knots, end))
+decode = compiled(lambda part, nominal, samples, space: part.decode(nominal, samples, space))
+controls_of = compiled(lambda part, nominal, space: part.controls(nominal, space))
+shift = compiled(lambda part, nominal, steps, space: part.shift(nominal, steps, space))
+encode = compiled(lambda part, controls, space: part.encode(None, controls, space))
+init = compiled(lambda part, controls, space: part.init(controls, space))
 
 
 def covariance(name: str, distance: np.ndarray) -> np.ndarray:
@@ -120,7 +114,7 @@ def test_controls_are_the_interpolated_deviation_from_the_default(
     part, nominal = Knots(num_knots, INTERPOLATIONS[name]), jnp.asarray(knots, jnp.float32)
     assert part.num_parameters(horizon) == num_knots
     np.testing.assert_allclose(controls_of(part, nominal, space), expected, atol=1e-3)
-    controls, effective = decode(part, nominal, nominal[:, :, None], space)
+    controls, effective = decode(part, nominal, np.asarray(nominal)[:, :, None], space)
     np.testing.assert_allclose(controls[:, :, 0], expected, atol=1e-3)
     np.testing.assert_allclose(effective[:, :, 0], knots, rtol=1e-6)
 
@@ -183,7 +177,7 @@ def test_controls_fall_to_the_default_away_from_the_knots(name: str) -> None:
         assert (np.asarray(controls_of(part, nominal, space))[:, 1] > 0.0).all()
     for values in (nominal, controls_of(part, nominal, space)):
         assert (np.abs(np.asarray(values) - DEFAULT) < 0.01 * far).all()
-    rest = jnp.tile(space.default, (4, 1))
+    rest = np.tile(space.default, (4, 1))
     np.testing.assert_allclose(shift(part, rest, jnp.asarray(2.3), space), rest, rtol=1e-6)
     np.testing.assert_allclose(controls_of(part, rest, space), np.tile(DEFAULT, (10, 1)), rtol=1e-6)
 
@@ -267,15 +261,15 @@ def test_a_knot_at_every_step_is_direct(name: str) -> None:
     np.testing.assert_allclose(controls_of(part, nominal, space), nominal, atol=1e-4)
     samples = jnp.asarray(rng.normal(0.0, 9.0, (horizon, SIZE, 4)), jnp.float32)
     for actual, expected in zip(
-        decode(part, nominal, samples, space), direct.decode(nominal, samples, space), strict=True
+        decode(part, nominal, samples, space), decode(direct, nominal, samples, space), strict=True
     ):
         np.testing.assert_allclose(actual, expected, atol=2e-4)
-    np.testing.assert_allclose(part.init(nominal, space), nominal, atol=2e-4)
+    np.testing.assert_allclose(init(part, nominal, space), nominal, atol=2e-4)
     for steps in (1.0, 2.0, 0.3, 6.7):
         if steps % 1 and name not in ("hold", "linear"):
             continue
         actual = shift(part, nominal, jnp.asarray(steps), space)
-        expected = direct.shift(nominal, jnp.asarray(steps), space)
+        expected = shift(direct, nominal, jnp.asarray(steps), space)
         rows = horizon if name in ("hold", "linear", "cubic") else horizon - int(steps)
         np.testing.assert_allclose(actual[:rows], expected[:rows], atol=2e-4)
 
@@ -289,8 +283,8 @@ def test_encode_finds_the_nearest_knots(name: str) -> None:
     solved = np.linalg.lstsq(weights, controls - DEFAULT, rcond=None)[0]
     expected = np.clip(DEFAULT + solved, LOW, HIGH)
     for actual in (
-        part.encode(None, jnp.asarray(controls, jnp.float32), space),
-        part.init(jnp.asarray(controls, jnp.float32), space),
+        encode(part, jnp.asarray(controls, jnp.float32), space),
+        init(part, jnp.asarray(controls, jnp.float32), space),
     ):
         np.testing.assert_allclose(actual, expected, atol=5e-3)
 
@@ -302,9 +296,9 @@ def test_encode_is_the_inverse_of_decode(name: str) -> None:
     part = Knots(4, INTERPOLATIONS[name])
     knots = DEFAULT + rng.uniform(-0.3, 0.3, (4, SIZE))
     nominal = jnp.asarray(knots, jnp.float32)
-    controls, effective = decode(part, nominal, nominal[:, :, None], space)
+    controls, effective = decode(part, nominal, np.asarray(nominal)[:, :, None], space)
     np.testing.assert_allclose(effective[:, :, 0], knots, rtol=1e-6)
-    np.testing.assert_allclose(part.encode(None, controls[:, :, 0], space), knots, atol=1e-3)
+    np.testing.assert_allclose(encode(part, controls[:, :, 0], space), knots, atol=1e-3)
     np.testing.assert_array_equal(part.centre(nominal), nominal)
     np.testing.assert_array_equal(part.update(nominal, nominal, space), nominal)
     np.testing.assert_allclose(part.rest(space), DEFAULT, rtol=1e-6)

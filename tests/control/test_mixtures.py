@@ -63,13 +63,18 @@ def encoded(where: str, controls: np.ndarray) -> np.ndarray:
 
 
 class Drawn(NamedTuple):
-    samples: jax.Array
-    controls: jax.Array
-    log_ratio: jax.Array
+    samples: jax.Array | np.ndarray
+    controls: jax.Array | np.ndarray
+    log_ratio: jax.Array | np.ndarray
+
+
+def draw(proposal, context, count=9, perturbations=None, memory=()) -> Drawn:
+    """Return what is drawn, in NumPy, whose operations are no programs."""
+    return jax.tree.map(np.asarray, _draw(proposal, context, count, perturbations, memory))
 
 
 @eqx.filter_jit
-def draw(proposal, context, count=9, perturbations=None, memory=()) -> Drawn:
+def _draw(proposal, context, count, perturbations, memory) -> Drawn:
     samples = proposal.sample(
         memory, context, count, key=jax.random.key(0), perturbations=perturbations
     )
@@ -80,6 +85,10 @@ def draw(proposal, context, count=9, perturbations=None, memory=()) -> Drawn:
 @eqx.filter_jit
 def log_ratio(proposal, context, samples, memory=()):
     return proposal.log_ratio(memory, context, samples)
+
+
+adapt = eqx.filter_jit(lambda proposal, *given: proposal.adapt(*given))
+shift = eqx.filter_jit(lambda proposal, memory, rows: proposal.shift(memory, rows))
 
 
 def biased(fraction=0.5, proposal=None, **settings) -> BiasedProposal:
@@ -266,10 +275,10 @@ class TestBiasedProposal:
         np.testing.assert_array_equal(memory, np.ones((HORIZON, SIZE)))
         samples = draw(proposal, context, memory=memory).samples
         weights = jnp.full(9, 1 / 9)
-        after = proposal.adapt(memory, context, weights, samples)
-        np.testing.assert_array_equal(after, inner.adapt(memory, context, weights, samples))
+        after = adapt(proposal, memory, context, weights, samples)
+        np.testing.assert_array_equal(after, adapt(inner, memory, context, weights, samples))
         rows = jnp.asarray(1.5)
-        np.testing.assert_array_equal(proposal.shift(after, rows), inner.shift(after, rows))
+        np.testing.assert_array_equal(shift(proposal, after, rows), shift(inner, after, rows))
 
 
 class TestInjectedProposal:
@@ -352,9 +361,9 @@ class TestInjectedProposal:
         memory = proposal.init(HORIZON, SIZE)
         samples = draw(proposal, context, memory=memory).samples
         weights, rows = jnp.full(9, 1 / 9), jnp.asarray(0.5)
-        after = proposal.adapt(memory, context, weights, samples)
-        np.testing.assert_array_equal(after, inner.adapt(memory, context, weights, samples))
-        np.testing.assert_array_equal(proposal.shift(after, rows), inner.shift(after, rows))
+        after = adapt(proposal, memory, context, weights, samples)
+        np.testing.assert_array_equal(after, adapt(inner, memory, context, weights, samples))
+        np.testing.assert_array_equal(shift(proposal, after, rows), shift(inner, after, rows))
 
 
 @pytest.mark.parametrize(
