@@ -110,10 +110,24 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 TOGETHER = [
-    ["comparison/test_command.py", "comparison/test_execute.py", "comparison/test_rows.py"],
+    [".md"],
+    ["build/test_defaults.py", "build/test_reference.py"],
+    [
+        *("comparison/test_command.py", "comparison/test_processes.py", "comparison/test_rows.py"),
+        *("comparison/test_run_episodes.py", "comparison/test_page.py"),
+    ],
     ["simulation/test_batch.py", "simulation/test_closed_loop.py"],
+    [
+        *("tests/test_cli.py", "tests/test_resume_command.py", "tests/test_view_command.py"),
+        "tests/test_describe.py",
+    ],
+    [
+        *("tests/test_path_command.py", "tests/test_tune_command.py", "tests/test_variants.py"),
+        *(f"tuning/test_{name}.py" for name in ("results", "runs", "study")),
+    ],
 ]
-"""Files of tests that run the same compiled loop: on one worker it is compiled once."""
+"""Files that run the same compiled loop or import the same large libraries, by the ends of their
+names: on one worker that is done once."""
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -31,6 +31,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import matplotlib
+import numpy as np
 import optax
 from jax.flatten_util import ravel_pytree
 
@@ -165,15 +166,24 @@ def tune(
     # Clipped: one seed on the edge of a choice must not throw all settings away.
     descent = optax.chain(optax.clip_by_global_norm(1.0), optax.adam(rate))
     settings, memory, way = start, descent.init(start), []
+
+    @jax.jit
+    def descend(settings: Settings, memory: Any, slopes: Settings) -> Any:
+        steps, memory = descent.update(slopes, memory, settings)
+        return (
+            optax.apply_updates(settings, steps),
+            memory,
+            jnp.linalg.norm(ravel_pytree(slopes)[0]),
+        )
+
     row("iteration", "metric", *TERMS, "slope")
     try:
         for iteration in range(num_iterations):
             (found, drives), slopes = slope(settings, *problem)
-            terms = [jnp.mean(drives.paid[name]) for name in TERMS]
-            row(str(iteration), found, *terms, jnp.linalg.norm(ravel_pytree(slopes)[0]))
+            terms = [np.mean(drives.paid[name]) for name in TERMS]
             way.append((float(found), settings))
-            steps, memory = descent.update(slopes, memory, settings)
-            settings = optax.apply_updates(settings, steps)
+            settings, memory, steepness = descend(settings, memory, slopes)
+            row(str(iteration), found, *terms, steepness)
     except KeyboardInterrupt:
         sys.stdout.write("stopped; what follows is of the iterations done\n")
     return way
@@ -200,7 +210,8 @@ def draw(path: jx.Path, way: list[tuple[float, Settings]], drives: list[Drive]) 
     curve.plot([found for found, _ in way], color="#0072b2")
     curve.set(xlabel="iteration", ylabel="metric, seeds tuned on")
     for name, colour in zip(NAMES, COLOURS, strict=True):
-        ratios = [float(jnp.exp(jnp.mean(each[name] - way[0][1][name]))) for _, each in way]
+        first = np.asarray(way[0][1][name])
+        ratios = [np.exp(np.mean(np.asarray(each[name]) - first)) for _, each in way]
         settings.plot(ratios, color=colour, label=name)
     settings.set(xlabel="iteration", ylabel="setting / its start")
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
@@ -236,8 +247,8 @@ def main(arguments: list[str] | None = None) -> None:
     best = min(way, key=lambda entry: entry[0])[1]
     row("setting", "before", "after")
     for name in NAMES:
-        for before, after in zip(start[name].reshape(-1), best[name].reshape(-1), strict=True):
-            row(name, jnp.exp(before), jnp.exp(after))
+        for before, after in zip(*map(np.ravel, (start[name], best[name])), strict=True):
+            row(name, np.exp(before), np.exp(after))
     checks = jax.random.split(unseen, 4 * given.seeds)
     (before, old), (after, new) = (value(each, *problem, checks) for each in (start, best))
     row("unseen", before, after)

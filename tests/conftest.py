@@ -1,6 +1,7 @@
 """What tests share."""
 
 import os
+import pickle
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -105,3 +106,24 @@ class Scripted(WorkerPool):
 def scripted() -> type[Scripted]:
     """Return workers without processes."""
     return Scripted
+
+
+class Posted(Scripted):
+    """Two workers that get tasks and give results by pickle, as other processes do."""
+
+    def __init__(self) -> None:
+        super().__init__(2, lambda *_: False)
+
+    def submit(self, worker: int, task: Task) -> None:
+        self.given.append((worker, task))
+        result = pickle.loads(pickle.dumps(task)).run()
+        self._news.append(Event(worker, pickle.loads(pickle.dumps(result))))
+
+
+@pytest.fixture
+def posted(monkeypatch: pytest.MonkeyPatch) -> Posted:
+    """Return the workers of runners in this test: a process takes seconds to import and compile,
+    and those of the library are tested in `workers` and `comparison`."""
+    pool = Posted()
+    monkeypatch.setattr("jaxplore.study.runner.ProcessPool", lambda _: pool)
+    return pool

@@ -7,6 +7,7 @@ import pytest
 
 import jaxplore as jx
 from jaxplore._describe import describe
+from jaxplore.build.tasks import build, make_settings
 
 WORLD = jx.OccupancyGrid(np.pad(np.zeros((58, 78)), 1, constant_values=1.0), 0.1)
 ROBOT = jx.DifferentialDrive(max_speed=1.5, radius=0.25)
@@ -67,9 +68,16 @@ def test_robot_map_controller_and_scenario_are_short_and_have_values() -> None:
 
 
 def test_a_run_is_one_line_and_a_picture_with_a_table() -> None:
-    scenario = jx.ExplorationScenario(WORLD, ROBOT, LIDAR, start=(4.0, 3.0, 0.0))
-    controller = jx.explorer(ROBOT, horizon=8, num_samples=32)
-    run = jx.simulate(controller, scenario, 10, key=jax.random.key(0), num_trajectories=0)
+    # That of the tests of commands: it is compiled for them all.
+    entries = {
+        "map": "office",
+        "office": {"width": 9.0, "height": 8.0},
+        "lidar": {"max_range": 2.0},
+        "controller": {"num_samples": 32, "horizon": 10},
+        "fields": {"num_directions": 8},
+    }
+    controller, scenario, _, key = build(make_settings(entries))
+    run = jx.simulate(controller, scenario, 10, key=key, num_trajectories=0)
     assert repr(run).startswith("Run(ExplorationRecording(10 steps of 0.02 s, ")
     assert "\n" not in repr(run)
     page = run._repr_html_()

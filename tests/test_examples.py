@@ -33,7 +33,7 @@ def test_waypoints_are_reached_one_after_the_other(capsys: pytest.CaptureFixture
 
 
 def test_a_portfolio_explores(capsys: pytest.CaptureFixture[str]) -> None:
-    run = load("portfolio").main(num_steps=50, num_samples=32)
+    run = load("portfolio").main(num_steps=25, num_samples=32)
     assert run.metrics.collisions == 0
     assert run.metrics.coverage > 0.1
     assert run.metrics.diversity > 0.05

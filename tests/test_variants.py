@@ -73,13 +73,14 @@ def test_along_a_path_something_must_vary(fails, tmp_path: Path, monkeypatch) ->
     assert "unknown setting architecture" in fails(*COMMAND, "--architectures", "explorer")
 
 
-def test_processes_come_to_the_same_as_this_one() -> None:
+def test_workers_come_to_the_same_as_this_process(posted) -> None:
     experiments = {
         name: build(make_settings({**QUICK, "laps": laps}))[:3]
         for name, laps in (("one", 1), ("two", 2))
     }
     here = compare(experiments, (4, 1))
     there = compare(experiments, (4, 1), runner=Runner(2))
+    assert posted.started == 2
     assert list(there.runs) == ["one", "two"]
     for name, runs in here.runs.items():
         assert [each.seed for each in there.runs[name]] == [4, 1]

@@ -25,6 +25,8 @@ from jaxplore.settings.exploration import BASELINES, SCENARIOS, Settings, scenar
 from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.path import PathSettings
 from jaxplore.settings.sections import Section, read_settings, section_class
+from jaxplore.simulation.exploration import scenario as scenario_module
+from jaxplore.simulation.exploration.reachability import drivable_cells
 
 
 def assert_equal(found: Any, expected: Any) -> None:
@@ -130,6 +132,23 @@ CASES = [
     ("zones", "sequential"),
     ("zones", "goal"),
 ]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _reachable_cells_of_a_place_are_computed_once():
+    """Where a car gets to takes seconds, and is the same whichever architecture asks."""
+    found: dict[Any, np.ndarray] = {}
+
+    def once(world: Any, start: np.ndarray, robot: jx.Dynamics, perception: Any) -> np.ndarray:
+        turns = type(perception.locomotion)
+        key = world.shape, tuple(start.tolist()), float(robot.radius), turns
+        if key not in found:
+            found[key] = drivable_cells(world, start, robot, perception)
+        return found[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scenario_module, "drivable_cells", once)
+        yield
 
 
 @pytest.mark.parametrize(("place", "architecture"), CASES)

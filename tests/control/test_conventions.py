@@ -27,7 +27,6 @@ from jaxplore import (
 from jaxplore.control import (
     CovarianceAdaptation,
     CubicSpline,
-    LinearInterpolation,
     SavitzkyGolay,
     ZeroOrderHold,
 )
@@ -81,6 +80,10 @@ def test_costs_are_paid_at_the_state_reached_and_its_time() -> None:
     first = 100 * (4.5 + 6.0 + 5.0) + 10 * (1 + 2 - 1) + (0.5 + 1.0 + 1.5) + 1000 * 5.0 + 1 - 14
     second = 100 * (4.0 + 4.0 + 7.0) + 10 * 3 + 3.0 + 1000 * 7.0 + 0 - 14
     np.testing.assert_allclose(info.costs, [first, second], rtol=1e-6)
+
+
+shifted = eqx.filter_jit(lambda mppi, state: mppi._shift(state))
+stepped = eqx.filter_jit(lambda robot, state, control: robot.step(state, control, jnp.asarray(DT)))
 
 
 def line(**changes) -> MPPI:
@@ -159,7 +162,7 @@ def test_whole_shifts_do_not_drift() -> None:
     np.testing.assert_array_equal(moved, np.arange(19, 400, 20))
 
 
-@pytest.mark.parametrize("horizon", [4, 8, 12])
+@pytest.mark.parametrize("horizon", [4, 12])
 def test_resume_goes_on_from_another_plan(horizon: int) -> None:
     mppi = line()
     _, state, info = step(mppi, mppi.init(), REST, jax.random.key(0))
@@ -212,11 +215,8 @@ def plane(**changes) -> MPPI:
     return MPPI(PointMass(2), cost, **settings)
 
 
-@pytest.mark.parametrize(
-    "parameterisation", [None, Smooth(), Knots(4, CubicSpline())], ids=["direct", "smooth", "knots"]
-)
-def test_inspect_shows_the_samples_of_the_step(parameterisation) -> None:
-    mppi = plane(parameterisation=parameterisation)
+def test_inspect_shows_the_samples_of_the_step() -> None:
+    mppi = plane(parameterisation=Knots(4, CubicSpline()))
     start, key = jnp.asarray([0.1, 0.2, 0.3, -0.1]), jax.random.key(3)
     _, state, _ = step(mppi, mppi.init(), start, jax.random.key(9))
     _, _, info = step(mppi, state, start, key)
@@ -229,14 +229,14 @@ def test_inspect_shows_the_samples_of_the_step(parameterisation) -> None:
     assert set(seen.best.terms) == {"GoalCost", "other goal", "effort", "ControlRateCost"}
     total = sum(float(value) for value in seen.best.terms.values())
     assert total == pytest.approx(float(info.costs[best]), rel=1e-4)
-    np.testing.assert_allclose(seen.samples[best], seen.best.states, atol=1e-5)
-    replayed = start
-    for control, reached in zip(seen.best.controls, seen.best.states[1:], strict=True):
-        replayed = mppi.dynamics.step(replayed, control, mppi.dt)
+    np.testing.assert_allclose(np.asarray(seen.samples)[best], seen.best.states, atol=1e-5)
+    replayed, states = start, np.asarray(seen.best.states)
+    for control, reached in zip(np.asarray(seen.best.controls), states[1:], strict=True):
+        replayed = stepped(mppi.dynamics, replayed, control)
         np.testing.assert_allclose(reached, replayed, atol=1e-5)
 
     # Samples are those of the step, and no two are the same.
-    ends = np.asarray(seen.samples[:, -1])
+    ends = np.asarray(seen.samples)[:, -1]
     assert len(np.unique(ends.round(6), axis=0)) == 24
     far = np.hypot(*(ends[:, :2] - [1.0, 0.5]).T)
     assert np.corrcoef(far, info.costs)[0, 1] > 0.0
@@ -248,7 +248,7 @@ def test_few_samples_shown_are_spread_over_a_mixture() -> None:
     mppi = plane(proposal=proposal)
     look = eqx.filter_jit(mppi.inspect)
     seen = look(mppi.init(), jnp.zeros(4), key=jax.random.key(0), num_trajectories=6)
-    towards = np.asarray(seen.samples[:, -1, 2]) > 0.3
+    towards = np.asarray(seen.samples)[:, -1, 2] > 0.3
     assert towards.tolist() == [True] * 3 + [False] * 3
 
 
@@ -259,7 +259,7 @@ def test_rates_are_counted_from_the_control_really_given_out(smoothing) -> None:
     given, rng = np.zeros(1), np.random.default_rng(0)
     for index in range(4):
         noise = rng.normal(size=(8, 1, 32)).astype(np.float32) * 0.5
-        moved = mppi._shift(state).nominal
+        moved = shifted(mppi, state).nominal
         sampled = np.clip(np.asarray(moved)[:, :, None] + noise, -2.0, 2.0)
         control, state, info = step(mppi, state, REST, jax.random.key(index), jnp.asarray(noise))
         before = np.broadcast_to(given[None, :, None], (1, 1, 32))
@@ -292,14 +292,13 @@ def test_smoothing_is_that_of_scipy_on_what_was_given_out_and_is_planned() -> No
 
 
 def test_the_same_key_is_the_same_step_and_another_is_another() -> None:
-    for parameterisation in (None, Smooth(), Knots(3, LinearInterpolation())):
-        mppi = line(parameterisation=parameterisation)
-        first, again, other = (
-            step(mppi, mppi.init(), REST, jax.random.key(seed)) for seed in (5, 5, 6)
-        )
-        for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
-            np.testing.assert_array_equal(a, b)
-        assert not np.array_equal(first[2].costs, other[2].costs)
+    mppi = line()
+    first, again, other = (
+        step(mppi, mppi.init(), REST, jax.random.key(seed)) for seed in (5, 5, 6)
+    )
+    for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(again), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(first[2].costs, other[2].costs)
 
 
 def test_one_trace_for_all_numbers() -> None:

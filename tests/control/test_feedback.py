@@ -55,26 +55,26 @@ ENSEMBLE = {
 
 
 def gains_and_differences(model, cost, start, std, key, steps, **changes):
-    """Return the gains, and central differences of `step` for the same noise."""
+    """Return the gains, and central differences of the control for the same noise."""
     mppi = MPPI(model, cost, horizon=10, num_samples=64, noise_std=std, dt=0.1, **changes)
     rows = mppi.parameterisation.num_parameters(10)
     noise = np.random.default_rng(0).normal(size=(rows, len(std), 64)) * np.array(std)[:, None]
     noise = jnp.asarray(noise, jnp.float32)
 
     @eqx.filter_jit
-    def both(mppi, observations):
-        def control(observation):
-            return mppi.step(mppi.init(), observation, key=key, perturbations=noise)[0]
+    def around(mppi, observations):
+        def found(observation):
+            given = {"key": key, "perturbations": noise}
+            control, _, _, gains = step_with_gains(mppi, mppi.init(), observation, **given)
+            return control, gains
 
-        found = step_with_gains(mppi, mppi.init(), observations[0], key=key, perturbations=noise)
-        return found, jax.lax.map(control, observations)
+        return jax.lax.map(found, observations)
 
     offsets = steps * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
     offsets = np.concatenate([offsets, -offsets[1:]]).astype(np.float32)
-    found, controls = both(mppi, jnp.asarray(start + offsets))
-    np.testing.assert_allclose(found[0], controls[0], atol=1e-6)
-    ahead, behind = np.split(np.asarray(controls)[1:], 2)
-    return np.asarray(found[3]), ((ahead - behind) / (2.0 * steps)).T
+    controls, gains = map(np.asarray, around(mppi, jnp.asarray(start + offsets)))
+    ahead, behind = np.split(controls[1:], 2)
+    return gains[0], ((ahead - behind) / (2.0 * steps)).T
 
 
 @pytest.mark.parametrize(
@@ -107,6 +107,7 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
         pytest.param(FLIGHT, HOVER, LEVEL, [3.0, 1.0, 1.0, 1.0], {}, id="quadrotor"),
     ],
 )
+@pytest.mark.usefixtures("unchecked")
 def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) -> None:
     changes = {"weighting": Softmax(1.0, 0.5), **changes}
     gains, differences = gains_and_differences(
@@ -117,6 +118,7 @@ def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) 
     np.testing.assert_allclose(gains, differences, atol=0.01 * largest, rtol=0.01)
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_gains_pass_through_a_temperature_that_adapts() -> None:
     gains, differences = gains_and_differences(
         Pendulum(max_torque=4.0),
@@ -145,12 +147,13 @@ def test_gains_are_the_formula_in_double_precision() -> None:
         dt=dt,
         temperature=temperature,
     )
+    observation = jnp.asarray(start, jnp.float32)
+    given = {
+        "key": jax.random.key(0),
+        "perturbations": jnp.asarray(noise[:, None], jnp.float32),
+    }
     control, _, info, gains = eqx.filter_jit(step_with_gains)(
-        mppi,
-        mppi.init(),
-        jnp.asarray(start, jnp.float32),
-        key=jax.random.key(0),
-        perturbations=jnp.asarray(noise[:, None], jnp.float32),
+        mppi, mppi.init(), observation, **given
     )
     move, push, q = np.array([[1, dt], [0, 1]]), np.array([dt**2 / 2, dt]), np.array([1.0, 0.2])
     costs, slopes = np.zeros(samples), np.zeros((samples, 2))
@@ -167,6 +170,9 @@ def test_gains_are_the_formula_in_double_precision() -> None:
     expected = -(weights * noise[0]) @ (slopes - weights @ slopes) / temperature
     np.testing.assert_allclose(info.costs, costs, rtol=1e-5)
     np.testing.assert_allclose(control, [weights @ noise[0]], rtol=1e-4)
+    # And the control is that of the step without gains.
+    plain, _, _ = eqx.filter_jit(mppi.step)(mppi.init(), observation, **given)
+    np.testing.assert_allclose(control, plain, atol=1e-6)
     np.testing.assert_allclose(gains[0], expected, rtol=2e-4)
 
 

@@ -22,6 +22,7 @@ from jaxplore import (
 from jaxplore.control import AntitheticNoise, CovarianceAdaptation, CubicSpline, SobolNoise
 from jaxplore.costs import QuadraticControlCost
 
+pytestmark = pytest.mark.usefixtures("unchecked")
 HORIZON, DT, LAMBDA = 6, 0.2, 0.4
 STD = 0.8
 START = np.array([0.0, 0.3])

@@ -4,7 +4,6 @@ does."""
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import jaxtyping
 import numpy as np
 import pytest
 
@@ -37,14 +36,7 @@ from jaxplore.control import (
 )
 from jaxplore.costs import QuadraticControlCost, ReferenceCost
 
-
-@pytest.fixture(autouse=True)
-def _unchecked():
-    """Turn run-time types off, which the other tests check: most of the time here is tracing."""
-    before = jaxtyping.config.jaxtyping_disable
-    jaxtyping.config.update("jaxtyping_disable", True)
-    yield
-    jaxtyping.config.update("jaxtyping_disable", before)
+pytestmark = pytest.mark.usefixtures("unchecked")
 
 
 @eqx.filter_jit

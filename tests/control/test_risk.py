@@ -491,7 +491,7 @@ def stages(cost, model, noise, initial, controls, dt, keys, draws, belief):
 
 @pytest.mark.parametrize(
     ("risk", "robot"),
-    [(MeanVariance(2.0), None), (ConditionalValueAtRisk(0.7), NOISE), (WorstCase(), NOISE)],
+    [(MeanVariance(2.0), None), (ConditionalValueAtRisk(0.7), NOISE)],
 )
 def test_each_outcome_meets_the_obstacles_drawn_for_it(risk: Risk, robot) -> None:
     """Against each outcome on its own, with the obstacles of its draw as what is believed."""

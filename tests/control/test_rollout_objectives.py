@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from jaxplore import (
-    Ackermann,
     ControlCost,
     ControlRateCost,
     Cost,
@@ -49,7 +48,7 @@ def start(model: Dynamics, seed: int = 0) -> np.ndarray:
 # 256 samples are computed on a few lanes more.
 @pytest.mark.parametrize(
     ("model", "number"),
-    [(DifferentialDrive(), 20), (Unicycle(), 256), (Ackermann(), 20), (PointMass(), 1)],
+    [(Unicycle(), 256), (PointMass(), 1)],
     ids=lambda value: type(value).__name__ if isinstance(value, Dynamics) else str(value),
 )
 def test_each_objective_is_that_of_a_rollout_of_its_own(model: Dynamics, number: int) -> None:

@@ -36,7 +36,6 @@ ROBOTS: dict[str, Dynamics] = {
     "quadrotor": Quadrotor(),
     "unicycle": Unicycle(min_speed=-1.0),
     "unicycle on a path": Augmented(Unicycle(min_speed=-1.0), LINE),
-    "omnidirectional on a path": Augmented(Omnidirectional(), LINE),
 }
 DT = jnp.asarray(0.1)
 STEPS = 5
@@ -59,17 +58,26 @@ COSTS = (
     DiscObstacleCost([[AWAY, 0.0]], 1.0, reaction_time=REACTION),
     Arrival(),
 )
+NAMES = ("limit", "wall", "arrival")
 
 
-def controls_of(robot: Dynamics, seed: int) -> jax.Array:
+def controls_of(robot: Dynamics, seed: int) -> np.ndarray:
     """Return controls (T, nu) that make a robot at rest move."""
     share = np.random.default_rng(seed).uniform(0.5, 0.9, (STEPS, robot.control_size))
     low, high = np.asarray(robot.control_min), np.asarray(robot.control_max)
-    return jnp.asarray(low + share * (high - low), jnp.float32)
+    return np.asarray(low + share * (high - low), np.float32)
 
 
-def moving(robot: Dynamics, states, controls) -> np.ndarray:
-    """Return the rate of the position (T,) [m/s], from the model's step alone."""
+@eqx.filter_jit
+def paid_in(robot: Dynamics, controls) -> tuple[Any, ...]:
+    """Return what two plans cost, sampled and inspected, the speeds read in their states, and rates
+    of positions (2, T, d) [m/s] by the model's step alone, and positions."""
+    start = robot.at_pose(0.0, 0.0, 0.0)
+    sampled = rollout_objectives(robot, COSTS, start, jnp.moveaxis(controls, 0, -1), DT)
+    whole = COSTS[0].named("limit") + COSTS[1].named("wall") + COSTS[2].named("arrival")
+    inspected = jax.vmap(lambda each: rollout(robot, whole, start, each, DT))(controls)
+    terms = jnp.stack([inspected.terms[name] for name in NAMES])
+    states = inspected.states[:, 1:]
 
     def rate(state, control):
         still = jnp.zeros(())
@@ -77,33 +85,22 @@ def moving(robot: Dynamics, states, controls) -> np.ndarray:
             lambda dt: robot.position(robot.step(state, control, dt)), (still,), (still + 1.0,)
         )[1]
 
-    rates = jax.vmap(rate)(states, controls)
-    return np.linalg.norm(np.asarray(rates, np.float64), axis=-1)
+    def everywhere(function):
+        return jax.vmap(jax.vmap(function))
 
-
-@eqx.filter_jit
-def paid_in(robot: Dynamics, controls) -> tuple[Any, Any, Any, Any]:
-    """Return what two plans cost, sampled and inspected, their states and the speeds read there."""
-    start = robot.at_pose(0.0, 0.0, 0.0)
-    sampled = rollout_objectives(robot, COSTS, start, jnp.moveaxis(controls, 0, -1), DT)
-    inspected = [
-        jax.vmap(lambda each, cost=cost: rollout(robot, cost, start, each, DT))(controls)
-        for cost in COSTS
-    ]
-    states = inspected[0].states[:, 1:]
-    read = jax.vmap(jax.vmap(lambda x, u: State(x, robot, u).speed))(states, controls)
-    terms = jnp.stack([sum(each.terms.values()) for each in inspected])
-    return sampled, terms, states, read
+    read = everywhere(lambda x, u: State(x, robot, u).speed)(states, controls)
+    rates = everywhere(rate)(states, controls)
+    return sampled, terms, read, rates, everywhere(robot.position)(states)
 
 
 @pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 def test_a_cost_on_speed_reacts_to_speed(robot: Dynamics) -> None:
-    controls = jnp.stack([controls_of(robot, seed) for seed in (0, 1)])
-    sampled, inspected, states, read = paid_in(robot, controls)
-    speeds = np.stack([moving(robot, *each) for each in zip(states, controls, strict=True)])
+    controls = jnp.asarray(np.stack([controls_of(robot, seed) for seed in (0, 1)]))
+    sampled, inspected, read, *seen = paid_in(robot, controls)
+    rates, places = (np.asarray(each, np.float64) for each in seen)
+    speeds = np.linalg.norm(rates, axis=-1)
     np.testing.assert_allclose(np.abs(read), speeds, rtol=1e-4, atol=1e-5)
     over = np.maximum(speeds - LIMIT, 0.0) / SCALE
-    places = np.asarray(jax.vmap(jax.vmap(robot.position))(states), np.float64)
     room = np.linalg.norm(places - [AWAY, 0.0], axis=-1) - 1.0
     too_close = float(robot.radius) + REACTION * speeds
     deep = np.maximum(too_close + COSTS[1].margin - room, 0.0) / 0.05
@@ -111,7 +108,7 @@ def test_a_cost_on_speed_reacts_to_speed(robot: Dynamics) -> None:
         "limit": (over**2).sum(axis=1),
         "arrival": speeds[:, -1],
     }
-    for found in (sampled, inspected):
+    for found in map(np.asarray, (sampled, inspected)):
         np.testing.assert_allclose(found[0], expected["limit"], rtol=1e-3)
         np.testing.assert_allclose(found[2], expected["arrival"], rtol=1e-4, atol=1e-6)
         hard = np.asarray(found[1], np.float64)

@@ -114,7 +114,7 @@ def test_toeplitz_noise_is_the_double_sum(n: int) -> None:
 
 
 @SIZES
-@pytest.mark.parametrize("half_width", [0, 1, 5])
+@pytest.mark.parametrize("half_width", [0, 5])
 def test_uniform_noise_is_the_double_sum(n: int, half_width: int) -> None:
     weights = np.full(2 * half_width + 1, 1 / (2 * half_width + 1))
     for seed in range(3):
@@ -210,11 +210,16 @@ def test_a_batch_of_beams_is_each_beam() -> None:
 
 def test_a_batch_of_deviations_is_each_deviation() -> None:
     """A standard deviation may be traced, so noise can be fitted or swept."""
-    p, stds = jnp.full(7, 0.2), jnp.linspace(0.2, 1.0, 5)
-    found = jax.vmap(lambda std: total_and_parts(p, GaussianNoise(std))[0])(stds)
-    expected = [total_and_parts(p, GaussianNoise(std))[0] for std in stds]
+    p, stds = jnp.full(7, 0.2), jnp.asarray([0.2, 0.4, 0.5, 0.8, 1.0])
+
+    def value(std):
+        return total_and_parts(p, GaussianNoise(std))[0]
+
+    found, slopes = jax.jit(jax.vmap(jax.value_and_grad(value)))(stds)
+    alone = jax.jit(value)
+    expected = [alone(std) for std in np.asarray(stds)]
     np.testing.assert_allclose(found, expected, rtol=1e-5)
-    slope = jax.grad(lambda std: total_and_parts(p, GaussianNoise(std))[0])(jnp.float32(0.5))
+    slope = slopes[2]
     below, above = (
         double_sum(np.full(7, 0.2), normal_matrix(np.arange(8.0), std), True)[0]
         for std in (0.4999, 0.5001)

@@ -23,6 +23,7 @@ from jaxplore import simulate
 from jaxplore.recorder import SwitchedRecorder
 from jaxplore.report.drawing.colours import UNKNOWN
 from jaxplore.report.drawing.palette import ROBOT
+from jaxplore.report.drawing.rollout_costs import COST_COLOURS
 from jaxplore.view import LiveView
 
 pytestmark = pytest.mark.skipif(
@@ -207,11 +208,9 @@ def test_a_page_shows_a_run_drives_its_sliders_and_is_closed(browser, make) -> N
         page.wait_for("!!document.querySelector('canvas')")
         # What nobody has seen, and the robot on it, in their colours.
         wait_until(lambda: {UNKNOWN, ROBOT} <= colours(page), "a map with a robot", DRAWN)
-        before, choice = canvas(page), "document.querySelector('input[value=weight]')"
-        page.click_on(choice)
-        page.wait_for(f"!!({element('[role=option]', 'total cost')})")
-        page.click_on(element("[role=option]", "total cost"))
-        page.wait_for("document.body.innerHTML.includes('linear-gradient')")
+        before = canvas(page)
+        wait_until(lambda: is_chosen(page, "weight", "total cost"), "a choice", DRAWN)
+        page.wait_for(f"document.body.innerHTML.includes('rgb{COST_COLOURS[0]}')")
         wait_until(lambda: (canvas(page) != before).any(), "rollouts coloured by cost", DRAWN)
         page.wait_for(f"!!({element('button', 'Record')})")
         page.click_on(element("[role=tab]", "Parameters"))
@@ -242,6 +241,18 @@ def test_a_page_shows_a_run_drives_its_sliders_and_is_closed(browser, make) -> N
     (path,) = ended.parameters
     assert path == "dynamics.max_speed"
     assert ended.parameters[path] == pytest.approx(shown)
+
+
+def is_chosen(page: Page, before: str, after: str) -> bool:
+    """Choose an entry of a list in place of another, and return whether it is chosen.
+
+    The list moves while it opens, so a click may miss.
+    """
+    if page.value(f"!!({element('[role=option]', after)})"):
+        page.click_on(element("[role=option]", after))
+    elif page.value(f"!!document.querySelector('input[value=\"{before}\"]')"):
+        page.click_on(f"document.querySelector('input[value=\"{before}\"]')")
+    return bool(page.value(f"!!document.querySelector('input[value=\"{after}\"]')"))
 
 
 def press(page: Page, key: str) -> None:

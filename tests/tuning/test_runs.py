@@ -1,9 +1,6 @@
 import functools
 import io
-import json
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -14,8 +11,18 @@ from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.drawing.film import CAPTION, FilmOptions
 from jaxplore.report.following.animation import path_frame_image
 from jaxplore.study.runner import Runner
-from jaxplore.study.tuning import ControllerEpisodes, Episode, SettingsEpisodes, tune
+from jaxplore.study.tuning import (
+    ControllerEpisodes,
+    Episode,
+    Parameter,
+    Search,
+    SettingsEpisodes,
+    Space,
+    open_study,
+    tune,
+)
 from jaxplore.study.tuning.before_after import side_by_side
+from jaxplore.study.tuning.episodes import make_tasks
 from jaxplore.study.tuning.objective import Objective
 from jaxplore.study.tuning.result import TuningResult
 from jaxplore.study.tuning.significance import change, changes, table, verdict
@@ -116,7 +123,10 @@ def test_only_settings_that_a_run_reads_can_be_tuned() -> None:
         explorer.start("portfolio.temperature")
 
 
-CANDIDATES = ({"cost.progress.weight": 500.0}, {"cost.progress.weight": 5.0})
+CANDIDATES = (
+    {"cost.progress.weight": 500.0, "cost.contouring.weight": 10.0},
+    {"cost.progress.weight": 5.0, "cost.contouring.weight": 11.0},
+)
 SAME = ("duration", "progress", "mean_deviation", "max_speed", "command_jerk")
 
 
@@ -143,52 +153,45 @@ def test_an_episode_is_the_run_of_its_settings(path_episodes, alone) -> None:
     assert alone[0, 0].metrics["progress"] != alone[0, 1].metrics["progress"]
 
 
-def test_side_by_side_they_are_the_same_but_for_rounding(alone) -> None:
-    together = SettingsEpisodes({"path": QUICK}, batch=4)
+@pytest.fixture(scope="module")
+def together() -> SettingsEpisodes:
+    return SettingsEpisodes({"path": QUICK}, batch=4)
+
+
+def test_side_by_side_they_are_the_same_but_for_rounding_and_what_is_refused_fails_alone(
+    together, alone
+) -> None:
     episodes = [asked(i, each, seed) for i, each in enumerate(CANDIDATES) for seed in (0, 1)]
-    found = told(together, episodes)
+    found = told(together, [*episodes, asked(2, {"controller.horizon": 0})])
     for key, result in alone.items():
         for name in SAME:
             assert found[key].metrics[name] == pytest.approx(result.metrics[name], rel=1e-3), name
-
-
-def test_sizes_run_by_themselves_and_what_is_refused_fails_alone(path_episodes) -> None:
-    episodes = [asked(i, {"controller.horizon": size}) for i, size in enumerate((6, 5, 0))]
-    found = told(SettingsEpisodes({"path": QUICK}, batch=2), episodes)
-    default = told(path_episodes, episodes[:1])[0, 0].metrics
-    assert found[0, 0].metrics["progress"] == pytest.approx(default["progress"], rel=1e-3)
-    assert found[1, 0].metrics["progress"] != pytest.approx(default["progress"], rel=1e-3)
     assert found[2, 0].error is not None
     assert "controller.horizon is 0; accepted" in found[2, 0].error
 
 
-ON_RAY = """
-import json
-from jaxplore.study.tuning import SettingsEpisodes, tune
-from jaxplore.study.runner import Runner
-
-if __name__ == "__main__":
-    quick, searched = json.loads({quick!r}), {searched!r}
-    with Runner(2, on_ray=True) as runner:
-        episodes = SettingsEpisodes({{"path": quick}}, runner=runner)
-        found = tune(episodes, searched, "-progress", budget=6, seeds=2, population=3)
-    print(json.dumps([[each.candidate, each.values, each.state] for each in found.trials]))
-"""
+def test_sizes_and_seeds_run_by_themselves() -> None:
+    sizes = [asked(i, {"controller.horizon": size}) for i, size in enumerate((6, 5, 6, 6))]
+    tasks = make_tasks([*sizes, asked(4, sizes[0].candidate, seed=1)], lambda *_: None, 2, None)
+    assert [[each.number for each in task.episodes] for task in tasks] == [[0, 2], [3], [1], [4]]
 
 
-def test_two_ray_workers_come_to_the_same_as_one_process(path_episodes) -> None:
-    searched = ["controller.progress_weight=5:5000:log", "cost.comfort.weight=1:100:log"]
-    # In a process of its own: Ray has warnings, and threads that stay.
-    program = ON_RAY.format(quick=json.dumps(QUICK), searched=searched)
-    command = [sys.executable, "-c", program]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as run:
-        here = tune(path_episodes, searched, "-progress", budget=6, seeds=2, population=3)
-        out, errors = run.communicate()
-    assert run.returncode == 0, errors
-    there = json.loads(out.splitlines()[-1])
-    assert there == [[each.candidate, list(each.values), each.state] for each in here.trials]
+def test_workers_come_to_the_same_as_one_process(path_episodes, posted) -> None:
+    space = Space(
+        (
+            Parameter("controller.progress_weight", 5.0, 5000.0, is_log=True),
+            Parameter("cost.comfort.weight", 1.0, 100.0, is_log=True),
+        )
+    )
+    search = Search(space, (Objective.parse("-progress"),), (0,), population=3)
+    found = []
+    with Runner(2) as runner:
+        for episodes in (path_episodes, SettingsEpisodes({"path": QUICK}, runner=runner)):
+            with open_study(search, episodes) as study:
+                study.run(6)
+                found.append([(each.candidate, each.values, each.state) for each in study.trials()])
+    assert len(posted.given) == len(found[0]) == 6
+    assert found[0] == found[1]
     with pytest.raises(ValueError, match=r"batch is 2 with workers; accepted: one of them"):
         SettingsEpisodes({"path": QUICK}, runner=Runner(2), batch=2)
 
@@ -211,16 +214,17 @@ def test_a_controller_of_ones_own_is_tuned_by_its_paths() -> None:
             ),
             searched,
             "-progress",
-            budget=8,
+            budget=4,
             seeds=1,
+            unseen=1,
             population=4,
-            optimizer="cma-es",
+            optimizer="random",
             gives_up=False,
         )
         for batch in (1, 4)
     ]
     values = [[each.values[0] for each in one.trials] for one in found]
-    np.testing.assert_allclose(values[0][:4], values[1][:4], rtol=1e-3)
+    np.testing.assert_allclose(values[0], values[1], rtol=1e-3)
     assert found[0].trials[0].candidate["cost.progress.weight"] == 25.0
     with pytest.raises(ValueError, match=r"scenarios is empty; accepted: at least one"):
         ControllerEpisodes(built.controller, {}, time_limit=1.0)

@@ -1,6 +1,5 @@
 import subprocess
 import sys
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -96,46 +95,44 @@ def test_taken_up_again_is_as_if_never_interrupted(episodes, optimizer, tmp_path
 
 
 KILLED = """
-import sys, os
+import os, sys
 from pathlib import Path
 from jaxplore.study.tuning import FunctionEpisodes, Objective, Parameter, Search, Space, open_study
 
-folder, calls = Path(sys.argv[1]), int(sys.argv[2])
+def search(folder, calls=-1):
+    def tried(candidate, seed):
+        nonlocal calls
+        if calls == 0:
+            os.kill(os.getpid(), 9)
+        calls -= 1
+        with (folder / "calls.txt").open("a") as file:
+            file.write(f"{candidate['x']!r} {seed}\\n")
+        return {"cost": (candidate["x"] - 0.25) ** 2}
 
-def tried(candidate, seed):
-    global calls
-    if calls == 0:
-        os.kill(os.getpid(), 9)
-    calls -= 1
-    with (folder / "calls.txt").open("a") as file:
-        file.write(f"{candidate['x']!r} {seed}\\n")
-    return {"cost": (candidate["x"] - 0.25) ** 2}
+    space = Space((Parameter("x", -1.0, 1.0),))
+    search = Search(space, (Objective.parse("cost"),), (0, 1), "tpe", population=3, gives_up=True)
+    with open_study(search, FunctionEpisodes(tried, {"x": 0.9}), folder / "study") as study:
+        study.run(9)
+        return [(each.number, each.candidate, each.values, each.state) for each in study.trials()]
 
-space = Space((Parameter("x", -1.0, 1.0),))
-search = Search(space, (Objective.parse("cost"),), (0, 1), "tpe", population=3, gives_up=True)
-with open_study(search, FunctionEpisodes(tried, {"x": 0.9}), folder / "study") as study:
-    study.run(9)
-    for each in study.trials():
-        print(each.number, each.candidate, each.values, each.state)
+if __name__ == "__main__":
+    search(Path(sys.argv[1]), 5)
 """
 
 
 def test_a_killed_search_loses_nothing_and_does_nothing_twice(tmp_path) -> None:
-    """SIGKILL after so many episodes; then the same command until it is done."""
-
-    def run(folder: Path, calls: int) -> subprocess.CompletedProcess[str]:
-        folder.mkdir(exist_ok=True)
-        command = [sys.executable, "-c", KILLED, str(folder), str(calls)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    whole = run(tmp_path / "whole", -1)
-    assert whole.returncode == 0, whole.stderr
-    for calls in (4, 5):
-        killed = run(tmp_path / "killed", calls)
-        assert killed.returncode == -9, killed.stderr
-    again = run(tmp_path / "killed", -1)
-    assert again.stdout == whole.stdout
-    # Each episode ran once; none of those that were done before a kill ran again.
+    """SIGKILL after so many episodes; then the same search until it is done."""
+    for name in ("whole", "killed"):
+        (tmp_path / name).mkdir()
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "killed")]
+    killed = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert killed.returncode == -9, killed.stderr
+    assert len((tmp_path / "killed" / "calls.txt").read_text().splitlines()) == 5
+    program = {"__name__": "killed"}
+    exec(KILLED, program)
+    whole, again = (program["search"](tmp_path / name) for name in ("whole", "killed"))
+    assert again == whole
+    # Each episode ran once; none of those that were done before the kill ran again.
     lines, expected = (
         (tmp_path / name / "calls.txt").read_text().splitlines() for name in ("killed", "whole")
     )

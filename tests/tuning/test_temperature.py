@@ -9,7 +9,7 @@ import pytest
 import jaxplore as jx
 from jaxplore.study.tuning import VectorEpisodes, tune
 
-STEPS, DT = 30, 0.1
+STEPS, DT = 20, 0.1
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +18,7 @@ def controller() -> jx.MPPI:
     robot = jx.PointMass(2, max_acceleration=4.0)
     cost = jx.StateCost({"x": 1.0, "y": 1.0}) + 0.1 * jx.costs.QuadraticControlCost([1.0, 1.0])
     return jx.MPPI(
-        robot, cost, horizon=10, num_samples=256, temperature=1.0, noise_std=[1.0, 1.0], dt=DT
+        robot, cost, horizon=10, num_samples=64, temperature=1.0, noise_std=[1.0, 1.0], dt=DT
     )
 
 
@@ -38,14 +38,14 @@ def closed_loop_cost(controller, temperature, key):
 
 def test_the_tuned_temperature_is_that_of_a_grid_search(controller) -> None:
     seeds = range(6)
-    grid = np.geomspace(1e-3, 1e2, 61).astype(np.float32)
+    grid = np.geomspace(1e-3, 1e2, 41).astype(np.float32)
     over_grid = jax.vmap(closed_loop_cost, in_axes=(None, 0, None))
     costs = np.mean(
         [over_grid(controller, jnp.asarray(grid), jax.random.key(seed)) for seed in seeds], axis=0
     )
     best = int(costs.argmin())
     # Inside of the grid, and not flat: both ends are clearly worse.
-    assert 5 < best < 55
+    assert 3 < best < 37
     assert min(costs[0], costs[-1]) > 1.1 * costs[best]
     episodes = VectorEpisodes(
         lambda values, key: {"cost": closed_loop_cost(controller, values["temperature"], key)},
@@ -58,6 +58,7 @@ def test_the_tuned_temperature_is_that_of_a_grid_search(controller) -> None:
             "cost",
             budget=64,
             seeds=len(seeds),
+            unseen=1,
             optimizer=optimizer,
             gives_up=False,
         )

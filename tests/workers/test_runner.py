@@ -49,6 +49,15 @@ def test_processes_stay_until_they_are_killed_or_the_runner_is_closed(
         assert len(first) == 2
         assert os.getpid() not in first
         assert meet("second") == first
+        # The number of processes changes no answer.
+        each_often = [
+            tasks.Doubled(f"{i}-{each.name}", str(each)) for each in folders for i in range(4)
+        ]
+        alone, there = done(Runner(1), each_often), done(runner, each_often)
+        assert {name: each["double"] for name, each in there.items()} == {
+            name: each["double"] for name, each in alone.items()
+        }
+        assert len(there) == 12
         # Between two rounds no task is to be blamed: it would have failed at once.
         killed, kept = first
         os.kill(killed, signal.SIGKILL)
@@ -104,8 +113,10 @@ def test_what_stops_a_round_ends_its_processes(
 
 
 def test_what_jobs_need_is_there_before_a_worker_is_ready(
-    tmp_path: Path, tasks: ModuleType, folders: list[Path]
+    tmp_path: Path, tasks: ModuleType, folders: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # How many starts may fail is tested without processes.
+    monkeypatch.setattr(scheduler, "MAX_FALSE_STARTS", 1)
     (tmp_path / f"{tasks.__name__}.py").unlink()
     # No task is to be blamed: a worker that cannot import what it is to do has not started.
     with pytest.raises(ChildProcessError, match="workers do not start: exit code 1"):
@@ -132,19 +143,6 @@ def test_one_does_jobs_here_in_order(
     # Where nothing is to be done, nothing is started.
     with Runner(2) as runner:
         assert done(runner, []) == {}
-
-
-def test_the_number_of_processes_changes_no_answer(
-    tasks: ModuleType, folders: list[Path], done: Done
-) -> None:
-    some = [tasks.Doubled(f"{i}-{each.name}", str(each)) for each in folders for i in range(4)]
-    found = []
-    for number in (1, 2):
-        with Runner(number) as runner:
-            results = done(runner, some)
-        found.append({name: results[name]["double"] for name in sorted(results)})
-    assert found[0] == found[1]
-    assert len(found[0]) == 12
 
 
 @pytest.mark.parametrize("number", [0, -1])

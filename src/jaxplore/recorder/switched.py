@@ -23,9 +23,9 @@ NAME = "recording"
 class SwitchedRecorder(Monitor):
     """Records parts of a run to MCAP files, from `start` to `stop`.
 
-    Each file is whole: it begins with the world, and has the steps and frames from then on. The end
-    of the run, also one that fails, ends a recording as `stop` does. Until then the file has a
-    hidden name.
+    Each file is whole: it begins with the world, and has the steps and frames from then on, up to a
+    tenth of a simulated second before `stop`. The end of the run ends a recording as well, with
+    all steps unless the run fails. Until then the file has a hidden name.
 
     `start` and `stop` may be called from any thread; the run does it at its next step. Switched
     off, the recorder costs nothing.
