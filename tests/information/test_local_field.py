@@ -14,7 +14,7 @@ from jaxplore import InverseSensorModel, Lidar, OccupancyGrid
 from jaxplore.information.gain import IdealSensor
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.information.local_field import LocalFieldSensor
-from jaxplore.information.noise import GaussianNoise
+from jaxplore.information.noise import GaussianNoise, UniformNoise
 from jaxplore.information.pose import PoseInformation
 
 SHAPE, RESOLUTION, ORIGIN = (110, 97), 0.1, (1.0, -2.0, 0.7)
@@ -36,6 +36,8 @@ class Case(NamedTuple):
 
 CASES = {
     "seeds": Case(SEEDS),
+    # Some beams run along diagonals, through the corners of cells.
+    "uniform": Case(PoseInformation(QUARTER, noise=UniformNoise(1)), 0.4),
     "gaussian": Case(
         PoseInformation(QUARTER, IdealSensor(), noise=GaussianNoise(0.08), no_return=False)
     ),

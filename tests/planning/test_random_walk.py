@@ -452,12 +452,12 @@ def test_the_factors_are_of_horizon_and_step(horizon: int, dt: float) -> None:
 
 
 def test_the_range_is_between_the_bounds_of_the_robot() -> None:
-    """Of one control and of two, whose ranges are 1.6 and 6, 8 and 4."""
-    np.testing.assert_allclose(noise_of(PointMass(1, max_acceleration=0.8)), [0.08], rtol=1e-5)
+    """Half of it on the ground: of one control and of two, whose ranges are 1.6 and 6, 8 and 4."""
+    np.testing.assert_allclose(noise_of(PointMass(1, max_acceleration=0.8)), [0.8], rtol=1e-5)
     mass = PointMass(max_acceleration=[3.0, 2.0])
-    np.testing.assert_allclose(noise_of(mass), [0.3, 0.12], rtol=1e-5)
+    np.testing.assert_allclose(noise_of(mass), [3.0, 2.0], rtol=1e-5)
     lopsided = eqx.tree_at(lambda each: each.control_max, mass, jnp.asarray([5.0, 2.0]))
-    np.testing.assert_allclose(noise_of(lopsided), [0.4, 0.12], rtol=1e-5)
+    np.testing.assert_allclose(noise_of(lopsided), [4.0, 2.0], rtol=1e-5)
 
 
 DRAWS = 20_000

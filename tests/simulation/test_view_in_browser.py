@@ -189,8 +189,9 @@ SLIDER = "[...document.querySelectorAll('[role=slider]')].find(each => each.offs
 
 
 def test_a_page_shows_a_run_drives_its_sliders_and_is_closed(browser, make) -> None:
-    # The same programs as those of the other files.
+    # The same programs as those of the other files; compiled here, where nobody is impatient.
     controller, scenario = make()
+    simulate(controller, scenario, 1, key=KEY, num_trajectories=8)
     view, result = Watched(), []
 
     def run() -> None:
@@ -248,11 +249,16 @@ def is_chosen(page: Page, before: str, after: str) -> bool:
 
     The list moves while it opens, so a click may miss.
     """
-    if page.value(f"!!({element('[role=option]', after)})"):
-        page.click_on(element("[role=option]", after))
-    elif page.value(f"!!document.querySelector('input[value=\"{before}\"]')"):
-        page.click_on(f"document.querySelector('input[value=\"{before}\"]')")
-    return bool(page.value(f"!!document.querySelector('input[value=\"{after}\"]')"))
+
+    def chosen(value: str) -> str:
+        return f"[...document.querySelectorAll('input')].find(each => each.value === '{value}')"
+
+    entry = element("[role=option]", after)
+    if page.value(f"!!({entry}) && !!({entry}).offsetParent"):
+        page.click_on(entry)
+    elif page.value(f"!!{chosen(before)}"):
+        page.click_on(chosen(before))
+    return bool(page.value(f"!!{chosen(after)}"))
 
 
 def press(page: Page, key: str) -> None:
