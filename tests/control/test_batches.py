@@ -22,6 +22,7 @@ from jaxplore import (
     GoalCost,
     Knots,
     PointMass,
+    Smooth,
     Softmax,
 )
 from jaxplore.control import CubicSpline
@@ -46,11 +47,11 @@ def make(temperature=0.3, std=0.5, goal=1.0, drag=0.1, reference=0.1, parameteri
 
 
 NUMBERS = {
-    "temperature": np.float32([0.1, 0.5, 2.0]),
-    "std": np.float32([0.2, 0.5, 1.0]),
-    "goal": np.float32([-1.0, 0.5, 3.0]),
-    "drag": np.float32([0.0, 0.1, 0.8]),
-    "reference": np.float32([-0.3, 0.0, 0.6]),
+    "temperature": jnp.asarray([0.1, 0.5, 2.0]),
+    "std": jnp.asarray([0.2, 0.5, 1.0]),
+    "goal": jnp.asarray([-1.0, 0.5, 3.0]),
+    "drag": jnp.asarray([0.0, 0.1, 0.8]),
+    "reference": jnp.asarray([-0.3, 0.0, 0.6]),
 }
 
 
@@ -67,27 +68,28 @@ def two_steps(mppi, start, keys):
 
 
 def assert_same(batch, index, single, rtol=1e-4) -> None:
-    chosen = jax.tree.map(lambda leaf: np.asarray(leaf)[index], batch)
+    chosen = jax.tree.map(lambda leaf: leaf[index], batch)
     for a, b in zip(jax.tree.leaves(chosen), jax.tree.leaves(single), strict=True):
         np.testing.assert_allclose(a, b, rtol=rtol, atol=1e-5)
 
 
-@pytest.mark.usefixtures("unchecked")
-def test_a_batch_of_controllers_is_the_loop_over_them() -> None:
+@pytest.mark.parametrize("parameterisation", [None, Smooth(), Knots(3, CubicSpline())])
+def test_a_batch_of_controllers_is_the_loop_over_them(parameterisation) -> None:
     def build(numbers):
-        return make(**numbers, parameterisation=Knots(3, CubicSpline()))
+        return make(**numbers, parameterisation=parameterisation)
 
     start = jnp.asarray([0.0, 0.0, 0.3, 0.5, 0.1])
     keys = jax.random.split(jax.random.key(0), 6).reshape(3, 2)
     # Controllers are built under vmap, from traced numbers, or stacked: the same.
-    built = eqx.filter_jit(eqx.filter_vmap(build))(NUMBERS)
+    batch = jax.jit(jax.vmap(lambda n, k: two_steps(build(n), start, k)))(NUMBERS, keys)
     singles = [build({name: value[i] for name, value in NUMBERS.items()}) for i in range(3)]
-    for together, *alone in zip(*map(jax.tree.leaves, (built, *singles)), strict=True):
-        np.testing.assert_allclose(together, np.stack(alone), rtol=1e-6)
-    batch = eqx.filter_jit(eqx.filter_vmap(two_steps, in_axes=(0, None, 0)))(built, start, keys)
+    stacked = jax.tree.map(lambda *leaves: jnp.stack(leaves), *singles)
+    again = eqx.filter_jit(eqx.filter_vmap(two_steps, in_axes=(0, None, 0)))(stacked, start, keys)
     single = eqx.filter_jit(two_steps)
     for index, mppi in enumerate(singles):
-        assert_same(batch, index, single(mppi, start, keys[index]))
+        alone = single(mppi, start, keys[index])
+        assert_same(batch, index, alone)
+        assert_same(again, index, alone)
     assert np.ptp(np.asarray(batch[0].controls), axis=0).max() > 0.02
 
 
@@ -130,10 +132,11 @@ grid = jax.make_mesh((4, 2), ("a", "b"))
 start = jnp.asarray([0.1, -0.2, 0.3, 0.1])
 cases = {
     "direct, large": ({"num_samples": 512}, mesh),
-    "knots, outcomes, two axes": (
+    "smooth, two axes": ({"parameterisation": jx.Smooth()}, grid),
+    "knots, outcomes": (
         {"parameterisation": jx.Knots(3, jx.control.CubicSpline()), "num_outcomes": 3,
          "disturbance": jx.StateNoise([0.1] * 4), "risk": jx.control.WorstCase()},
-        grid,
+        mesh,
     ),
 }
 found = {}
@@ -193,7 +196,7 @@ def spread() -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("case", ["direct, large", "knots, outcomes, two axes"])
+@pytest.mark.parametrize("case", ["direct, large", "smooth, two axes", "knots, outcomes"])
 def test_eight_devices_do_what_one_does(case: str, spread) -> None:
     control, controls, costs, weights, gains, size, variety = spread[case]
     assert max(control, controls, costs) < 1e-3, spread[case]

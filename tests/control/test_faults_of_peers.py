@@ -153,10 +153,11 @@ def test_kernels_that_fall_to_no_thrust_and_a_quadrotor_that_falls_with_them() -
     assert np.hypot(states[:, 0], states[:, 1]).max() < 0.5
 
 
-def test_a_kernel_controller_that_answers_with_the_next_steps_control() -> None:
+@pytest.mark.parametrize("interpolation", [RBFKernel(3.0), CubicSpline()])
+def test_a_kernel_controller_that_answers_with_the_next_steps_control(interpolation) -> None:
     # Its first shift, by a period, comes with the next call: what is given out is row 0 of the
     # controls of the knots, and one step later it is what row 1 was.
-    mppi = make(parameterisation=Knots(5, RBFKernel(3.0)))
+    mppi = make(parameterisation=Knots(5, interpolation))
     none = jnp.zeros((5, 2, 64))
     control, state, info = step(mppi, mppi.init(), REST, jax.random.key(0))
     np.testing.assert_array_equal(control, info.controls[0])
@@ -176,8 +177,9 @@ def test_a_smooth_controller_that_repeats_the_wrong_element() -> None:
         np.testing.assert_allclose(control, expected[0], atol=1e-6)
 
 
-def test_sampled_rollouts_that_are_all_the_same() -> None:
-    mppi = make(parameterisation=Smooth())
+@pytest.mark.parametrize("parameterisation", [Direct(), Smooth(), Knots(4, CubicSpline())])
+def test_sampled_rollouts_that_are_all_the_same(parameterisation) -> None:
+    mppi = make(parameterisation=parameterisation)
     look = eqx.filter_jit(mppi.inspect)
     seen = look(mppi.init(), REST, key=jax.random.key(0), num_trajectories=20)
     ends = np.asarray(seen.samples[:, -1])
@@ -230,7 +232,7 @@ class Reward(Cost):
 
 @pytest.mark.parametrize(
     ("parameterisation", "std"),
-    [(Smooth(), 300.0), (Knots(4, CubicSpline()), 30.0)],
+    [(Direct(), 30.0), (Smooth(), 300.0), (Knots(4, CubicSpline()), 30.0)],
 )
 def test_a_reward_on_a_control_that_the_dynamics_then_clip(parameterisation, std: float) -> None:
     mppi = make(cost=Reward(), noise_std=[std, std], parameterisation=parameterisation)

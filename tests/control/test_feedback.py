@@ -19,6 +19,8 @@ from jaxplore import (
     Smooth,
     Softmax,
     StateCost,
+    StateNoise,
+    Unicycle,
     WaypointCost,
 )
 from jaxplore.control import (
@@ -43,9 +45,10 @@ HOVER = StateCost(
     {"x": 0.4, "z": -0.3},
     terminal_weight=3.0,
 )
-LEVEL = np.asarray(FLIGHT.at_pose(0.0, 0.0, 0.2))
-AT_MASS = np.float32([0.1, -0.2, 0.3, 0.1])
+LEVEL = FLIGHT.at_pose(0.0, 0.0, 0.2)
+AT_MASS = jnp.asarray([0.1, -0.2, 0.3, 0.1])
 UPRIGHT = StateCost({"angle": 1.0, "rate": 0.1}, angles=("angle",))
+UNCERTAIN = {"disturbance": StateNoise([0.1] * 4), "num_outcomes": 4}
 ENSEMBLE = {
     "disturbance": ModelEnsemble(
         *(PointMass(2, max_acceleration=4.0, drag=drag) for drag in (0.0, 0.5, 1.0))
@@ -55,38 +58,33 @@ ENSEMBLE = {
 
 
 def gains_and_differences(model, cost, start, std, key, steps, **changes):
-    """Return the gains, and central differences of the control for the same noise."""
+    """Return the gains, and central differences of `step` for the same noise."""
     mppi = MPPI(model, cost, horizon=10, num_samples=64, noise_std=std, dt=0.1, **changes)
     rows = mppi.parameterisation.num_parameters(10)
     noise = np.random.default_rng(0).normal(size=(rows, len(std), 64)) * np.array(std)[:, None]
     noise = jnp.asarray(noise, jnp.float32)
 
     @eqx.filter_jit
-    def around(mppi, observations):
-        def found(observation):
-            given = {"key": key, "perturbations": noise}
-            control, _, _, gains = step_with_gains(mppi, mppi.init(), observation, **given)
-            return control, gains
+    def both(mppi, observations):
+        def control(observation):
+            return mppi.step(mppi.init(), observation, key=key, perturbations=noise)[0]
 
-        return jax.lax.map(found, observations)
+        found = step_with_gains(mppi, mppi.init(), observations[0], key=key, perturbations=noise)
+        return found, jax.lax.map(control, observations)
 
     offsets = steps * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
     offsets = np.concatenate([offsets, -offsets[1:]]).astype(np.float32)
-    controls, gains = map(np.asarray, around(mppi, jnp.asarray(start + offsets)))
-    ahead, behind = np.split(controls[1:], 2)
-    return gains[0], ((ahead - behind) / (2.0 * steps)).T
+    found, controls = both(mppi, start + offsets)
+    np.testing.assert_allclose(found[0], controls[0], atol=1e-6)
+    ahead, behind = np.split(np.asarray(controls)[1:], 2)
+    return np.asarray(found[3]), ((ahead - behind) / (2.0 * steps)).T
 
 
 @pytest.mark.parametrize(
     ("model", "cost", "start", "std", "changes"),
     [
         pytest.param(
-            CAR,
-            POSE,
-            np.float32([0.0, 0.0, 0.4, 0.8, 0.2]),
-            [3.0, 6.0],
-            {"parameterisation": Smooth()},
-            id="differential drive, smooth",
+            MASS, TO_POINT, AT_MASS, [4.0, 4.0], {"parameterisation": Smooth()}, id="mass, smooth"
         ),
         pytest.param(
             MASS,
@@ -96,6 +94,7 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
             {"parameterisation": Knots(4, CubicSpline()), "smoothing": SavitzkyGolay(5, 2)},
             id="mass, knots, smoothed",
         ),
+        pytest.param(MASS, TO_POINT, AT_MASS, [1.0, 1.0], UNCERTAIN, id="mass, outcomes"),
         pytest.param(
             MASS,
             TO_POINT,
@@ -104,10 +103,33 @@ def gains_and_differences(model, cost, start, std, key, steps, **changes):
             {**ENSEMBLE, "risk": Entropic(0.2), "parameterisation": Knots(5)},
             id="mass, ensemble, entropic",
         ),
+        pytest.param(
+            CAR,
+            POSE,
+            jnp.asarray([0.0, 0.0, 0.4, 0.8, 0.2]),
+            [0.8, 1.5],
+            {},
+            id="differential drive",
+        ),
+        pytest.param(
+            Pendulum(max_torque=4.0),
+            UPRIGHT,
+            jnp.asarray([0.3, -0.2]),
+            [1.5],
+            {},
+            id="pendulum",
+        ),
+        pytest.param(
+            Unicycle(max_speed=3.0, min_speed=-3.0),
+            WaypointCost([1.0, 0.5], terminal_weight=2.0),
+            jnp.asarray([0.0, 0.0, 0.2]),
+            [0.8, 0.8],
+            {"parameterisation": Knots(4, CubicSpline())},
+            id="unicycle, knots",
+        ),
         pytest.param(FLIGHT, HOVER, LEVEL, [3.0, 1.0, 1.0, 1.0], {}, id="quadrotor"),
     ],
 )
-@pytest.mark.usefixtures("unchecked")
 def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) -> None:
     changes = {"weighting": Softmax(1.0, 0.5), **changes}
     gains, differences = gains_and_differences(
@@ -118,13 +140,12 @@ def test_gains_are_the_derivative_of_the_step(model, cost, start, std, changes) 
     np.testing.assert_allclose(gains, differences, atol=0.01 * largest, rtol=0.01)
 
 
-@pytest.mark.usefixtures("unchecked")
 def test_gains_pass_through_a_temperature_that_adapts() -> None:
     gains, differences = gains_and_differences(
-        Pendulum(max_torque=4.0),
-        UPRIGHT,
-        np.float32([0.3, -0.2]),
-        [1.5],
+        MASS,
+        TO_POINT,
+        AT_MASS,
+        [1.0, 1.0],
         jax.random.key(1),
         5e-3,
         weighting=AdaptiveSoftmax(16.0),
@@ -147,13 +168,12 @@ def test_gains_are_the_formula_in_double_precision() -> None:
         dt=dt,
         temperature=temperature,
     )
-    observation = jnp.asarray(start, jnp.float32)
-    given = {
-        "key": jax.random.key(0),
-        "perturbations": jnp.asarray(noise[:, None], jnp.float32),
-    }
     control, _, info, gains = eqx.filter_jit(step_with_gains)(
-        mppi, mppi.init(), observation, **given
+        mppi,
+        mppi.init(),
+        jnp.asarray(start, jnp.float32),
+        key=jax.random.key(0),
+        perturbations=jnp.asarray(noise[:, None], jnp.float32),
     )
     move, push, q = np.array([[1, dt], [0, 1]]), np.array([dt**2 / 2, dt]), np.array([1.0, 0.2])
     costs, slopes = np.zeros(samples), np.zeros((samples, 2))
@@ -170,10 +190,27 @@ def test_gains_are_the_formula_in_double_precision() -> None:
     expected = -(weights * noise[0]) @ (slopes - weights @ slopes) / temperature
     np.testing.assert_allclose(info.costs, costs, rtol=1e-5)
     np.testing.assert_allclose(control, [weights @ noise[0]], rtol=1e-4)
-    # And the control is that of the step without gains.
-    plain, _, _ = eqx.filter_jit(mppi.step)(mppi.init(), observation, **given)
-    np.testing.assert_allclose(control, plain, atol=1e-6)
     np.testing.assert_allclose(gains[0], expected, rtol=2e-4)
+
+
+def test_gains_push_back() -> None:
+    mppi = MPPI(
+        MASS,
+        TO_POINT,
+        horizon=15,
+        num_samples=1024,
+        noise_std=[1.0, 1.0],
+        dt=0.1,
+        weighting=Softmax(0.5, 0.0),
+    )
+    _, _, _, gains = eqx.filter_jit(step_with_gains)(
+        mppi, mppi.init(), jnp.asarray([0.5, 0.0, 0.0, 0.0]), key=jax.random.key(0)
+    )
+    away, across = np.asarray(gains[:, :2]), np.asarray(gains[:, 2:])
+    for block in (away, across):
+        assert (np.diag(block) < -0.1).all()
+        # Each axis answers for itself.
+        assert np.abs(block - np.diag(np.diag(block))).max() < 0.5 * np.abs(np.diag(block)).min()
 
 
 def test_elites_have_no_derivative() -> None:
@@ -181,10 +218,10 @@ def test_elites_have_no_derivative() -> None:
         MASS, TO_POINT, horizon=6, num_samples=32, noise_std=[1.0, 1.0], weighting=Elite(0.2)
     )
     control, _, _, gains = eqx.filter_jit(step_with_gains)(
-        mppi, mppi.init(), jnp.asarray(AT_MASS), key=jax.random.key(0)
+        mppi, mppi.init(), AT_MASS, key=jax.random.key(0)
     )
     np.testing.assert_array_equal(gains, 0.0)
-    assert (np.asarray(control) != 0.0).any()
+    assert (control != 0.0).any()
 
 
 class Edge(Cost):
@@ -277,14 +314,13 @@ def test_between_plans_the_command_is_the_plan_and_the_gains() -> None:
                 expected, _, _, gains = eqx.filter_jit(step_with_gains)(planner, before, x, key=key)
                 np.testing.assert_allclose(control, expected, atol=1e-5)
                 np.testing.assert_allclose(state.gains, gains, rtol=1e-3, atol=1e-4)
-                np.testing.assert_array_equal(np.asarray(state.states)[0], x)
+                np.testing.assert_array_equal(state.states[0], x)
             else:
                 np.testing.assert_array_equal(plans[-1], plans[-2])
             steps = since * period / 4 / dt
             row, share = int(steps + 1e-6), steps - int(steps + 1e-6)
-            states, gains = np.asarray(state.states), np.asarray(state.gains)
-            planned = (1 - share) * states[row] + share * states[row + 1]
-            wanted = plans[-1][row] + gains @ (np.asarray(x) - planned)
+            planned = (1 - share) * state.states[row] + share * state.states[row + 1]
+            wanted = info.controls[row] + state.gains @ (x - planned)
             np.testing.assert_allclose(control, np.clip(wanted, -4.0, 4.0), atol=2e-4)
             np.testing.assert_array_equal(state.planner.applied, control)
         assert not np.array_equal(plans[0], plans[4])
@@ -294,12 +330,11 @@ def test_between_plans_the_command_is_the_plan_and_the_gains() -> None:
 def test_commands_stay_within_the_bounds_and_finite() -> None:
     controller = follower()
     step = eqx.filter_jit(controller.step)
-    _, state, _ = step(controller.init(), jnp.asarray(AT_MASS), key=jax.random.key(0))
+    _, state, _ = step(controller.init(), AT_MASS, key=jax.random.key(0))
     for away in (1e4, -1e4):
-        control, _, _ = step(state, jnp.asarray(AT_MASS + away), key=jax.random.key(0))
+        control, _, _ = step(state, AT_MASS + away, key=jax.random.key(0))
         np.testing.assert_allclose(np.abs(control), 4.0)
-    lost = jnp.asarray(np.full(4, np.nan, np.float32))
-    control, _, _ = step(state, lost, key=jax.random.key(0))
+    control, _, _ = step(state, jnp.full(4, jnp.nan), key=jax.random.key(0))
     assert np.isfinite(control).all()
 
 

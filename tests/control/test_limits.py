@@ -19,10 +19,9 @@ from jaxplore import (
     Softmax,
     StateCost,
 )
-from jaxplore.control import AntitheticNoise, CovarianceAdaptation, CubicSpline, SobolNoise
+from jaxplore.control import AntitheticNoise, CovarianceAdaptation, CubicSpline, Direct, SobolNoise
 from jaxplore.costs import QuadraticControlCost
 
-pytestmark = pytest.mark.usefixtures("unchecked")
 HORIZON, DT, LAMBDA = 6, 0.2, 0.4
 STD = 0.8
 START = np.array([0.0, 0.3])
@@ -159,10 +158,31 @@ COLOUR = np.asarray(ColouredNoise(1.0).covariance(HORIZON), np.float64)
     [
         pytest.param(
             PLANE,
+            GaussianProposal(noise_covariance=FULL),
+            np.zeros(12),
+            np.kron(np.eye(6), FULL),
+            id="full covariance",
+        ),
+        pytest.param(
+            LINE,
+            GaussianProposal([STD], noise=ColouredNoise(1.0)),
+            np.zeros(6),
+            STD**2 * COLOUR,
+            id="coloured",
+        ),
+        pytest.param(
+            PLANE,
             GaussianProposal(noise_covariance=FULL, noise=ColouredNoise(1.0)),
             np.zeros(12),
             np.kron(COLOUR, FULL),
             id="coloured, full covariance",
+        ),
+        pytest.param(
+            LINE,
+            GaussianProposal([STD], noise=SobolNoise()),
+            np.zeros(6),
+            STD**2 * np.eye(6),
+            id="Sobol",
         ),
         pytest.param(
             LINE,
@@ -245,10 +265,9 @@ def test_without_its_ratio_a_mixture_leans_towards_the_reference_by_as_much_as_i
     assert np.abs(found.mean(axis=0) - exact).max() < 0.03
 
 
-def test_knots_have_the_posterior_of_the_knots() -> None:
-    interpolation = RBFKernel(2.0)
-    weights = jax.jit(lambda times: interpolation.weights(times, 4, 5.0))
-    matrix = np.asarray(weights(jnp.arange(6.0)), np.float64)
+@pytest.mark.parametrize("interpolation", [CubicSpline(), RBFKernel(2.0)])
+def test_knots_have_the_posterior_of_the_knots(interpolation) -> None:
+    matrix = np.asarray(interpolation.weights(jnp.arange(6.0), 4, 5.0), np.float64)
     exact, _ = LINE.posterior(np.zeros(4), STD**2 * np.eye(4), matrix)
     found = estimates(
         LINE,
@@ -291,7 +310,8 @@ def test_importance_between_0_and_1_keeps_that_share_of_the_pull() -> None:
         assert np.abs(found.mean(axis=0) - exact).max() < 0.025
 
 
-def test_repeated_steps_reach_the_optimum_of_the_quadratic_program() -> None:
+@pytest.mark.parametrize("parameterisation", [Direct(), Knots(6, CubicSpline())])
+def test_repeated_steps_reach_the_optimum_of_the_quadratic_program(parameterisation) -> None:
     mppi = MPPI(
         LINE.robot,
         LINE.cost,
@@ -301,7 +321,7 @@ def test_repeated_steps_reach_the_optimum_of_the_quadratic_program() -> None:
         control_period=1e-6,
         noise_std=[0.3],
         weighting=Softmax(0.01, 0.0),
-        parameterisation=Knots(6, CubicSpline()),
+        parameterisation=parameterisation,
     )
     keys = jax.random.split(jax.random.key(0), 150)
     plans = np.asarray(repeated(mppi, jnp.asarray(START, jnp.float32), keys), np.float64)
@@ -334,7 +354,7 @@ def test_bounds_bias_nothing(optimum: float) -> None:
     found = np.asarray(repeated(mppi, jnp.zeros(2), keys), np.float64)[20:, 0]
     assert (np.abs(found) <= 1.0).all()
     # The limit of many samples is the fixed point of the mean over the clipped distribution.
-    centre, noise = 0.0, std * np.linspace(-6.0, 6.0, 10001)
+    centre, noise = 0.0, std * np.linspace(-6.0, 6.0, 20001)
     density = np.exp(-0.5 * (noise / std) ** 2)
     for _ in range(100):
         u = np.clip(centre + noise, -1.0, 1.0)

@@ -284,6 +284,17 @@ def test_faults_are_those_of_any_task(lap, faults) -> None:
     assert np.array_equal(records.state[10:], sound.state[10:60]) == is_tracker
 
 
+def test_commands_come_late_along_a_path_too(lap) -> None:
+    scenario = jx.PathScenario(
+        PASSING.model, RING, laps=2, **SHARED, faults=jx.Faults(control_delay=3)
+    )
+    run = record_run(PASSING.controller, scenario, 60, key=jax.random.key(0), num_trajectories=0)
+    assert run.metrics().fault_steps == 0
+    # Three commands are under way before the first one takes effect.
+    np.testing.assert_array_equal(run.records.control[:3], np.zeros((3, 3)))
+    np.testing.assert_array_equal(run.records.control[3], lap[0].recording.records.control[0])
+
+
 def test_without_measurements_obstacles_are_predicted(lap) -> None:
     """What the robot knows in a dropout is the last measurement, moved on along its velocity."""
     faults = jx.Faults(scan_dropout=(0.1, 5.0))

@@ -1,6 +1,9 @@
 import functools
 import io
+import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -11,16 +14,7 @@ from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.drawing.film import CAPTION, FilmOptions
 from jaxplore.report.following.animation import path_frame_image
 from jaxplore.study.runner import Runner
-from jaxplore.study.tuning import (
-    ControllerEpisodes,
-    Episode,
-    Parameter,
-    Search,
-    SettingsEpisodes,
-    Space,
-    open_study,
-    tune,
-)
+from jaxplore.study.tuning import ControllerEpisodes, Episode, SettingsEpisodes, tune
 from jaxplore.study.tuning.before_after import side_by_side
 from jaxplore.study.tuning.episodes import make_tasks
 from jaxplore.study.tuning.objective import Objective
@@ -176,22 +170,33 @@ def test_sizes_and_seeds_run_by_themselves() -> None:
     assert [[each.number for each in task.episodes] for task in tasks] == [[0, 2], [3], [1], [4]]
 
 
-def test_workers_come_to_the_same_as_one_process(path_episodes, posted) -> None:
-    space = Space(
-        (
-            Parameter("controller.progress_weight", 5.0, 5000.0, is_log=True),
-            Parameter("cost.comfort.weight", 1.0, 100.0, is_log=True),
-        )
-    )
-    search = Search(space, (Objective.parse("-progress"),), (0,), population=3)
-    found = []
-    with Runner(2) as runner:
-        for episodes in (path_episodes, SettingsEpisodes({"path": QUICK}, runner=runner)):
-            with open_study(search, episodes) as study:
-                study.run(6)
-                found.append([(each.candidate, each.values, each.state) for each in study.trials()])
-    assert len(posted.given) == len(found[0]) == 6
-    assert found[0] == found[1]
+ON_RAY = """
+import json
+from jaxplore.study.tuning import SettingsEpisodes, tune
+from jaxplore.study.runner import Runner
+
+if __name__ == "__main__":
+    quick, searched = json.loads({quick!r}), {searched!r}
+    with Runner(2, on_ray=True) as runner:
+        episodes = SettingsEpisodes({{"path": quick}}, runner=runner)
+        found = tune(episodes, searched, "-progress", budget=6, seeds=2, population=3)
+    print(json.dumps([[each.candidate, each.values, each.state] for each in found.trials]))
+"""
+
+
+def test_two_ray_workers_come_to_the_same_as_one_process(path_episodes) -> None:
+    searched = ["controller.progress_weight=5:5000:log", "cost.comfort.weight=1:100:log"]
+    # In a process of its own: Ray has warnings, and threads that stay.
+    program = ON_RAY.format(quick=json.dumps(QUICK), searched=searched)
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        here = tune(path_episodes, searched, "-progress", budget=6, seeds=2, population=3)
+        out, errors = run.communicate()
+    assert run.returncode == 0, errors
+    there = json.loads(out.splitlines()[-1])
+    assert there == [[each.candidate, list(each.values), each.state] for each in here.trials]
     with pytest.raises(ValueError, match=r"batch is 2 with workers; accepted: one of them"):
         SettingsEpisodes({"path": QUICK}, runner=Runner(2), batch=2)
 
