@@ -1,7 +1,7 @@
 """A live view: how much of the loop's speed it costs."""
 
 import contextlib
-import threading
+import multiprocessing
 import time
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -9,7 +9,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import viser
-from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from benchmarks.setting import available_sites, experiment
@@ -21,7 +20,7 @@ from jaxplore.view import LiveView
 
 STEPS = 1500
 """Number of steps of a run."""
-PAIRS = 5
+PAIRS = 11
 """Number of runs with a view and without one, in turn."""
 
 
@@ -81,7 +80,25 @@ def _seconds(made: Experiment, steps: int, monitors: Sequence[Monitor]) -> float
 
 @contextlib.contextmanager
 def _pages(view: LiveView, number: int) -> Iterator[None]:
-    """Open connections that take what a page would, without drawing it."""
+    """Open pages in processes of their own, as a browser's are."""
+    context = multiprocessing.get_context("spawn")
+    processes = [context.Process(target=take, args=[view.link]) for _ in range(number)]
+    for each in processes:
+        each.start()
+    while view.num_pages < number:
+        time.sleep(0.01)
+    yield
+    for each in processes:
+        each.terminate()
+        each.join()
+
+
+def take(address: str) -> None:
+    """Take what a page would, without drawing it, until the view is closed.
+
+    Args:
+        address: link of the view.
+    """
     camera = {
         "type": "ViewerCameraMessage",
         "wxyz": (1.0, 0.0, 0.0, 0.0),
@@ -91,29 +108,11 @@ def _pages(view: LiveView, number: int) -> Iterator[None]:
         **dict.fromkeys(("fov", "near", "far"), 1.0),
         **dict.fromkeys(("image_height", "image_width"), 100),
     }
-    stop = threading.Event()
-
-    def take(connection: Any) -> None:
-        with contextlib.suppress(ConnectionClosed):
-            while not stop.is_set():
-                # Nothing comes in the runs without a view.
-                with contextlib.suppress(TimeoutError):
-                    connection.recv(timeout=1.0)
-
-    connections = []
-    for _ in range(number):
-        opened = connect(
-            view.link.replace("http", "ws"),
-            subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
-            max_size=2**26,
-            close_timeout=1.0,
-        )
-        opened.send(msgspec.msgpack.encode(camera))
-        threading.Thread(target=take, args=[opened], daemon=True).start()
-        connections.append(opened)
-    while view.num_pages < number:
-        time.sleep(0.01)
-    yield
-    stop.set()
-    for each in connections:
-        each.close()
+    with connect(
+        address.replace("http", "ws"),
+        subprotocols=[f"viser-v{viser.__version__}"],  # type: ignore[list-item]
+        max_size=2**26,
+    ) as connection:
+        connection.send(msgspec.msgpack.encode(camera))
+        for _ in connection:
+            pass
