@@ -193,8 +193,14 @@ def wall_share(cells: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
     return float((cells[spots[:, 0], spots[:, 1]] > 0.5).mean()) * np.hypot(*(end - start))
 
 
-def test_the_field_adds_the_information_of_a_look_to_the_sector_of_each_object(hall) -> None:
-    added = np.asarray(hall.field.sectors) - np.asarray(hall.plain.sectors)
+@pytest.mark.parametrize(("max_range", "least"), [(3.0, 40), (1.4, 20)])
+def test_the_field_adds_the_information_of_a_look_to_the_sector_of_each_object(
+    hall, max_range, least
+) -> None:
+    # With the short range only a window of the field changes.
+    informed = jax.jit(Recognition.informed, static_argnums=4)
+    field = informed(RECOGNITION, hall.objects, hall.plain, hall.grid, max_range)
+    added = np.asarray(field.sectors) - np.asarray(hall.plain.sectors)
     cells = np.asarray(hall.grid.probability)
     to_grid = hall.grid.frame.to_grid
     places, viewed = (
@@ -213,14 +219,14 @@ def test_the_field_adds_the_information_of_a_look_to_the_sector_of_each_object(h
             bearing = math.atan2(down, right) % (2 * math.pi) / (2 * math.pi / SECTORS)
             # Left out: lines that only touch a corner of the wall, bearings between two sectors.
             is_clear &= not 0.0 < hidden < 0.6 and abs(bearing - round(bearing)) > 1e-3
-            if hidden == 0.0 and away <= 3.0 and apart >= 0.5:
+            if hidden == 0.0 and away <= max_range and apart >= 0.5:
                 table = likelihood(away)
                 given = sum(p * entropy(each) for p, each in zip(own, table, strict=True))
                 wanted[int(bearing)] += 20.0 * (entropy(np.array(own) @ table) - given)
         if is_clear:
             np.testing.assert_allclose(added[:, row, column], wanted, atol=2e-4)
             checked += wanted.any()
-    assert checked > 40
+    assert checked > least
 
 
 def test_the_sums_of_the_field_are_those_of_its_sectors(hall) -> None:

@@ -1,6 +1,7 @@
 """Recognise objects: the probability of each class, and the information of one more look."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import equinox as eqx
@@ -232,24 +233,33 @@ class Recognition(eqx.Module):
             grid: the robot's map, for lines of sight.
             max_range: greatest range of the camera [m].
         """
-        rows, columns = jnp.mgrid[: field.total.shape[0], : field.total.shape[1]]
-        nodes = field.frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+        shape, reach = field.total.shape, math.ceil(max_range / field.frame.resolution)
+        # Only these nodes around an object can be in range of it.
+        size = tuple(min(side, 2 * reach + 1) for side in shape)
+        last = np.subtract(shape, size)
+        around = jnp.stack(jnp.mgrid[: size[0], : size[1]], axis=-1)
+        numbers = jnp.arange(field.sectors.shape[0])[:, None, None]
         # Most objects are either unknown or recognised: only the others cost time.
         is_open = state.is_known & (state.entropy > LEAST_ENTROPY)
         order = jnp.argsort(~is_open)
 
-        def add(number: Array, sums: tuple[Array, Array]) -> tuple[Array, Array]:
-            gain, sector = self._gains(state, order[number], nodes, field, grid, max_range)
-            sectors, cumulative = sums
-            numbers = jnp.arange(cumulative.shape[0])[:, None, None]
-            return (
-                sectors + jnp.where(numbers[:-1] == sector, gain, 0.0),
-                cumulative + jnp.where(numbers > sector, gain, 0.0),
-            )
+        def add(number: Array, added: Array) -> Array:
+            index = order[number]
+            middle = field.frame.to_cell(state.place[index])
+            row, column = jnp.clip(middle - reach, 0, last)
+            nodes = field.frame.cell_centre(around + jnp.stack([row, column]))
+            gain, sector = self._gains(state, index, nodes, field, grid, max_range)
+            before = jax.lax.dynamic_slice(added, (0, row, column), (len(numbers), *size))
+            after = before + jnp.where(numbers == sector, gain, 0.0)
+            return jax.lax.dynamic_update_slice(added, after, (0, row, column))
 
         count = jnp.sum(is_open, dtype=jnp.int32)
-        sums = jax.lax.fori_loop(0, count, add, (field.sectors, field.cumulative))
-        return dataclasses.replace(field, sectors=sums[0], cumulative=sums[1])
+        added = jax.lax.fori_loop(0, count, add, jnp.zeros_like(field.sectors))
+        return dataclasses.replace(
+            field,
+            sectors=field.sectors + added,
+            cumulative=field.cumulative.at[1:].add(jnp.cumsum(added, axis=0)),
+        )
 
     def _gains(
         self,
