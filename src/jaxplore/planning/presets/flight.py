@@ -48,7 +48,8 @@ class Flight(NamedTuple):
         control_period: time between commands [s].
         parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
             (splines through 8 knots).
-        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank.
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank. To draw new
+            numbers takes half of a quadrotor's command, and a bank flies as well.
         weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
         effective_share: share of the samples that count: the least one of the adaptive softmax,
             that of the elite.
@@ -68,7 +69,7 @@ class Flight(NamedTuple):
     dt: ArrayLike = 0.05
     control_period: ArrayLike = 0.02
     parameterisation: Parameterisation | str = "direct"
-    noise: Noise | str = "gaussian"
+    noise: Noise | str = "bank"
     weighting: Weighting | str = "softmax"
     effective_share: ArrayLike = 0.05
     altitude: ArrayLike = -2.0
