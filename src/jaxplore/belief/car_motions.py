@@ -1,11 +1,15 @@
 """Tables of the motions of a car, by the heading at which they begin or which they pass."""
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
+
+Row = tuple[tuple[int, ...], float]
+"""Six integers of a motion or a rest of one, and its length [node spacings]."""
 
 
 @functools.cache
@@ -17,19 +21,13 @@ def rests(radius: float) -> tuple[np.ndarray, np.ndarray]:
         columns to its end (N, R, 6); and the length of the rest (N, R) [node spacings], infinite
         where a heading has fewer rests than others.
     """
-    by_heading: list[list[tuple[tuple[int, ...], float]]] = [[] for _ in HEADINGS]
+    by_heading: list[list[Row]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
         for at in each.via:
             to_end = (each.down - at.down, each.right - at.right)
             row = (number, each.end, at.down, at.right, *to_end)
             by_heading[at.heading].append((row, at.left))
-    most = max(map(len, by_heading))
-    rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
-    left = np.full((NUM_HEADINGS, most), np.inf, np.float32)
-    for heading, rests in enumerate(by_heading):
-        for place, (given, length) in enumerate(rests):
-            rows[heading, place], left[heading, place] = given, length
-    return rows, left
+    return _table(by_heading)
 
 
 class MotionTable(NamedTuple):
@@ -83,15 +81,22 @@ def continuations(radius: float) -> tuple[np.ndarray, np.ndarray, int]:
         The rows and lengths of `rests`, with those of whole motions before them; and the number of
         whole motions of a heading.
     """
-    by_heading: list[list[tuple[tuple[int, ...], float]]] = [[] for _ in HEADINGS]
+    by_heading: list[list[Row]] = [[] for _ in HEADINGS]
     for number, each in enumerate(motions(radius)):
         row = (number, each.end, 0, 0, each.down, each.right)
         by_heading[each.start].append((row, each.length))
+    rows, lengths = _table(by_heading)
+    more, left = rests(radius)
+    joined = np.concatenate([rows, more], axis=1), np.concatenate([lengths, left], axis=1)
+    return *joined, rows.shape[1]
+
+
+def _table(by_heading: Sequence[Sequence[Row]]) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows (N, R, 6) and lengths (N, R), which are infinite where a heading has fewer."""
     most = max(map(len, by_heading))
     rows = np.zeros((NUM_HEADINGS, most, 6), np.int32)
     lengths = np.full((NUM_HEADINGS, most), np.inf, np.float32)
-    for heading, each_motion in enumerate(by_heading):
-        for place, (given, length) in enumerate(each_motion):
-            rows[heading, place], lengths[heading, place] = given, length
-    more, left = rests(radius)
-    return np.concatenate([rows, more], axis=1), np.concatenate([lengths, left], axis=1), most
+    for heading, own in enumerate(by_heading):
+        for place, (row, length) in enumerate(own):
+            rows[heading, place], lengths[heading, place] = row, length
+    return rows, lengths
