@@ -338,3 +338,29 @@ def test_rollouts_that_are_no_numbers_stay_out(parameterisation, weighting, adap
         # The next observation finds everything as it should be.
         _, _, again = step(mppi, after, jnp.zeros(4), jax.random.key(1))
         assert bool(again.is_finite)
+
+
+def test_what_differs_in_values_only_is_traced_once() -> None:
+    """A search builds a controller for each candidate."""
+    traces = 0
+
+    class Counted(Cost):
+        size: int = eqx.field(static=True, default=0)
+
+        def stage(self, state, control, t, belief):
+            nonlocal traces
+            traces += 1
+            return jnp.zeros((self.size,) if self.size else ())
+
+    def build(cost: Cost, horizon: int = 5) -> int:
+        before = traces
+        MPPI(PointMass(2), cost, horizon=horizon, num_samples=4, noise_std=[1, 1])
+        return traces - before
+
+    assert build(1.0 * Counted()) == 1
+    assert build(2.0 * Counted()) == 0
+    assert build(2.0 * Counted(), horizon=6) == 1
+    # What was refused once is refused again.
+    for _ in range(2):
+        with pytest.raises(ValueError, match=r"stage of Counted returns shape \(2,\); accepted"):
+            build(Counted(2))

@@ -1,7 +1,7 @@
 """Checks of a model and of costs: shapes that only a trace shows."""
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +15,11 @@ from jaxplore._types import StateVector
 from jaxplore.belief.belief import MissingPartError
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import Dynamics, State
+
+MOST_ACCEPTED = 1000
+"""Number of structures above which the set of accepted ones begins anew."""
+_accepted: set[Hashable] = set()
+"""Structures of models and costs whose shapes have been accepted."""
 
 
 def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
@@ -39,6 +44,11 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
                 f"control_min of {type(dynamics).__name__} is {low.tolist()}; accepted: at most "
                 f"control_max, {high.tolist()}"
             )
+    # Shapes do not follow from values, so controllers that differ in values only are traced once: a
+    # search builds one for each candidate.
+    structure = _structure(dynamics, cost, horizon)
+    if structure in _accepted:
+        return
     number, state, control = _floats(), _floats(dynamics.state_size), _floats(size)
     reached = jax.eval_shape(
         lambda x, u, t, dt: dynamics.step_at(x, u, t, dt), state, control, number, number
@@ -53,6 +63,27 @@ def check_parts(dynamics: Dynamics, cost: Cost, horizon: int) -> None:
         # There is no belief yet, so a cost that reads one fails here. `step` checks it.
         with contextlib.suppress(AttributeError, TypeError, MissingPartError):
             check_costs(dynamics, term, horizon, None)
+    if structure is not None:
+        if len(_accepted) >= MOST_ACCEPTED:
+            _accepted.clear()
+        _accepted.add(structure)
+
+
+def _structure(*parts: Any) -> Hashable | None:
+    """Return everything about parts but the values of arrays; None if some of it has no hash."""
+    leaves, tree = jax.tree.flatten(parts)
+    kinds = (
+        (each.shape, str(each.dtype))
+        if isinstance(each, (Array, np.ndarray))
+        else (type(each), each)
+        for each in leaves
+    )
+    found = tree, *kinds, _floats().dtype
+    try:
+        hash(found)
+    except TypeError:
+        return None
+    return found
 
 
 def checked_call(
