@@ -82,15 +82,18 @@ def _seconds(made: Experiment, steps: int, monitors: Sequence[Monitor]) -> float
 def _pages(view: LiveView, number: int) -> Iterator[None]:
     """Open pages in processes of their own, as a browser's are."""
     context = multiprocessing.get_context("spawn")
-    processes = [context.Process(target=take, args=[view.link]) for _ in range(number)]
-    for each in processes:
-        each.start()
-    while view.num_pages < number:
-        time.sleep(0.01)
-    yield
-    for each in processes:
-        each.terminate()
-        each.join()
+    processes = [context.Process(target=take, args=[view.link], daemon=True) for _ in range(number)]
+    try:
+        for each in processes:
+            each.start()
+        while view.num_pages < number:
+            if not all(each.is_alive() for each in processes):
+                raise RuntimeError("a page has ended before the view has shown it")
+            time.sleep(0.01)
+        yield
+    finally:
+        for each in processes:
+            each.terminate()
 
 
 def take(address: str) -> None:

@@ -22,6 +22,7 @@ DETECTOR = Detector(CLASSES, CONFUSION, recall=RECALL, reach=REACH)
 PRIOR = (0.2, 0.5, 0.3)
 RECOGNITION = Recognition(DETECTOR, prior=PRIOR, certainty=0.9, baseline=0.5, weight=20.0)
 MISS = 3
+informed = jax.jit(Recognition.informed, static_argnums=4)
 
 
 def likelihood(distance: float) -> np.ndarray:
@@ -182,7 +183,6 @@ def hall() -> Informed:
     )
     # The last one was never detected.
     objects = dataclasses.replace(objects, detected_at=jnp.array([0.0, 0.0, 0.0, jnp.inf]))
-    informed = jax.jit(Recognition.informed, static_argnums=4)
     return Informed(grid, plain, objects, informed(RECOGNITION, objects, plain, grid, 3.0))
 
 
@@ -198,7 +198,6 @@ def test_the_field_adds_the_information_of_a_look_to_the_sector_of_each_object(
     hall, max_range, least
 ) -> None:
     # With the short range only a window of the field changes.
-    informed = jax.jit(Recognition.informed, static_argnums=4)
     field = informed(RECOGNITION, hall.objects, hall.plain, hall.grid, max_range)
     added = np.asarray(field.sectors) - np.asarray(hall.plain.sectors)
     cells = np.asarray(hall.grid.probability)

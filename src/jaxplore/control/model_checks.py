@@ -73,9 +73,7 @@ def _structure(*parts: Any) -> Hashable | None:
     """Return everything about parts but the values of arrays; None if some of it has no hash."""
     leaves, tree = jax.tree.flatten(parts)
     kinds = (
-        (each.shape, str(each.dtype))
-        if isinstance(each, (Array, np.ndarray))
-        else (type(each), each)
+        jax.typeof(each) if isinstance(each, (Array, np.ndarray)) else (type(each), each)
         for each in leaves
     )
     found = tree, *kinds, _floats().dtype

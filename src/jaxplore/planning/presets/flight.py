@@ -48,8 +48,8 @@ class Flight(NamedTuple):
         control_period: time between commands [s].
         parameterisation: parameterisation of the controls, or its name: direct, smooth or knots
             (splines through 8 knots).
-        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank. To draw new
-            numbers takes half of a quadrotor's command, and a bank flies as well.
+        noise: source of noise, or its name: gaussian, coloured (pink), sobol or bank. New
+            numbers take half of the time of a quadrotor's command; a bank has stored ones.
         weighting: weighting of the rollouts, or its name: softmax, adaptive or elite.
         effective_share: share of the samples that count: the least one of the adaptive softmax,
             that of the elite.
