@@ -21,8 +21,43 @@ Done = Callable[[Any, list[Any]], dict[str, Any]]
 
 ROUNDS = """
     import importlib, json, os, shutil, signal, sys
+    from pathlib import Path
     from jaxplore.study.runner import Runner
     from jaxplore.study.workers import scheduler
+
+    def family():
+        '''Return the processes of this user that this one has started, and itself.'''
+        parents = {}
+        for each in Path("/proc").glob("[0-9]*/stat"):
+            try:
+                parents[int(each.parent.name)] = int(each.read_text().rpartition(")")[2].split()[1])
+            except OSError:
+                continue  # it has ended
+        found = {os.getpid()}
+        while more := {each for each, parent in parents.items() if parent in found} - found:
+            found |= more
+        return found
+
+    def listening():
+        '''Return the addresses of the sockets on which these processes listen, as hex digits.'''
+        own = set()
+        for process in family():
+            for each in Path(f"/proc/{process}/fd").glob("*"):
+                try:
+                    own.add(os.readlink(each))
+                except OSError:
+                    continue  # it was closed
+        lines = [
+            line.split()
+            for name in ("tcp", "tcp6")
+            for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]
+        ]
+        # 0A is the state of a socket that listens.
+        return [
+            each[1].partition(":")[0]
+            for each in lines
+            if each[3] == "0A" and f"socket:[{each[9]}]" in own
+        ]
 
     module, top, one, two, three = sys.argv[1:]
     tasks = importlib.import_module(module)
@@ -36,6 +71,7 @@ ROUNDS = """
 
     with Runner(2, on_ray=True) as runner:
         do(tasks.meeting(top, "first", one, two))
+        sockets = listening()
         # What is gone here was sent before, or fails its own tasks.
         shutil.rmtree(one)
         shutil.rmtree(three)
@@ -48,7 +84,7 @@ ROUNDS = """
         fatal = os.path.join(top, "fatal")
         open(fatal, "w").close()
         do([tasks.Doubled("fatal", two, fatal), *tasks.meeting(top, "fourth", one, two)])
-    print(json.dumps(found))
+    print(json.dumps([sockets, *found]))
 """
 
 
@@ -65,7 +101,10 @@ def test_workers_of_a_cluster_do_what_this_process_does(
     environment = {**os.environ, "PYTHONPATH": paths}
     run = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert run.returncode == 0, run.stderr
-    rounds = json.loads(run.stdout.splitlines()[-1])
+    sockets, *rounds = json.loads(run.stdout.splitlines()[-1])
+    # At least the head, the node and both workers, and nobody listens where others could reach it.
+    assert len(sockets) >= 4 or sys.platform != "linux"
+    assert set(sockets) <= {"0100007F", "0000000000000000FFFF00000100007F"}
     gone = rounds[1].pop("gone")
     assert gone["double"] is None
     assert str(folders[2]) in gone["reason"]

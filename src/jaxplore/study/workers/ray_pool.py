@@ -5,7 +5,7 @@ import os
 import pickle
 import socket
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from jaxplore._optional import import_optional
 from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads
 from jaxplore.study.workers.task import Files, Task, run_task
 
+_CLUSTERS = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
+"""Environment variable of Ray that turns clusters of several machines on or off."""
 _CONNECT_TIMEOUT = 10.0
 """Time that the head of a cluster has to accept a connection [s]."""
 
@@ -23,7 +25,7 @@ class RayPool(WorkerPool):
     Args:
         number: number of workers; None for as many as the cluster has processors.
         address: address of the cluster to join; a local one is started when absent, unless Ray is
-            in use.
+            in use. All parts of a local one listen on 127.0.0.1 only.
 
     Raises:
         ValueError: Ray is not installed, or the cluster cannot be reached.
@@ -50,12 +52,11 @@ class RayPool(WorkerPool):
         if address is None:
             # The user has not agreed to usage statistics.
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-            # Only this machine uses it.
-            options |= {"_node_ip_address": "127.0.0.1"}
             options |= {"num_cpus": number, "include_dashboard": False}
         try:
             _check_reachable(address)
-            self._ray.init(address="local" if address is None else address, **options)
+            with _on_loopback() if address is None else contextlib.nullcontext():
+                self._ray.init(address="local" if address is None else address, **options)
         except (OSError, RuntimeError, ValueError) as error:
             where = "started" if address is None else f"reached at {address!r}"
             raise ValueError(
@@ -163,6 +164,32 @@ class _Worker:
                 # Stored only when complete: later tasks rely on stored folders.
                 self._folders[key] = folder
         return run_task(task.located({key: self._folders[key] for key in keys}))
+
+
+@contextlib.contextmanager
+def _on_loopback() -> Iterator[None]:
+    """Bind all parts of a cluster that is started in the body to 127.0.0.1.
+
+    They listen where Ray takes this machine to be. For an address of 127.0.0.1 Ray looks up one
+    that others can reach, and then listens on all interfaces, unless clusters of several machines
+    are turned off. They are on Windows and macOS, and nobody else uses this cluster.
+    """
+    constants = import_optional("ray._private.ray_constants", "distributed")
+    with contextlib.ExitStack() as stack:
+        # Ray has read the variable when it was imported; the programs that it starts will.
+        former = os.environ.get(_CLUSTERS)
+        os.environ[_CLUSTERS] = "0"
+        stack.callback(_set_variable, _CLUSTERS, former)
+        stack.callback(setattr, constants, "ENABLE_RAY_CLUSTER", constants.ENABLE_RAY_CLUSTER)
+        constants.ENABLE_RAY_CLUSTER = False
+        yield
+
+
+def _set_variable(name: str, value: str | None) -> None:
+    if value is None:
+        os.environ.pop(name, None)
+    else:
+        os.environ[name] = value
 
 
 def _check_reachable(address: str | None) -> None:
