@@ -14,10 +14,12 @@ import yaml
 from PIL import Image
 
 import jaxplore as jx
+from jaxplore._locks import hidden_folder
 from jaxplore.build.exploration import compared_architectures
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.cli import main
+from jaxplore.cli import _show, _streams, main
 from jaxplore.cli._entries import option_entries
+from jaxplore.report.folder import is_reserved
 
 SMALL = ["--samples", "32", "--set", "controller.horizon=10", "--set", "fields.num_directions=8"]
 
@@ -542,6 +544,36 @@ def test_a_run_that_is_interrupted_is_kept_and_ends_with_130(
     metrics = json.loads(Path("runs/office/metrics.json").read_text())
     assert metrics["is_interrupted"]
     assert 0 < metrics["num_steps"] < 250
+
+
+def test_a_folder_that_another_process_writes_is_refused_before_anything_runs(
+    fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("jaxplore.cli._run.build", lambda _: pytest.fail("it runs"))
+    Path("runs").mkdir()
+    with hidden_folder(Path("runs").absolute() / "a") as hidden:
+        assert is_reserved(Path("runs/a"))
+        reason = fails("run", "office", "--out", "runs/a")
+        assert f"is in use by another process, number {os.getpid()}; accepted" in reason
+        assert _show.free_name(Path("runs/a")) == Path("runs/a-2")
+    assert not hidden.exists()
+    assert sorted(Path("runs").iterdir()) == []
+
+
+def test_streams_that_cannot_be_written_are_told_once() -> None:
+    """Standard output may be without a reader, or on a full disk."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    out = _streams._Output(writer, is_required=True)
+    assert out.write(b"text") == 4
+    full = _streams._Output(os.open("/dev/full", os.O_WRONLY), is_required=True)
+    with pytest.raises(OSError, match="standard output cannot be written: No space left"):
+        full.write(b"text")
+    assert full.write(b"text") == 4
+    progress = _streams._Output(os.open("/dev/full", os.O_WRONLY), is_required=False)
+    assert progress.write(b"text") == 4
+    for each in (out, full, progress):
+        os.close(each.fileno())
 
 
 def test_it_is_a_module_too() -> None:

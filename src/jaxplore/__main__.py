@@ -1,18 +1,16 @@
 """The command line as a program: `jaxplore`, or `python -m jaxplore`."""
 
-import sys
-
-from jaxplore._exit import INTERRUPTED
+from jaxplore._signals import end_at_once
 
 
 def main() -> None:
     """Run the command line."""
-    # Ctrl-C during this import has nothing to save.
-    try:
-        from jaxplore import cli
-    except KeyboardInterrupt:
-        print("jaxplore: interrupted", file=sys.stderr)
-        sys.exit(INTERRUPTED)
+    # Until a command has imported what it runs, and again while Python shuts down.
+    end_at_once()
+    from jaxplore import cli
+    from jaxplore.cli._streams import open_streams
+
+    open_streams()
     cli.main()
 
 

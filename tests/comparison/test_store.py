@@ -7,6 +7,9 @@ from typing import Any
 
 import pytest
 
+from jaxplore._locks import OWN
+from jaxplore.report.folder import locked_folder
+from jaxplore.study.comparison.compare_maps import compare_maps
 from jaxplore.study.comparison.episodes import EpisodeBatch, MapEpisode, make_episodes
 from jaxplore.study.comparison.maps import maps_in
 from jaxplore.study.comparison.rows import COLUMNS, Row, failed_row, store_row
@@ -89,6 +92,25 @@ def test_files_that_are_no_runs_are_not_there(
     assert not again.is_done(episodes[0].id)
     again.write_results()
     assert again.rows() == []
+
+
+def test_two_comparisons_in_one_folder_are_refused(
+    store: Store, plan: Plan, episodes: tuple[MapEpisode, ...], pretend: Pretend
+) -> None:
+    store.put(store_row(*pretend((episodes[0],))))
+    before = sorted(store.folder.rglob("*"))
+    with locked_folder(store.folder, "comparison folder"):
+        for overwrite in (False, True):
+            with pytest.raises(ValueError, match="is in use by another process, number"):
+                compare_maps(plan, store.folder, overwrite=overwrite)
+    assert sorted(store.folder.rglob("*")) == before
+    # A refusal makes no folder, and a lock that is left over is no content.
+    with pytest.raises(ValueError, match="seeds"):
+        compare_maps(dataclasses.replace(plan, seeds=(0, 0)), store.folder.parent / "new")
+    assert not (store.folder.parent / "new").exists()
+    (store.folder.parent / "new").mkdir()
+    (store.folder.parent / "new" / OWN).touch()
+    assert open_store(store.folder.parent / "new", plan).rows() == []
 
 
 def test_a_former_comparison_goes_on_with_more(

@@ -234,6 +234,17 @@ def test_an_episode_is_given_up_after_twice_the_best_duration() -> None:
     assert any(each.state == "given up" for each in trials[8:])
 
 
+def test_a_database_that_fails_during_the_search_is_one_line(episodes, tmp_path) -> None:
+    def run() -> None:
+        with open_study(search(), episodes, tmp_path) as study:
+            (tmp_path / "study.db").write_bytes(b"SQLite format 3\0" + bytes(5000))
+            study.run(2)
+
+    with pytest.raises(ValueError, match=r"study '.*study.db' cannot be read or written: .*"):
+        run()
+    assert [each.name for each in tmp_path.iterdir()] == ["study.db"]
+
+
 def test_a_study_of_something_else_is_refused(episodes, tmp_path) -> None:
     folder = tmp_path / "study"
     with open_study(search(), episodes, folder) as study:

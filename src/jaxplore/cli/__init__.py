@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from jaxplore._exit import BAD_INPUT, INTERRUPTED
+from jaxplore._signals import interrupting
 from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
@@ -84,7 +85,8 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
     """
     from jaxplore.cli._run import run_one
 
-    run_one(options, out, overwrite=overwrite)
+    with interrupting():
+        run_one(options, out, overwrite=overwrite)
 
 
 @cli.command()
@@ -132,7 +134,8 @@ def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> No
     """
     from jaxplore.cli._comparison import run_comparison
 
-    run_comparison(options, seeds, out, overwrite=overwrite)
+    with interrupting():
+        run_comparison(options, seeds, out, overwrite=overwrite)
 
 
 @cli.command()
@@ -165,7 +168,8 @@ def tune(out: Path | None, **options: Any) -> None:
     """
     from jaxplore.cli._tune import run_tune
 
-    run_tune(options, out)
+    with interrupting():
+        run_tune(options, out)
 
 
 @cli.command()
@@ -198,7 +202,8 @@ def node(**options: Any) -> None:
     """
     from jaxplore.cli._node import drive
 
-    drive(options)
+    with interrupting():
+        drive(options)
 
 
 @cli.command()
@@ -218,7 +223,8 @@ def replay(bag: Path, **options: Any) -> None:
     """
     from jaxplore.cli._node import replay_bag
 
-    replay_bag(bag, options)
+    with interrupting():
+        replay_bag(bag, options)
 
 
 @cli.command()
@@ -243,7 +249,8 @@ def robot(**options: Any) -> None:
     """
     from jaxplore.cli._node import simulate_robot
 
-    simulate_robot(options)
+    with interrupting():
+        simulate_robot(options)
 
 
 @cli.command()
@@ -262,7 +269,8 @@ def view(folder: Path, port: int, host: str | None) -> None:
     """
     from jaxplore.cli._view import show_folder
 
-    show_folder(folder, port, host)
+    with interrupting():
+        show_folder(folder, port, host)
 
 
 @cli.command("settings")
@@ -283,7 +291,8 @@ def print_settings(name: str | None) -> None:
     """
     from jaxplore.cli._settings import show_settings
 
-    show_settings(name)
+    with interrupting():
+        show_settings(name)
 
 
 @cli.command("import-nav2")
@@ -318,7 +327,8 @@ def import_nav2(
     """
     from jaxplore.cli import _import_nav2
 
-    _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
+    with interrupting():
+        _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -329,6 +339,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except click.ClickException as error:
         _fail(error.format_message())
     except (ValueError, OSError) as error:

@@ -13,10 +13,9 @@ from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import free_name, show_comparison, show_starts
+from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.film import FilmOptions
-from jaxplore.report.folder import check_folder
 from jaxplore.report.table import print_table
 from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
 from jaxplore.settings.sections import RunSettings
@@ -102,7 +101,7 @@ def _in_one_place(
     common = next(iter(settings.values()))
     folder = free_name(Path("runs") / f"{folder_name(entries)}-comparison") if out is None else out
     # The folder is checked before the runs, which may take hours.
-    check_folder(folder, overwrite=overwrite)
+    reserve(folder, overwrite=overwrite)
     # The keys are left out: `compare` makes one for each seed.
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     show_starts(given, started)

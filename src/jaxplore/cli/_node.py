@@ -1,11 +1,8 @@
 """`jaxplore node` and `jaxplore robot`: drive a robot over ROS 2, and simulate one."""
 
-import signal
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +10,18 @@ import click
 import jax
 
 from jaxplore._exit import INTERRUPTED
+from jaxplore._signals import stop_requests
 from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_settings
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
-from jaxplore.cli._show import free_name, show_starts
+from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._view_options import VIEW
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.recorder.recorder import McapRecorder, check_recording
 from jaxplore.report.console import progress_bar
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.report.folder import check_folder, write_whole
+from jaxplore.report.folder import write_whole
 from jaxplore.report.table import print_table
 from jaxplore.ros import control, goal, robot
 from jaxplore.ros.link import connected
@@ -59,7 +57,7 @@ def drive(options: dict[str, Any]) -> None:
         link = stack.enter_context(connected(control.NODE))
         click.echo("Compiling, a few seconds ...", err=True)
         pilot.prepare()
-        with _stopped_by_signals() as is_stopped:
+        with stop_requests() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()
             click.echo(
@@ -134,7 +132,7 @@ def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Pa
         assign(entries, "node.mode", options["mode"])
     settings, node = make_node_settings(entries)
     folder = free_name(Path("runs") / "drive") if out is None else out
-    check_folder(folder, overwrite=options["overwrite"])
+    reserve(folder, overwrite=options["overwrite"])
     return settings, node, folder
 
 
@@ -186,7 +184,7 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
         ValueError: no ROS 2, or settings that a part rejects.
     """
     chooser = build_goal_chooser(settings)
-    with connected(control.NODE) as link, _stopped_by_signals() as is_stopped:
+    with connected(control.NODE) as link, stop_requests() as is_stopped:
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
         click.echo(
             f"Choosing goals: {node.map_topic} and {node.pose_topic} to {node.goal_topic}; Ctrl-C "
@@ -213,7 +211,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / f"{folder_name(entries)}-robot") if out is None else out
-    check_folder(folder, overwrite=overwrite)
+    reserve(folder, overwrite=overwrite)
     experiment = build(settings)
     scenario = experiment.scenario
     if not isinstance(scenario, ExplorationScenario):
@@ -231,7 +229,7 @@ def simulate_robot(options: dict[str, Any]) -> None:
         node.check_alone()
         click.echo("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
         with (
-            _stopped_by_signals() as is_stopped,
+            stop_requests() as is_stopped,
             progress_bar("simulating", enabled=True) as advance,
         ):
             is_interrupted = node.run(is_stopped, settings.time_limit, advance)
@@ -247,21 +245,3 @@ def simulate_robot(options: dict[str, Any]) -> None:
     print_table(run.metrics.rows(), title=str(folder), has_header=False)
     if is_interrupted:
         sys.exit(INTERRUPTED)
-
-
-@contextmanager
-def _stopped_by_signals() -> Iterator[threading.Event]:
-    """Yield an event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts at once."""
-    event = threading.Event()
-
-    def stop(number: int, _: Any) -> None:
-        if event.is_set() and number == signal.SIGINT:
-            raise KeyboardInterrupt
-        event.set()
-
-    before = {each: signal.signal(each, stop) for each in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield event
-    finally:
-        for each, handler in before.items():
-            signal.signal(each, handler)

@@ -8,11 +8,10 @@ from typing import Any
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import take_pictures
-from jaxplore.cli._show import free_name, save, show_starts
+from jaxplore.cli._show import free_name, reserve, save, show_starts
 from jaxplore.cli._view_options import VIEW
 from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
-from jaxplore.report.folder import check_folder
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import initial_loop_state
 from jaxplore.simulation.run import NUM_TRAJECTORIES, Run, simulate
@@ -50,7 +49,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     settings = make_settings(entries)
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
-    check_folder(folder, overwrite=overwrite)
+    reserve(folder, overwrite=overwrite)
     former = None if resume is None else Run.load(resume)
     if has_view:
         # viser takes a second to import.

@@ -8,7 +8,9 @@ from typing import Any
 import click
 
 from jaxplore._exit import INTERRUPTED
+from jaxplore._signals import is_ending
 from jaxplore.cli._pictures import Pictures
+from jaxplore.report.folder import is_reserved, reserved_folder
 from jaxplore.report.table import print_table, transposed
 from jaxplore.settings.sections import Section
 from jaxplore.simulation.run import Run
@@ -21,9 +23,18 @@ type Entries = Mapping[str, Any]
 def free_name(path: Path) -> Path:
     """Return an unused path: the path itself, or with a number."""
     candidate, number = path, 2
-    while candidate.exists():
+    while candidate.exists() or is_reserved(candidate):
         candidate, number = path.with_name(f"{path.name}-{number}"), number + 1
     return candidate
+
+
+def reserve(folder: Path, *, overwrite: bool) -> None:
+    """Keep other processes from a run folder until the end of the command.
+
+    Raises:
+        ValueError: what `reserved_folder` rejects.
+    """
+    click.get_current_context().with_resource(reserved_folder(folder, overwrite=overwrite))
 
 
 def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) -> None:
@@ -74,10 +85,10 @@ def save(
         settings=settings.model_dump(mode="json"),
         progress=True,
     )
-    print_table(result.metrics.rows(), title=str(folder), has_header=False)
-    if pictures.video is not None:
+    if pictures.video is not None and not is_ending():
         film = pictures.film
         result.animate(pictures.video, fps=film.fps, scale=film.scale, progress=True)
+    print_table(result.metrics.rows(), title=str(folder), has_header=False)
     for pattern in (
         *(f"*.{kind}" for kind in pictures.figures),
         "*.gif",
@@ -86,7 +97,7 @@ def save(
     ):
         for file in sorted(folder.glob(pattern)):
             click.echo(str(file))
-    if pictures.video is not None:
+    if pictures.video is not None and pictures.video.exists():
         click.echo(str(pictures.video))
     if recording is not None and recording.exists():
         click.echo(str(recording))

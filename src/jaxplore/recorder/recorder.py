@@ -78,7 +78,7 @@ class McapRecorder(Monitor):
         mcap = import_optional("foxglove.mcap", EXTRA)
         with ExitStack() as stack:
             temporary = stack.enter_context(whole_file(self.path, "recording"))
-            self._sink = _Sink(stack.enter_context(temporary.open("xb")))
+            self._sink = _Sink(stack.enter_context(temporary.open("wb")))
             # Called after the writer has been closed, whose end of the file may not fit any more.
             stack.callback(self._sink.check)
             context = sdk.Context()

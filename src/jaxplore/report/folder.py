@@ -1,22 +1,54 @@
 """Run folders that are written completely or not at all."""
 
 import os
-import secrets
 import shutil
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
 
+from jaxplore._locks import (
+    OWN,
+    InUseError,
+    hidden_file,
+    hidden_folder,
+    is_locked,
+    lock,
+    put_folder,
+    reservation,
+    sweep,
+)
+from jaxplore._signals import held
+
 MARK = "metrics.json"
 """File by which a former run is recognised."""
 
+_reservations: dict[tuple[int, Path], Path] = {}
+"""Hidden paths of the run folders that threads have reserved, by thread and target."""
+
 
 def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
-    """Check before a long run whether its folder can be written.
+    """Check before a long run whether its folder can be written; see `reserved_folder`.
 
-    A test folder is made beside the later one and removed again, with any missing parents.
+    Args:
+        path: path of the run folder.
+        overwrite: whether a former run at `path` is accepted.
+
+    Raises:
+        ValueError: what `reserved_folder` rejects.
+    """
+    with reserved_folder(path, overwrite=overwrite):
+        pass
+
+
+@contextmanager
+def reserved_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterator[None]:
+    """Check whether a run folder can be written, and keep other processes from it in the body.
+
+    A test folder is made beside the later one and removed again, with any missing parents. In the
+    body this thread can write the folder by `run_folder`.
 
     Args:
         path: path of the run folder.
@@ -24,18 +56,18 @@ def check_folder(path: str | PathLike[str], *, overwrite: bool = False) -> None:
 
     Raises:
         ValueError: an empty path, an existing file or folder (unless it is a former run and
-            `overwrite`), a parent that cannot be written to.
+            `overwrite`), a parent that cannot be written to, a folder that another process writes.
     """
     target = _target(path)
-    _check_vacant(target, overwrite)
-    with in_one_line("run folder", target):
-        created = _make_parents(target.parent)
-        trial = _hidden(target)
+    with _reserved(target, overwrite) as hidden:
+        with in_one_line("run folder", target):
+            _make(hidden, target)
+            hidden.rmdir()
+        _reservations[threading.get_ident(), target] = hidden
         try:
-            _make(trial, target)
+            yield
         finally:
-            shutil.rmtree(trial, ignore_errors=True)
-            _remove_empty(created)
+            del _reservations[threading.get_ident(), target]
 
 
 @contextmanager
@@ -50,25 +82,77 @@ def run_folder(path: str | PathLike[str], *, overwrite: bool = False) -> Iterato
         overwrite: whether to replace a former run.
 
     Raises:
-        ValueError: as in `check_folder`; any `OSError` while the folder is filled, such as a full
-            disk.
+        ValueError: as in `reserved_folder`; any `OSError` while the folder is filled, such as a
+            full disk.
     """
     target = _target(path)
-    _check_vacant(target, overwrite)
-    with in_one_line("run folder", target):
-        created = _make_parents(target.parent)
-        folder = _hidden(target)
+    with ExitStack() as stack:
+        folder = _reservations.get((threading.get_ident(), target))
+        if folder is None:
+            folder = stack.enter_context(_reserved(target, overwrite))
         try:
-            _make(folder, target)
-            yield folder
-            # The check is repeated, because another process may have made the folder meanwhile.
-            _check_vacant(target, overwrite)
-            _put(folder, target)
-        except BaseException:
-            # An interruption counts as well: no half-written folder may stay.
-            shutil.rmtree(folder, ignore_errors=True)
-            _remove_empty(created)
-            raise
+            with in_one_line("run folder", target):
+                _make(folder, target)
+                yield folder
+                # The check is repeated: something else may have made the folder meanwhile.
+                _check_vacant(target, overwrite)
+                put_folder(folder, target)
+        finally:
+            # It is not there if it was moved. A reservation may go on after a failure.
+            with held():
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def is_reserved(path: Path) -> bool:
+    """Check whether a process is about to write a run folder."""
+    return is_locked(reservation(_target(path)))
+
+
+@contextmanager
+def locked_folder(folder: Path, what: str) -> Iterator[None]:
+    """Keep other processes from a folder to which files are added one by one.
+
+    It is made with its parents. If it is empty at the end, it is removed with those.
+
+    Args:
+        folder: the folder.
+        what: name of the folder, for messages.
+
+    Raises:
+        ValueError: another process holds it, or it cannot be written.
+    """
+    with ExitStack() as stack:
+        with in_one_line(what, folder):
+            stack.callback(_remove_empty, _make_parents(folder))
+            try:
+                stack.enter_context(lock(folder / OWN))
+            except InUseError as error:
+                raise ValueError(_in_use(what, folder, error)) from None
+            sweep(folder)
+        yield
+
+
+@contextmanager
+def _reserved(target: Path, overwrite: bool) -> Iterator[Path]:
+    """Yield the hidden path of a run folder that this process alone may write."""
+    _check_vacant(target, overwrite)
+    with ExitStack() as stack:
+        with in_one_line("run folder", target):
+            stack.callback(_remove_empty, _make_parents(target.parent))
+            try:
+                hidden = stack.enter_context(hidden_folder(target))
+            except InUseError as error:
+                raise ValueError(_in_use("run folder", target, error)) from None
+        # The former run of a process that was killed may be back.
+        _check_vacant(target, overwrite)
+        yield hidden
+
+
+def _in_use(what: str, folder: Path, error: InUseError) -> str:
+    return (
+        f"{what} {str(folder)!r} is in use by {error}; accepted: another folder, or when that one "
+        "has ended"
+    )
 
 
 def _target(path: str | PathLike[str]) -> Path:
@@ -121,11 +205,6 @@ def _remove_empty(folders: list[Path]) -> None:
             return
 
 
-def _hidden(target: Path) -> Path:
-    # The folder is beside the target, so on the same file system, where a rename is one operation.
-    return target.with_name(f".jaxplore-{secrets.token_hex(6)}")
-
-
 def _make(folder: Path, target: Path) -> None:
     """Make the hidden folder, and check that the file system accepts its final name."""
     folder.mkdir()
@@ -133,30 +212,12 @@ def _make(folder: Path, target: Path) -> None:
     (folder / target.name).rmdir()
 
 
-def _put(folder: Path, target: Path) -> None:
-    """Move the complete folder to its path.
-
-    A former run is removed last, and restored on failure.
-    """
-    if not os.path.lexists(target):
-        folder.rename(target)
-        return
-    # A folder cannot be renamed onto one with content, so the former run moves aside first.
-    former = _hidden(target)
-    target.rename(former)
-    try:
-        folder.rename(target)
-    except BaseException:
-        former.rename(target)
-        raise
-    shutil.rmtree(former, ignore_errors=True)
-
-
 @contextmanager
 def whole_file(target: Path, what: str) -> Iterator[Path]:
-    """Yield a hidden path whose file is moved to `target` at the end, also safe in a power cut.
+    """Yield an empty hidden file that is moved to `target` at the end, also safe in a power cut.
 
-    After an exception, Ctrl-C included, `target` is unchanged.
+    After an exception, Ctrl-C included, `target` is unchanged. The file is locked, so it must be
+    written in place.
 
     Args:
         target: path of the file, in an existing folder.
@@ -166,16 +227,12 @@ def whole_file(target: Path, what: str) -> Iterator[Path]:
         ValueError: it cannot be written.
     """
     # The file is made in the folder of its target, because only there the rename is one operation.
-    temporary = target.with_name(f".{secrets.token_hex(8)}.tmp")
-    with in_one_line(what, target):
-        try:
-            yield temporary
-            with temporary.open("r+b") as file:
-                # Without it a power cut after the rename could leave an empty file.
-                os.fsync(file.fileno())
-            os.replace(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+    with in_one_line(what, target), hidden_file(target) as temporary:
+        yield temporary
+        with temporary.open("r+b") as file:
+            # Without it a power cut after the rename could leave an empty file.
+            os.fsync(file.fileno())
+        os.replace(temporary, target)
 
 
 def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) -> None:
@@ -189,7 +246,7 @@ def write_whole(target: Path, write: Callable[[BinaryIO], object], what: str) ->
     Raises:
         ValueError: it cannot be written.
     """
-    with whole_file(target, what) as temporary, temporary.open("xb") as file:
+    with whole_file(target, what) as temporary, temporary.open("wb") as file:
         write(file)
 
 

@@ -8,6 +8,7 @@ from os import PathLike
 import numpy as np
 import yaml
 
+from jaxplore._signals import is_ending
 from jaxplore.report.drawing.figure import PNG, figure_formats, write_figure
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.folder import MARK, run_folder
@@ -44,7 +45,8 @@ def save_run(
         metrics: the metrics of the same run.
         path: the folder.
         settings: settings that led to the run, plain values only.
-        animation: draw the animation; it takes most of the time, and Ctrl-C leaves it out.
+        animation: draw the animation; it takes most of the time, and Ctrl-C leaves it out. After
+            SIGTERM or SIGHUP it is left out as well.
         film: frames per second and size of the animation; the defaults when absent.
         figures: formats of the figures, of png, pdf and svg.
         overwrite: replace a former run.
@@ -76,7 +78,7 @@ def save_run(
             write(folder / name)
         for name, draw in recording.figures().items():
             write_figure(draw(), folder, name, kinds)
-        if animation:
+        if animation and not is_ending():
             on_progress(BEFORE_ANIMATION)
             rest = 1.0 - BEFORE_ANIMATION
             # The animation takes longest and is optional: Ctrl-C leaves it out and still saves

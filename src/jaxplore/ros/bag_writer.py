@@ -2,8 +2,6 @@
 
 import math
 import os
-import secrets
-import shutil
 import sqlite3
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._locks import hidden_container
 from jaxplore._optional import import_optional
 from jaxplore.maps.files.untrusted import error_reason, printable_path, short_repr
 from jaxplore.report.folder import in_one_line
@@ -101,19 +100,14 @@ class BagWriter:
 def _whole_bag(target: Path, storage: str) -> Iterator[Any]:
     """Yield a writer of a bag in a hidden folder, which is moved to its place at the end."""
     module = import_optional("rosbags.rosbag2", EXTRA)
-    hidden = target.with_name(f".jaxplore-{secrets.token_hex(6)}")
     plugin = module.StoragePlugin[storage.upper()]
-    with in_one_line("bag", target), _writable(target):
-        hidden.mkdir()
-        try:
-            # The files of a bag bear the name of its folder.
-            folder = hidden / target.name
-            with module.Writer(folder, version=VERSION, storage_plugin=plugin) as writer:
-                yield writer
-            _check_vacant(target)
-            folder.rename(target)
-        finally:
-            shutil.rmtree(hidden, ignore_errors=True)
+    with in_one_line("bag", target), _writable(target), hidden_container(target) as hidden:
+        # The files of a bag bear the name of its folder.
+        folder = hidden / target.name
+        with module.Writer(folder, version=VERSION, storage_plugin=plugin) as writer:
+            yield writer
+        _check_vacant(target)
+        folder.rename(target)
 
 
 @contextmanager

@@ -1,12 +1,8 @@
 """Loops in chunks: a chunk is one compiled call; between chunks Python records, times and stops."""
 
 import dataclasses
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -14,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxplore._signals import stop_requests
 from jaxplore._types import Count, Flag
 from jaxplore.report.compute import Timing
 
@@ -246,8 +243,8 @@ def run_in_chunks[S, R, F](
     frames.add_when_due(state, total)
     started = time.perf_counter()
     finished, longest = not bool(is_unfinished(state)), chunk
-    with _stop_on_interrupt() as stop_requested:
-        while total < limit and longest > 0 and not finished and not stop_requested():
+    with stop_requests() as stop:
+        while total < limit and longest > 0 and not finished and not stop.is_set():
             chunks += 1
             first = len(pieces)
             steps = min(longest, frames.next - total, limit - total)
@@ -265,8 +262,8 @@ def run_in_chunks[S, R, F](
             frames.add_when_due(state, total)
             rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces[first:])
             seconds = time.perf_counter() - started
-            longest = on_chunk(Chunk(state, rows, total, seconds, stop_requested))
-        is_interrupted = longest == 0 or stop_requested()
+            longest = on_chunk(Chunk(state, rows, total, seconds, stop.is_set))
+        is_interrupted = longest == 0 or stop.is_set()
     timing = clock.timing(compile_seconds)
     return ChunkedRun(
         state,
@@ -277,24 +274,3 @@ def run_in_chunks[S, R, F](
         is_interrupted,
         frames.interval,
     )
-
-
-@contextmanager
-def _stop_on_interrupt() -> Iterator[Callable[[], bool]]:
-    """Yield a function that says whether Ctrl-C was pressed; a second press interrupts at once."""
-    requested = threading.Event()
-
-    def request(_: int, __: FrameType | None) -> None:
-        if requested.is_set():
-            raise KeyboardInterrupt
-        requested.set()
-
-    # Python allows signal handlers in the main thread only.
-    if threading.current_thread() is not threading.main_thread():
-        yield requested.is_set
-        return
-    before = signal.signal(signal.SIGINT, request)
-    try:
-        yield requested.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -2,11 +2,13 @@
 
 import os
 import reprlib
-import secrets
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import yaml
+
+from jaxplore._locks import hidden_file
 
 YAML_LIMIT = 100_000
 """Largest YAML file that is read [bytes]."""
@@ -88,17 +90,13 @@ def replace_files(files: Sequence[tuple[Path, bytes]]) -> None:
         # first.
         if path.is_dir():
             raise IsADirectoryError(f"{printable_path(path)} is a folder")
-    staged: list[tuple[Path, Path]] = []
-    try:
+    with ExitStack() as stack:
+        staged = []
         for path, data in files:
-            staged.append((path.with_name(f".{secrets.token_hex(8)}.tmp"), path))
-            with staged[-1][0].open("xb") as file:
-                file.write(data)
+            staged.append((stack.enter_context(hidden_file(path)), path))
+            staged[-1][0].write_bytes(data)
         for temporary, path in staged:
             os.replace(temporary, path)
-    finally:
-        for temporary, _ in staged:
-            temporary.unlink(missing_ok=True)
 
 
 def short_repr(value: object) -> str:

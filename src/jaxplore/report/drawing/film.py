@@ -211,7 +211,7 @@ def _save_mp4(file: Path, pictures: Iterable[Image.Image], seconds: float) -> No
     # Without the bit-exact flags the file holds the version of ffmpeg. The index comes first, so
     # that a browser plays the video while it loads.
     command = [
-        *(_ffmpeg(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
+        *(_ffmpeg(), "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"),
         *("-s", f"{first.width}x{first.height}", "-r", repr(1.0 / seconds), "-i", "-"),
         *("-c:v", "libx264", "-crf", str(QUALITY), "-pix_fmt", "yuv420p"),
         *("-fflags", "+bitexact", "-flags:v", "+bitexact", "-movflags", "+faststart"),

@@ -11,6 +11,7 @@ from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.padding import common_shapes
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG, figure_formats
+from jaxplore.report.folder import locked_folder
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
@@ -126,22 +127,24 @@ def compare_maps(
         progress: show a progress bar.
 
     Raises:
-        ValueError: a plan or folder that is not accepted; Ray or pyarrow is not installed; a
-            cluster that cannot be reached.
+        ValueError: a plan or folder that is not accepted, or that another process uses; Ray or
+            pyarrow is not installed; a cluster that cannot be reached.
         ChildProcessError: workers that do not start.
     """
     kinds = [kind for kind in figure_formats(figures) if kind != PNG]
     plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
     episodes = plan.episodes()
-    store = open_store(folder, plan, overwrite=overwrite)
-    episodes, grids = _with_shapes(episodes, plan.maps)
-    with progress_bar("exploring", enabled=progress) as advance:
-        advance(0.0, f"{len(episodes)} runs")
-        counts = run_episodes(episodes, store, runner, _show(advance))
-    page = store.write_page(grids)
-    if kinds:
-        store.write_figures(grids, kinds)
-    rows = store.rows(NEEDED)
+    # A second comparison would run the same runs, and `overwrite` would remove those of the first.
+    with locked_folder(Path(os.path.realpath(folder)), "comparison folder"):
+        store = open_store(folder, plan, overwrite=overwrite)
+        episodes, grids = _with_shapes(episodes, plan.maps)
+        with progress_bar("exploring", enabled=progress) as advance:
+            advance(0.0, f"{len(episodes)} runs")
+            counts = run_episodes(episodes, store, runner, _show(advance))
+        page = store.write_page(grids)
+        if kinds:
+            store.write_figures(grids, kinds)
+        rows = store.rows(NEEDED)
     return MapComparison(
         tuple(map_tables(rows)),
         tuple(list_failures(rows)),

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxplore._signals import is_ending
 from jaxplore.report.drawing.figure import PNG, figure_formats, write_figure
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.drawing.series import line_style, style_count
@@ -131,7 +132,7 @@ class Comparison:
             for name, document in documents.items():
                 (folder / f"{name}.yaml").write_text(document, encoding="utf-8")
             write_figure(curves_figure(self.runs), folder, "curves", kinds)
-            drawn = self.recordings if animation else {}
+            drawn = self.recordings if animation and not is_ending() else {}
             # Animations are optional: Ctrl-C skips them and still saves the comparison.
             with contextlib.suppress(KeyboardInterrupt):
                 for number, (name, recording) in enumerate(drawn.items()):

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from jaxplore._locks import OWN
 from jaxplore._optional import import_optional
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.drawing.figure import write_figure
@@ -252,7 +253,7 @@ def _former(target: Path, where: str) -> dict[str, Any] | None:
     if not mark.is_file() and (target / FORMER_MARK).is_file():
         mark = target / FORMER_MARK
     if not mark.is_file():
-        if target.is_dir() and not any(target.iterdir()):
+        if target.is_dir() and all(each.name == OWN for each in target.iterdir()):
             return None
         if not os.path.lexists(target):
             return None

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._optional import import_optional
-from jaxplore.report.folder import in_one_line
+from jaxplore.report.folder import locked_folder
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.study import Study
@@ -33,8 +33,8 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
             study is in memory only when absent.
 
     Raises:
-        ValueError: Optuna is not installed; a folder that cannot be written, that another process
-            uses, or that holds another study.
+        ValueError: Optuna is not installed; a folder that cannot be written, also later in the
+            body, that another process uses, or that holds another study.
     """
     optuna = import_optional("optuna", "tuning")
     optuna.logging.set_verbosity(optuna.logging.ERROR)
@@ -43,17 +43,9 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
     with contextlib.ExitStack() as stack:
         storage = None
         if folder is not None:
-            with in_one_line("study folder", folder):
-                folder.mkdir(parents=True, exist_ok=True)
-                # A second search would mix its candidates into the study, so it is refused at once.
-                lock = import_optional("filelock", "tuning").FileLock(folder / ".lock", timeout=0)
-                try:
-                    stack.enter_context(lock)
-                except import_optional("filelock", "tuning").Timeout:
-                    raise ValueError(
-                        f"study folder {str(folder)!r} is in use by another process; accepted: "
-                        "another folder, or when that one has ended"
-                    ) from None
+            # A second search would mix its candidates into the study, so it is refused at once.
+            stack.enter_context(locked_folder(folder, "study folder"))
+            stack.enter_context(_errors_in_one_line(optuna, folder / STUDY))
             storage = _storage(optuna, folder)
             stack.callback(_close, storage)
         former = None
@@ -80,6 +72,23 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
                 warnings.simplefilter("ignore")  # set_metric_names is experimental
                 study.set_metric_names([str(each) for each in search.objectives])
         yield Study(search, episodes, study)
+
+
+@contextlib.contextmanager
+def _errors_in_one_line(optuna: Any, path: Path) -> Iterator[None]:
+    """Convert errors of the database, such as a full disk or a damaged file, into one line."""
+    database = import_optional("sqlalchemy.exc", "tuning").SQLAlchemyError
+    try:
+        yield
+    except (optuna.exceptions.StorageInternalError, database) as error:
+        # Optuna's own text names no reason.
+        causes = (error, error.__cause__, error.__context__)
+        known = [each.orig for each in causes if getattr(each, "orig", None) is not None]
+        reason = " ".join(str(known[0] if known else error).split())
+        raise ValueError(
+            f"study {str(path)!r} cannot be read or written: {reason}; accepted: a study of "
+            "jaxplore tune, on a writable disk with space left"
+        ) from error
 
 
 def _close(storage: Any) -> None:

@@ -6,11 +6,11 @@ import os
 import pickle
 import signal
 import threading
-from collections.abc import Iterator
 from multiprocessing import connection, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
+from jaxplore._signals import blocked_in_children
 from jaxplore.study.workers.pool import Event, WorkerPool, limit_threads, num_processors
 from jaxplore.study.workers.task import Task, run_task
 
@@ -44,7 +44,9 @@ class ProcessPool(WorkerPool):
         # threads before.
         arguments = (theirs, self._threads, pickle.dumps(example))
         process = context.Process(target=_serve, args=arguments, daemon=True)
-        with _interrupts_held():
+        # The resource tracker is started first: its start would undo the block below.
+        resource_tracker.ensure_running()
+        with blocked_in_children():
             process.start()
         # Now only the child holds its end of the connection, so its death closes ours.
         theirs.close()
@@ -94,24 +96,6 @@ def _end(ours: Connection, process: SpawnProcess, timeout: float) -> str:
     process.close()
     assert code is not None
     return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-
-
-@contextlib.contextmanager
-def _interrupts_held() -> Iterator[None]:
-    """Block Ctrl-C while processes start: they never receive it, this process receives it later.
-
-    A terminal sends the signal to all processes, but only this one shall end the workers.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    # The resource tracker is started first: its start would undo the block below.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(theirs: Connection, threads: int, example: bytes) -> None:
