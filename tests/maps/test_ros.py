@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
+from jaxplore import _files
 from jaxplore.maps.files import ros
 from jaxplore.maps.files.ros import read_map, write_map
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -443,7 +444,7 @@ def test_an_unreadable_yaml_is_refused(tmp_path, monkeypatch):
     def denied(*args, **kwargs):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(type(path), "open", denied)
+    monkeypatch.setattr(_files.os, "open", denied)
     refused(lambda: read_map(path), path, "Permission denied")
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from jaxplore.maps.files import untrusted
+from jaxplore import _files
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
@@ -295,7 +295,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch) -> None:
     def denied(*args):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(untrusted.os, "replace", denied)
+    monkeypatch.setattr(_files.os, "replace", denied)
     with pytest.raises(PermissionError):
         GIVEN.save(tmp_path / "map.npz")
     assert os.listdir(tmp_path) == ["map.npz"]

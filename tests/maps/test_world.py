@@ -10,8 +10,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
+from jaxplore import _files
 from jaxplore.belief.zones import Zones
-from jaxplore.maps.files import untrusted
 from jaxplore.maps.world import LabelledObject, MovingObstacle, Shapes, World, three_zones
 
 FREE, UNKNOWN, SOLID = np.float32([0.01, 0.5, 0.99])
@@ -352,7 +352,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failing):
     def denied(*args):
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(untrusted.os, "replace", denied)
+    monkeypatch.setattr(_files.os, "replace", denied)
     with pytest.raises(OSError):  # noqa: PT011
         three_zones().to_yaml(path)
     assert list(tmp_path.iterdir()) == [path]
@@ -360,7 +360,7 @@ def test_a_failed_write_leaves_what_was_there(tmp_path, monkeypatch, failing):
 
 
 def test_a_world_that_could_not_be_read_back_is_not_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(untrusted, "YAML_LIMIT", 400)
+    monkeypatch.setattr(_files, "YAML_LIMIT", 400)
     refused(lambda: three_zones().to_yaml(tmp_path / "w.yaml"), "accepted: at most 400")
     assert not list(tmp_path.iterdir())
 

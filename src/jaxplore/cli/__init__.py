@@ -13,6 +13,7 @@ import click
 
 from jaxplore._exit import BAD_INPUT, INTERRUPTED
 from jaxplore._signals import interrupting
+from jaxplore._text import one_line
 from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
@@ -21,6 +22,7 @@ from jaxplore.cli._node_options import node_options, replay_options, robot_optio
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
+from jaxplore.cli._terminal import say
 from jaxplore.cli._tune_options import tune_options
 from jaxplore.cli._view_options import host_option, view_options
 
@@ -346,10 +348,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         _fail(str(error))
     except (click.Abort, KeyboardInterrupt):
-        click.echo("jaxplore: interrupted", err=True)
+        say("jaxplore: interrupted", err=True)
         sys.exit(INTERRUPTED)
 
 
 def _fail(message: str) -> None:
-    click.echo("jaxplore: " + " ".join(message.split()), err=True)
+    say(one_line(f"jaxplore: {message}"), err=True)
     sys.exit(BAD_INPUT)

@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from jaxplore.cli._terminal import say
+
 VARIABLE = "JAXPLORE_CACHE"
 """Environment variable with the folder of the cache, or off."""
 
@@ -47,4 +49,4 @@ def _open_cache() -> None:
             enable_compilation_cache()
         except ValueError as error:
             # The default folder is optional: without it the command only starts slower.
-            click.echo(f"jaxplore: no cache of compiled programs: {error}", err=True)
+            say(f"jaxplore: no cache of compiled programs: {error}", err=True)

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import click
-
 from jaxplore._exit import FAILED, INTERRUPTED
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts
+from jaxplore.cli._terminal import say
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.film import FilmOptions
 from jaxplore.report.table import print_table
@@ -197,15 +196,15 @@ def _default_folder(maps: Path) -> Path:
 def _show(found: MapComparison) -> None:
     """Print the tables, the paths of the files, and the missing runs."""
     for table in found.tables:
-        click.echo(table.title)
+        say(table.title)
         print_table(table.rows, has_lines=True)
-    click.echo(str(found.results))
-    click.echo(str(found.page))
+    say(str(found.results))
+    say(str(found.page))
     for line in found.failures:
-        click.echo(line, err=True)
+        say(line, err=True)
     counts = found.counts
     if counts.is_interrupted:
-        click.echo(
+        say(
             f"Interrupted: {counts.num_former + counts.num_done} of {found.num_episodes} runs are "
             "done; the same command continues.",
             err=True,

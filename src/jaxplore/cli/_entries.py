@@ -4,10 +4,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from jaxplore._files import parse_yaml
 from jaxplore._spelling import spelled
-from jaxplore.maps.files.untrusted import printable_path
+from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.exploration import (
     OFFICE,
     SCENARIOS,
@@ -136,7 +135,7 @@ def assign(entries: dict[str, Any], name: str, value: Any) -> None:
     for section in sections:
         inner = entries.setdefault(section, {})
         if not isinstance(inner, dict):
-            raise ValueError(f"setting {section} is {inner!r}; accepted: a mapping")
+            raise ValueError(f"setting {section} is {short_repr(inner)}; accepted: a mapping")
         entries = inner
     entries[last] = value
 
@@ -151,8 +150,11 @@ def assign_all(entries: dict[str, Any], assignments: Sequence[str]) -> None:
     for assignment in assignments:
         name, separator, text = assignment.partition("=")
         if not separator:
-            raise ValueError(f"--set is {assignment!r}; accepted: NAME=VALUE")
+            raise ValueError(f"--set is {short_repr(assignment)}; accepted: NAME=VALUE")
         try:
-            assign(entries, name.strip(), yaml.safe_load(text))
-        except yaml.YAMLError:
-            raise ValueError(f"--set is {assignment!r}; accepted: a value in YAML") from None
+            value = parse_yaml(text)
+        except ValueError as error:
+            raise ValueError(
+                f"--set is {short_repr(assignment)} ({error}); accepted: a value in YAML"
+            ) from None
+        assign(entries, name.strip(), value)

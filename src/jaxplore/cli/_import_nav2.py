@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-import click
 import yaml
 
-from jaxplore.maps.files.untrusted import printable_path
+from jaxplore._text import printable_path
+from jaxplore.cli._terminal import say
 from jaxplore.report.folder import write_whole
 from jaxplore.settings.nav2 import Nav2Settings, read_nav2
 
@@ -28,14 +28,14 @@ def import_nav2(
     found = read_nav2(file, task, controller)
     text = _as_yaml(found, file)
     if out is None:
-        click.echo(text, nl=False)
+        say(text, nl=False)
         return
     if out.exists() and not overwrite:
         raise ValueError(f"{printable_path(out)} exists; accepted: another file, or --overwrite")
     write_whole(out, lambda stream: stream.write(text.encode()), "settings")
-    click.echo(f"{printable_path(out)}: settings for jaxplore run --settings")
+    say(f"{printable_path(out)}: settings for jaxplore run --settings")
     for name, reason in found.left_out:
-        click.echo(f"no counterpart: {name}: {reason}")
+        say(f"no counterpart: {name}: {reason}")
 
 
 def _as_yaml(found: Nav2Settings, file: Path) -> str:

@@ -6,7 +6,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import click
 import jax
 
 from jaxplore._exit import INTERRUPTED
@@ -15,6 +14,7 @@ from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_se
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
 from jaxplore.cli._show import free_name, reserve, show_starts
+from jaxplore.cli._terminal import say
 from jaxplore.cli._view_options import VIEW
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
@@ -55,12 +55,12 @@ def drive(options: dict[str, Any]) -> None:
         recording = None
         # Connected first, so that other nodes are found while it compiles.
         link = stack.enter_context(connected(control.NODE))
-        click.echo("Compiling, a few seconds ...", err=True)
+        say("Compiling, a few seconds ...", err=True)
         pilot.prepare()
         with stop_requests() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()
-            click.echo(
+            say(
                 f"Driving: {node.scan_topic} and {node.pose_topic} to {node.command_topic}; Ctrl-C "
                 "stops the robot and saves the drive.",
                 err=True,
@@ -72,7 +72,7 @@ def drive(options: dict[str, Any]) -> None:
             finally:
                 # A recorder closes its file, however the drive ended.
                 driver.watch.end(recording)
-    click.echo(f"Done: {pilot.finished}", err=True)
+    say(f"Done: {pilot.finished}", err=True)
     if recording is not None:
         _save_drive(pilot, recording, settings, node, folder, options)
     times = driver.latencies
@@ -102,7 +102,7 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
     settings, node, folder = _drive_settings(options)
     scan, pose = replay_topics(bag, options["scan_topic"], options["pose_topic"])
     pilot = build_pilot(settings, node, is_obeyed=False)
-    click.echo("Compiling, a few seconds ...", err=True)
+    say("Compiling, a few seconds ...", err=True)
     pilot.prepare()
     with progress_bar("replaying", enabled=True) as advance:
         found = replay(
@@ -116,11 +116,11 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
     if not pilot.log.num_steps:
         raise ValueError(f"{scan} and {pose} have no pose to start from; accepted: a drive")
     _save_drive(pilot, pilot.recording(), settings, node, folder, options)
-    click.echo(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
+    say(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
-        click.echo(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
+        say(f"{found.num_malformed} messages were left out: {found.reason}", err=True)
     if found.skipped:
-        click.echo(f"{found.skipped:.1f} s without messages were skipped", err=True)
+        say(f"{found.skipped:.1f} s without messages were skipped", err=True)
 
 
 def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:
@@ -186,13 +186,13 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
     chooser = build_goal_chooser(settings)
     with connected(control.NODE) as link, stop_requests() as is_stopped:
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
-        click.echo(
+        say(
             f"Choosing goals: {node.map_topic} and {node.pose_topic} to {node.goal_topic}; Ctrl-C "
             "ends it.",
             err=True,
         )
         reason = chosen.run(is_stopped)
-    click.echo(f"Done after {chosen.num_goals} goals: {reason}", err=True)
+    say(f"Done after {chosen.num_goals} goals: {reason}", err=True)
     if is_stopped.is_set():
         sys.exit(INTERRUPTED)
 
@@ -221,13 +221,13 @@ def simulate_robot(options: dict[str, Any]) -> None:
         scenario, jax.random.key(settings.seed), delay=own["delay"], drift=own["drift"]
     )
     with connected(robot.NODE) as link:
-        click.echo("Compiling, a few seconds ...", err=True)
+        say("Compiling, a few seconds ...", err=True)
         simulated.prepare()
         node = robot.RobotNode(
             link, simulated, command_type=own["command_type"], has_map=own["has_map"]
         )
         node.check_alone()
-        click.echo("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
+        say("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
         with (
             stop_requests() as is_stopped,
             progress_bar("simulating", enabled=True) as advance,

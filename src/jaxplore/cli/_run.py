@@ -5,12 +5,12 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from jaxplore._text import printable_path
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._show import free_name, reserve, save, show_starts
 from jaxplore.cli._view_options import VIEW
-from jaxplore.maps.files.untrusted import printable_path
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import initial_loop_state

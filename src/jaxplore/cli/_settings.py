@@ -1,8 +1,7 @@
 """`jaxplore settings`: prints defaults as YAML, or what is known of a setting or a section."""
 
-import click
-
 from jaxplore.cli._known import known
+from jaxplore.cli._terminal import say
 from jaxplore.parameters import nearest
 from jaxplore.report.table import print_table
 from jaxplore.settings.commented import commented_yaml
@@ -35,7 +34,7 @@ def show_settings(name: str | None) -> None:
         ValueError: an unknown name; the message has the nearest ones.
     """
     if name is None or name in PLACES:
-        click.echo(commented_yaml(place_settings(name or OFFICE)), nl=False)
+        say(commented_yaml(place_settings(name or OFFICE)), nl=False)
         return
     found = find_rows(name)
     if not found:

@@ -5,11 +5,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import click
-
 from jaxplore._exit import INTERRUPTED
 from jaxplore._signals import is_ending
 from jaxplore.cli._pictures import Pictures
+from jaxplore.cli._terminal import say
 from jaxplore.report.folder import is_reserved, reserved_folder
 from jaxplore.report.table import print_table, transposed
 from jaxplore.settings.sections import Section
@@ -50,7 +49,7 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
             chosen.setdefault(" ".join(f"{part:g}" for part in each["start"]), []).append(name)
     for start, names in chosen.items():
         where = f" of {', '.join(names)}" if len(chosen) > 1 else ""
-        click.echo(
+        say(
             f"Start{where}: {start}, the position with the greatest clearance; another one: "
             "--start X Y YAW",
             err=True,
@@ -96,23 +95,23 @@ def save(
         "metrics.json",
     ):
         for file in sorted(folder.glob(pattern)):
-            click.echo(str(file))
+            say(str(file))
     if pictures.video is not None and pictures.video.exists():
-        click.echo(str(pictures.video))
+        say(str(pictures.video))
     if recording is not None and recording.exists():
-        click.echo(str(recording))
+        say(str(recording))
     if result.metrics.is_interrupted:
-        click.echo(f"Interrupted: {folder} holds the run up to then.", err=True)
+        say(f"Interrupted: {folder} holds the run up to then.", err=True)
         sys.exit(INTERRUPTED)
 
 
 def show_comparison(comparison: Comparison, folder: Path) -> None:
     """Print the table of a comparison, and its files; exit if it was interrupted."""
     # Transposed, one column for each variant: the rows would be too wide for a terminal.
-    click.echo(f"{folder}: medians [quartiles]")
+    say(f"{folder}: medians [quartiles]")
     print_table(transposed(comparison.rows()))
     for path in sorted(folder.iterdir()):
-        click.echo(str(path))
+        say(str(path))
     if comparison.is_interrupted:
-        click.echo(f"Interrupted: {folder} holds the finished runs.", err=True)
+        say(f"Interrupted: {folder} holds the finished runs.", err=True)
         sys.exit(INTERRUPTED)

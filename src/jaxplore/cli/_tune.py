@@ -4,13 +4,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import click
-
 from jaxplore._exit import INTERRUPTED
 from jaxplore.build.tasks import find_task
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import show_starts
+from jaxplore.cli._terminal import say
 from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_entries
 from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
@@ -75,9 +74,9 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
     if not found.is_complete:
         _end(folder, f"{len(found.trials)} candidates are kept in {folder}; ")
     print_table(found.rows(), title=f"{folder}: means over {len(found.before)} unseen episodes")
-    click.echo(found.verdict)
+    say(found.verdict)
     for path in found.files:
-        click.echo(str(path))
+        say(str(path))
 
 
 _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
@@ -85,5 +84,5 @@ _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
 
 
 def _end(folder: Path, kept: str = "") -> None:
-    click.echo(f"Interrupted: {kept}the same command continues in {folder}.", err=True)
+    say(f"Interrupted: {kept}the same command continues in {folder}.", err=True)
     sys.exit(INTERRUPTED)

@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import click
 import numpy as np
 
 from jaxplore.build.tasks import build
 from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._show import free_name, save
+from jaxplore.cli._terminal import say
 from jaxplore.cli._view_options import HOST
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters
 from jaxplore.recorder import McapRecorder, SwitchedRecorder
@@ -68,7 +68,7 @@ def watching(view: LiveView) -> list[Monitor]:
 def tell_recording(view: LiveView) -> None:
     """Print where the button of a view has recorded to, if it has."""
     if view.recorder is not None and view.recorder.path is not None:
-        click.echo(view.recorder.message, err=True)
+        say(view.recorder.message, err=True)
 
 
 def run_viewed(
@@ -115,7 +115,7 @@ def run_viewed(
             # The video of the first run is kept.
             pictures = pictures._replace(video=None)
         else:
-            click.echo(f"Not saved: the run with seed {settings.seed}, started again.", err=True)
+            say(f"Not saved: the run with seed {settings.seed}, started again.", err=True)
         settings = settings.model_copy(update={"seed": seed})
 
 
@@ -137,7 +137,7 @@ def show_folder(folder: Path, port: int, host: str | None) -> None:
 
 def _wait(view: LiveView) -> int | None:
     if view.num_pages:
-        click.echo("The view stays open until its page is closed, or Ctrl-C.", err=True)
+        say("The view stays open until its page is closed, or Ctrl-C.", err=True)
     try:
         return view.wait_for_restart()
     except KeyboardInterrupt:
@@ -160,7 +160,7 @@ def _show_changes(before: Mapping[str, Any], after: Values) -> None:
     for path, value in after.items():
         old = np.asarray(before[path]).tolist()
         if not np.array_equal(np.asarray(old, np.float32), np.asarray(value, np.float32)):
-            click.echo(f"Changed during the run: {path} {_text(old)} -> {_text(value)}", err=True)
+            say(f"Changed during the run: {path} {_text(old)} -> {_text(value)}", err=True)
 
 
 def _text(value: float | list[float]) -> str:
@@ -170,9 +170,9 @@ def _text(value: float | list[float]) -> str:
 
 
 def _tell(link: str, host: str, act: str) -> None:
-    click.echo(f"View: {link}", err=True)
+    say(f"View: {link}", err=True)
     if is_public(host):
-        click.echo(
+        say(
             f"jaxplore: warning: --host is {host}: anybody in the network can open the view and "
             f"{act}",
             err=True,

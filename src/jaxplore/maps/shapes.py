@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from jaxplore.maps.files import untrusted
+from jaxplore import _text
 from jaxplore.maps.files.world_entries import CHECKS, SHAPES, Row, checked, refuse_unknown
 
 
@@ -39,8 +39,7 @@ def shapes_under(name: str, entries: object) -> Shapes:
     """
     if not isinstance(entries, Mapping):
         raise ValueError(
-            f"{name} is {untrusted.short_repr(entries)}; accepted: a mapping with "
-            + ", ".join(SHAPES)
+            f"{name} is {_text.short_repr(entries)}; accepted: a mapping with " + ", ".join(SHAPES)
         )
     refuse_unknown(f"{name}: ", entries, SHAPES)
     try:

@@ -12,10 +12,11 @@ from jaxtyping import Array, Bool, Float
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
+from jaxplore._files import read_bytes, replace_files
+from jaxplore._text import printable_path
 from jaxplore._types import ArrayLike, GridMask, GridValues, Vector
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
-from jaxplore.maps.files.untrusted import printable_path, read_bytes, replace_files
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import HIGHEST, Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid

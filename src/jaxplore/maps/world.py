@@ -11,8 +11,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore import _kinds
-from jaxplore.maps.files import untrusted
+from jaxplore import _files, _kinds, _text
 from jaxplore.maps.files.world_entries import (
     CHECKS,
     MOVER_ENTRIES,
@@ -153,11 +152,11 @@ class World:
             ValueError: a file that is missing, unreadable, too large or no YAML mapping, and what
                 `from_dict` raises; one line that names the file.
         """
-        entries = untrusted.read_yaml(Path(path))
+        entries = _files.read_yaml(Path(path))
         try:
             return cls.from_dict(entries)
         except ValueError as error:
-            raise ValueError(f"{untrusted.printable_path(Path(path))}: {error}") from None
+            raise ValueError(f"{_text.printable_path(Path(path))}: {error}") from None
 
     def to_dict(self) -> dict[str, object]:
         """Return a mapping from which `from_dict` builds this world again."""
@@ -189,12 +188,11 @@ class World:
         # The width keeps each row of numbers on one line; by default YAML breaks lines at 80
         # characters.
         text = yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None, width=2**31)
-        if len(text) > untrusted.YAML_LIMIT:
+        if len(text) > _files.YAML_LIMIT:
             raise ValueError(
-                f"the world takes {len(text)} bytes; "
-                f"accepted: at most {untrusted.YAML_LIMIT} of YAML"
+                f"the world takes {len(text)} bytes; accepted: at most {_files.YAML_LIMIT} of YAML"
             )
-        untrusted.replace_files([(Path(path), text.encode())])
+        _files.replace_files([(Path(path), text.encode())])
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -349,7 +347,7 @@ class World:
 def is_world_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a YAML file describes a world, not a ROS map: it has a size and no image."""
     try:
-        entries = untrusted.read_yaml(Path(path))
+        entries = _files.read_yaml(Path(path))
     except ValueError:
         return False
     return "size" in entries and "image" not in entries

@@ -3,6 +3,8 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from jaxplore._text import printable
+
 
 @contextmanager
 def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str], None]]:
@@ -22,10 +24,11 @@ def progress_bar(label: str, *, enabled: bool) -> Iterator[Callable[[float, str]
     console = Console(stderr=True)
     columns: list[ProgressColumn] = [
         SpinnerColumn(),
-        TextColumn("{task.description}"),
+        # Names and messages may hold square brackets, which are no markup.
+        TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=24),
-        TextColumn("{task.fields[text]}"),
+        TextColumn("{task.fields[text]}", markup=False),
     ]
     with Progress(*columns, console=console) as bars:
-        task = bars.add_task(label, total=1.0, text="")
-        yield lambda share, text: bars.update(task, completed=share, text=text)
+        task = bars.add_task(printable(label), total=1.0, text="")
+        yield lambda share, text: bars.update(task, completed=share, text=printable(text))

@@ -14,8 +14,9 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxplore._files import parse_json, read_bytes
+from jaxplore._text import error_reason, printable_path, short_repr
 from jaxplore.maps.files.npz import MALFORMED_NPZ, read_arrays
-from jaxplore.maps.files.untrusted import error_reason, printable_path, read_bytes, short_repr
 from jaxplore.report.compute import Timing
 from jaxplore.report.folder import MARK
 from jaxplore.report.metrics import Metrics
@@ -103,7 +104,7 @@ def load_run[T](
     report = read_bytes(folder / MARK, "a run folder with this", METRICS_LIMIT)
     data = read_bytes(folder / NAME, "a run folder with this", FILE_LIMIT)
     try:
-        arrays, noted = _limited(data), json.loads(report)
+        arrays, noted = _limited(data), parse_json(report, METRICS_LIMIT)
         recording = restored_recording(arrays)
         versions = {str(name): value for name, value in noted["versions"].items()}
         metrics = recording.metrics(seed=_seed(noted["seed"]))
@@ -142,7 +143,7 @@ def restored_recording(arrays: Mapping[str, np.ndarray]) -> Recording:
         ValueError: an unknown class; fields that are not those of the class. Content that is
             malformed may raise a `KeyError` or a `TypeError`.
     """
-    structure = json.loads(arrays["structure"].tobytes())
+    structure = parse_json(arrays["structure"].tobytes(), METRICS_LIMIT)
     kind = _known(Recording, structure["kind"])
     hints = typing.get_type_hints(kind)
     fields = {

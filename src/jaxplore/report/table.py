@@ -7,6 +7,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from jaxplore._text import printable
+
 Rows = Sequence[Sequence[str]]
 """Rows of a table, the header first. A cell may have several lines."""
 
@@ -51,20 +53,24 @@ def print_table(
         has_lines: whether to draw lines between rows.
         widest: greatest width of a column [characters]; no bound when absent.
     """
-    heading = None if title is None else Text(title)
+    heading = None if title is None else _plain(title)
     table = Table(title=heading, show_lines=has_lines, show_header=has_header)
     header, others = (rows[0], rows[1:]) if has_header else ([""] * len(rows[0]), rows)
-    # As plain text: square brackets are units and quartiles here, not Rich's markup.
     for cell in header:
         # A name that is too long is continued on the next line, not cut off.
-        table.add_column(Text(cell), max_width=widest, overflow="fold")
+        table.add_column(_plain(cell), max_width=widest, overflow="fold")
     for row in others:
-        table.add_row(*map(Text, row))
+        table.add_row(*map(_plain, row))
     console = Console()
     if not console.is_terminal:
         # A file has no width to wrap at.
         console = Console(width=Console(width=1000).measure(table).maximum)
     console.print(table)
+
+
+def _plain(cell: str) -> Text:
+    # Square brackets are units and quartiles here, not Rich's markup.
+    return Text(printable(cell))
 
 
 def transposed(rows: Rows) -> list[tuple[str, ...]]:

@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxplore import _kinds
+from jaxplore._files import read_yaml
 from jaxplore._optional import import_optional
-from jaxplore.maps.files.untrusted import error_reason, printable_path, read_yaml, short_repr
+from jaxplore._text import error_reason, printable_path, short_repr
 from jaxplore.ros.unpacked import check_chunks
 
 EXTRA = "bags"

@@ -14,7 +14,7 @@ import numpy as np
 from jaxplore import _checks, _kinds
 from jaxplore._locks import hidden_container
 from jaxplore._optional import import_optional
-from jaxplore.maps.files.untrusted import error_reason, printable_path, short_repr
+from jaxplore._text import error_reason, printable_path, short_repr
 from jaxplore.report.folder import in_one_line
 from jaxplore.ros.bag import EXTRA, KINDS, typestore
 

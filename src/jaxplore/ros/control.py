@@ -2,7 +2,6 @@
 
 import concurrent.futures
 import dataclasses
-import json
 import math
 import threading
 import time
@@ -13,6 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxplore._files import parse_json
 from jaxplore.onboard.following import Following
 from jaxplore.onboard.options import Command, Mode
 from jaxplore.onboard.pilot import Pilot
@@ -202,7 +202,11 @@ class ControlNode:
 
     def _take_state(self, message: Any) -> None:
         """Give way to a node of this name that drove first; on a busy machine it is found late."""
-        began = json.loads(message.data[:MOST_STATE]).get("began")
+        try:
+            state = parse_json(message.data, MOST_STATE)
+        except ValueError:
+            return
+        began = state.get("began") if isinstance(state, dict) else None
         # Its own messages are heard as well, and have its own time.
         if isinstance(began, float) and began < self._began:
             self.gave_way = self._shared(NODE)
@@ -339,7 +343,7 @@ class ControlNode:
         former, self._last_mode = self._last_mode, told
         if former is None or former[0] is not told[0]:
             reason = f": {command.reason}" if command.reason else ""
-            self.link.node.get_logger().info(f"{command.mode}{reason}")
+            self.link.info(f"{command.mode}{reason}")
         elif command.reason and command.mode is not Mode.DONE:
             # A reason has numbers that change, so its kind is what it begins with.
             self.link.warn(f"{command.mode} {command.reason[:12]}", command.reason)

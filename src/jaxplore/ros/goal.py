@@ -116,7 +116,7 @@ class GoalNode:
         messages.fill_pose(message.pose, goal.pose)
         self._goals.publish(message)
         x, y, _ = goal.pose
-        self.link.node.get_logger().info(
+        self.link.info(
             f"goal ({x:.2f}, {y:.2f}), {goal.distance:.1f} m away, {goal.information:.0f} nat"
         )
 

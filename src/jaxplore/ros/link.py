@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from jaxplore._text import printable
 from jaxplore.ros.packages import import_ros
 
 DISCOVERY_SECONDS, MOST_DISCOVERY_SECONDS = 1.5, 10.0
@@ -70,7 +71,11 @@ class Link:
         now = time.monotonic()
         if now - self._warned.get(kind, -QUIET_SECONDS) >= QUIET_SECONDS:
             self._warned[kind] = now
-            self.node.get_logger().warning(message)
+            self.node.get_logger().warning(printable(message))
+
+    def info(self, message: str) -> None:
+        """Log a message."""
+        self.node.get_logger().info(printable(message))
 
     def subscribe(
         self, kind: Any, topic: str, handle: Callable[[Any], None], *, is_kept: bool = False

@@ -10,6 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from jaxplore._files import open_regular
+
 CHUNK_LIMIT = 2**28
 """Greatest unpacked size of a chunk [bytes]."""
 _MAGIC = b"\x89MCAP0\r\n"
@@ -30,7 +32,10 @@ def check_chunks(path: Path, limit: int = CHUNK_LIMIT) -> None:
         ValueError: a chunk that may be larger, or is packed in a way that is not known; a file that
             is no MCAP. A damaged one may raise a `struct.error` or an `IndexError`.
     """
-    with path.open("rb") as file:
+    opened = open_regular(path)
+    if opened is None:
+        raise ValueError("it is not there or not a file")
+    with opened as file:
         if file.read(len(_MAGIC)) != _MAGIC:
             raise ValueError("it is no MCAP file")
         end = file.seek(0, 2)

@@ -8,7 +8,8 @@ import math
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from jaxplore.maps.files.untrusted import printable_path, read_yaml, short_repr
+from jaxplore._files import read_yaml
+from jaxplore._text import printable_path, short_repr
 from jaxplore.planning.presets.explorer import explorer
 from jaxplore.planning.presets.path_following import avoidance_cost, mpcc
 from jaxplore.settings import nav2_reasons as reasons

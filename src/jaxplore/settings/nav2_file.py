@@ -1,10 +1,10 @@
 """Read the tree of a parameter file of nav2: its controllers and the robot of its costmaps."""
 
-import json
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from jaxplore.maps.files.untrusted import short_repr
+from jaxplore._files import parse_json
+from jaxplore._text import short_repr
 
 PLUGIN = "MPPIController"
 """End of the name of nav2's plugin, `nav2_mppi_controller::MPPIController`."""
@@ -40,10 +40,8 @@ def outline(tree: Tree) -> Outline:
 
 def _parsed(name: str, text: str) -> Any:
     try:
-        if len(text) > _MOST_CORNERS:
-            raise ValueError("too long")
-        return json.loads(text)
-    except (ValueError, RecursionError):
+        return parse_json(text, _MOST_CORNERS)
+    except ValueError:
         given = short_repr(text)
         raise ValueError(f"{name}.footprint is {given}; accepted: [[x, y], ...]") from None
 

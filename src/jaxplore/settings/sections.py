@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
-import yaml
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -14,7 +13,9 @@ from pydantic import (
     field_validator,
 )
 
+from jaxplore._files import parse_yaml, read_bytes
 from jaxplore._spelling import spelled
+from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
@@ -36,6 +37,8 @@ Numbers = tuple[Number, Number]
 ParameterisationName = Literal["direct", "smooth", "knots"]
 NoiseName = Literal["gaussian", "coloured", "sobol", "bank"]
 WeightingName = Literal["softmax", "adaptive", "elite"]
+SETTINGS_LIMIT = 1_000_000
+"""Largest settings file that is read [bytes]."""
 Parameters = dict[str, float | list[float]]
 """Controller parameters by path; a list for an array."""
 
@@ -131,20 +134,17 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
         is_trusted: whether the file may name code, MODULE:NAME, see `jaxplore.settings.own`.
 
     Raises:
-        ValueError: a file that is missing, unreadable, not YAML or not a mapping, or that names
-            code and is not trusted.
+        ValueError: a file that is missing, unreadable, too large, not YAML, too intricate or not a
+            mapping, or that names code and is not trusted.
     """
+    where = f"settings file {printable_path(Path(path))}"
+    data = read_bytes(Path(path), "a settings YAML", SETTINGS_LIMIT, f"{where} cannot be read: it")
     try:
-        entries = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"settings file {path} cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        reason = " ".join(str(error).split())
-        raise ValueError(f"settings file {path} is not YAML: {reason}") from None
+        entries = parse_yaml(data, SETTINGS_LIMIT)
+    except ValueError as error:
+        raise ValueError(f"{where} is not YAML: {error}") from None
     if not isinstance(entries, dict):
-        raise ValueError(
-            f"settings file {path} holds {type(entries).__name__}; accepted: a mapping of settings"
-        )
+        raise ValueError(f"{where} holds {type(entries).__name__}; accepted: a mapping of settings")
     if not is_trusted:
         check_trusted(entries, path)
     return entries
@@ -189,8 +189,8 @@ def _one_line(
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
     if kind == "missing":
         return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
-    shown = repr(value) if len(repr(value)) <= 80 else repr(value)[:77] + "..."
-    return f"setting {name} is {shown}; accepted: {message.removeprefix('Input should be ')}"
+    accepted = message.removeprefix("Input should be ")
+    return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
 
 
 def section_class(annotation: Any) -> type[BaseModel] | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore.maps.files.packing import PACKED, pack_map
+from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.study.workers.task import Files, Read, Task
 
 
@@ -28,7 +29,7 @@ class InputFile:
         """Read the file, and the image of a map, into memory."""
         if self.setting == "map":
             return pack_map(self.path)
-        return {Path(self.path).name: Path(self.path).read_bytes()}
+        return {Path(self.path).name: read_path_file(self.path)}
 
     def in_folder(self, folder: Path) -> str:
         """Return the path of the copy in a folder with the files of `read`."""

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from jaxplore._files import parse_yaml
+from jaxplore._text import short_repr
 from jaxplore.settings.exploration import Settings, merge_entries, read_settings
 from jaxplore.settings.path import PathSettings
 
@@ -64,12 +64,12 @@ def _values(text: str) -> list[tuple[str, dict[str, Any]]]:
     found = re.fullmatch(r"\s*([\w.-]+)\s*=(.+)", text)
     try:
         values = [] if found is None else [_value(part) for part in found[2].split(",")]
-    except yaml.YAMLError:
+    except ValueError:
         values = []
     are_plain = all(isinstance(each, bool | int | float | str) for each in values)
     if found is None or not values or not are_plain:
         raise ValueError(
-            f"--vary is {text!r}; accepted: NAME=A,B,C with numbers or words, such as "
+            f"--vary is {short_repr(text)}; accepted: NAME=A,B,C with numbers or words, such as "
             "controller.temperature=10,30"
         )
     return [(f"{found[1].rpartition('.')[2]} {each}", _entry(found[1], each)) for each in values]
@@ -77,7 +77,7 @@ def _values(text: str) -> list[tuple[str, dict[str, Any]]]:
 
 def _value(text: str) -> Any:
     """Parse a value. YAML reads 1e2 as text; here it is a number."""
-    value = yaml.safe_load(text)
+    value = parse_yaml(text)
     with contextlib.suppress(TypeError, ValueError):
         return float(value) if isinstance(value, str) else value
     return value

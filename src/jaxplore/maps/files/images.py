@@ -1,25 +1,25 @@
 """Read grey images that are not trusted, for maps and elevations."""
 
-import struct
 import warnings
-import zlib
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.files.untrusted import MALFORMED, error_reason, printable_path
+from jaxplore._files import open_regular
+from jaxplore._text import error_reason, printable_path
 
 if TYPE_CHECKING:
     from PIL import ImageFile
 
 PIXEL_LIMIT = 64_000_000
 """Largest image that is read or written [pixels]."""
+BYTE_LIMIT = 2**30
+"""Largest file of an image that is copied [bytes]: that many pixels as text."""
 
 _FORMATS = ("PPM", "PNG", "BMP")
 _MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
-_ERRORS = (*MALFORMED, OSError, EOFError, SyntaxError, struct.error, zlib.error)
 
 
 class Greys(NamedTuple):
@@ -63,16 +63,18 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
-            if not path.is_file():  # opening a pipe would block for ever
+            file = open_regular(path)
+            if file is None:
                 raise ValueError("it is not there or not a file")
-            with path.open("rb") as file:
+            with file:
                 image = Image.open(file, formats=_FORMATS)
                 large = image.width * image.height > PIXEL_LIMIT
                 if not large and image.mode in _MODES:
                     return _levels(image, alpha_is_shade)
         except Image.DecompressionBombError:
             raise ValueError(too_large) from None
-        except _ERRORS as error:
+        except Exception as error:
+            # Pillow raises errors of many kinds for damaged files, also failed assertions.
             reason = error_reason(error)
             raise ValueError(f"{where} cannot be read ({reason}); accepted: {accepted}") from None
     if large:

@@ -2,6 +2,7 @@
 
 import io
 import math
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -10,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore.maps.files.untrusted import MALFORMED
+from jaxplore._files import MALFORMED
+from jaxplore._text import error_reason
 
-MALFORMED_NPZ = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error)
+MALFORMED_NPZ = (*MALFORMED, OSError, EOFError, zipfile.BadZipFile, zlib.error, struct.error)
 """Exceptions that a malformed file raises."""
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
@@ -51,7 +53,11 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, check: CheckHeader
     with archive.open(member) as file:
         if np.lib.format.read_magic(file) != (1, 0):
             raise ValueError(f"{name} has another version of the format")
-        shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
+        try:
+            shape, by_column, dtype = np.lib.format.read_array_header_1_0(file)
+        except Exception as error:
+            # The header is read as Python's text, which also raises what a tokenizer does.
+            raise ValueError(f"{name} has a damaged header: {error_reason(error)}") from None
         if by_column or dtype.hasobject or any(size < 0 for size in shape):
             raise ValueError(f"{name} has shape {shape} and type {dtype}")
         check(name, shape, dtype)

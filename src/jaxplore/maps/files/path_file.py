@@ -7,9 +7,10 @@ from pathlib import Path as FilePath
 import numpy as np
 
 from jaxplore import _kinds
+from jaxplore._files import read_bytes, read_yaml
+from jaxplore._text import printable_path, short_repr
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
-from jaxplore.maps.files.untrusted import printable_path, read_bytes, read_yaml, short_repr
 
 CSV_LIMIT = 10_000_000
 """Largest CSV file that is read [bytes]."""
@@ -87,6 +88,15 @@ def read_path(
         return path_through(rows[:, :2], method=method, is_closed=is_closed, half_widths=widths)
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from None
+
+
+def read_path_file(path: str | PathLike[str]) -> bytes:
+    """Return the content of a path file, to send it to another machine.
+
+    Raises:
+        ValueError: a file that cannot be read or is too large.
+    """
+    return read_bytes(FilePath(path), "a path's", CSV_LIMIT)
 
 
 def _nearly_meets(points: np.ndarray) -> bool:

@@ -11,8 +11,9 @@ import yaml
 from numpy.typing import NDArray
 
 from jaxplore import _checks
+from jaxplore._files import read_yaml, replace_files
+from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
-from jaxplore.maps.files.untrusted import printable_path, read_yaml, replace_files, short_repr
 
 if TYPE_CHECKING:
     from PIL import Image

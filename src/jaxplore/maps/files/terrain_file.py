@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from jaxplore._text import error_reason, printable_path
 from jaxplore.maps.files.npz import MALFORMED_NPZ, array_names, read_arrays
-from jaxplore.maps.files.untrusted import error_reason, printable_path
 from jaxplore.maps.resample import CELL_LIMIT
 
 LAYERS = ("probability", "elevation", "slope", "roughness", "traversability")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks
-from jaxplore.maps.files.untrusted import short_repr
+from jaxplore._text import short_repr
 from jaxplore.maps.ground import HIGHEST
 from jaxplore.maps.rasterise import TOLERANCE
 

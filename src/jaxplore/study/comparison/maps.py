@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from jaxplore.maps.files.packing import find_image
-from jaxplore.maps.files.untrusted import read_yaml
+from jaxplore._files import read_yaml
+from jaxplore.maps.files.packing import read_files
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.settings.exploration import read_settings
 
@@ -135,8 +135,7 @@ def _is_map(path: Path) -> bool:
 
 
 def _content(path: Path) -> str:
-    image = find_image(path)
-    parts = [path.read_bytes(), b"" if image is None else image.read_bytes()]
+    parts = [each or b"" for each in read_files(path)]
     # Hashes are hashed, so that bytes that move from one file to the other change the result.
     whole = hashlib.sha256()
     for part in parts:

@@ -11,7 +11,8 @@ from typing import Any
 from jaxplore.build.own import own_code, own_rule
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller
-from jaxplore.maps.files.packing import find_image
+from jaxplore.maps.files.packing import read_files
+from jaxplore.maps.files.path_file import read_path_file
 from jaxplore.parameters import get_parameters, nearest, set_parameters
 from jaxplore.settings.exploration import BASELINES
 from jaxplore.settings.own import is_own
@@ -292,16 +293,9 @@ def _find_file(entries: Entries) -> InputFile | None:
     if not isinstance(name, str) or entries.get("world") is not None or not Path(name).is_file():
         return None
     path = str(Path(name).absolute())
-    return InputFile(setting, path, _content(path))
-
-
-def _content(path: str) -> str:
-    parts = [Path(path).read_bytes()]
-    if path.endswith((".yaml", ".yml")):
-        # The image belongs to the map: another image is another content.
-        image = find_image(path)
-        parts += [] if image is None else [image.read_bytes()]
-    return hashlib.sha256(b"".join(parts)).hexdigest()[:16]
+    # The image belongs to the map: another image is another content.
+    data, image = (read_path_file(path), None) if setting == "path" else read_files(path)
+    return InputFile(setting, path, hashlib.sha256(data + (image or b"")).hexdigest()[:16])
 
 
 def _searchable_settings(settings: RunSettings) -> dict[str, Value]:

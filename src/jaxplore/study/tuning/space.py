@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import yaml
 
+from jaxplore._files import parse_yaml
 from jaxplore._optional import import_optional
 
 type Value = float | int | str | bool
@@ -215,8 +215,8 @@ def parse_parameter(text: str, start: Value | None = None) -> Parameter:
             f"--tune is {text!r}; accepted: NAME=LOW:HIGH, NAME=LOW:HIGH:log, NAME=A,B,C or NAME"
         )
     try:
-        values = tuple(yaml.safe_load(part) for part in rest.split(","))
-    except yaml.YAMLError:
+        values = tuple(parse_yaml(part) for part in rest.split(","))
+    except ValueError:
         values = ()
     if not all(isinstance(value, float | int | str) for value in values) or not values:
         raise ValueError(f"--tune is {text!r}; accepted: numbers or words between commas")
