@@ -136,6 +136,8 @@ def parse_yaml(text: bytes | str, limit: int = YAML_LIMIT) -> Any:
     try:
         _refuse_intricate(text)
         return yaml.load(text, _LOADER)
+    except UnicodeError:
+        raise ValueError("it is no text in UTF-8") from None
     except (ValueError, yaml.YAMLError) as error:
         raise ValueError(error_reason(error)) from None
     except Exception as error:

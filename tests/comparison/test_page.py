@@ -143,6 +143,18 @@ def test_paths_are_where_the_robot_was_on_a_turned_map() -> None:
     np.testing.assert_allclose(along, [2.5, 2.5], atol=1e-6)
 
 
+def test_a_run_without_a_whole_picture_has_a_path_and_no_replay() -> None:
+    """Pictures that are damaged, or of a smaller map; a row without curves is not drawn."""
+    rows = [
+        row("room", "explorer", 0, seen=png(SEEN)[:40]),
+        row("room", "wander", 0, seen=png(SEEN[2:])),
+        row("room", "bare", 0, curve_time=None, seen=None),
+    ]
+    text = page(rows, {"room": GRID}, "Damaged")
+    assert "data-run" not in text
+    assert text.count("<figure>") == 2
+
+
 def in_the_unknown(grid: OccupancyGrid, margin: int = 5) -> OccupancyGrid:
     """Return a map with unknown cells all around."""
     corner = -margin * grid.resolution

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from jaxplore._locks import OWN
@@ -68,6 +69,29 @@ def test_an_empty_store_has_an_empty_table(store: Store) -> None:
 
     store.write_results()
     assert pyarrow.parquet.read_table(store.results).num_rows == 0
+
+
+def test_damaged_rows_are_not_there(
+    store: Store, plan: Plan, episodes: tuple[MapEpisode, ...], pretend: Pretend
+) -> None:
+    """A byte changed anywhere leaves a row as it was, or it is made again."""
+    (row,) = pretend((episodes[0],))
+    data, path = store_row(row).data, store.folder / "runs" / f"{episodes[0].id}.parquet"
+    rng, num_lost = np.random.default_rng(0), 0
+    for place in rng.integers(0, len(data), 60):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 0x40]) + data[place + 1 :])
+        rows = open_store(store.folder, plan).rows()
+        assert rows in ([], [row])
+        num_lost += not rows
+    assert num_lost > 10
+    path.write_bytes(data)
+    # The row of another run, one whose curves do not fit, and what waits for ever if it is read.
+    for other in ({"id": "other"}, {"curve_time": [1.0, 2.0], "curve_coverage": [1.0]}):
+        path.write_bytes(store_row({**row, **other}).data)
+        assert open_store(store.folder, plan).rows() == []
+    path.unlink()
+    os.mkfifo(path)
+    assert open_store(store.folder, plan).rows() == []
 
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", "other"])
@@ -183,6 +207,11 @@ def test_a_map_may_change_until_a_run_was_made_on_it(
         open_store(store.folder, dataclasses.replace(plan, maps=moved))
 
 
+def mark_with(**parts: Any) -> str:
+    plan = {"format": 3, "settings": {}, "maps": {}, "explorers": ["a"], "seeds": [0], **parts}
+    return json.dumps(plan)
+
+
 @pytest.mark.parametrize(
     ("mark", "reason"),
     [
@@ -192,6 +221,12 @@ def test_a_map_may_change_until_a_run_was_made_on_it(
         ("[1]", "its comparison.json cannot be read"),
         ("{", "its comparison.json cannot be read"),
         ('{"format": 3}', "its comparison.json has no settings"),
+        (mark_with(seeds=["0"]), "its comparison.json has no seeds as"),
+        (mark_with(explorers=[1]), "its comparison.json has no explorers as"),
+        (mark_with(maps={"a": 1}), "its comparison.json has no maps as"),
+        (mark_with(maps={"a": {"content": 3}}), "its comparison.json has no maps as"),
+        (mark_with(variants={"a": 1}), "its comparison.json has no variants as"),
+        ("[" * 5000, "its comparison.json cannot be read"),
         (None, "exists and holds no comparison.json; accepted: a new folder"),
     ],
 )

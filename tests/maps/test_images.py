@@ -65,9 +65,19 @@ def truncated() -> bytes:
     return stream.getvalue()[:-400]
 
 
+def without_palette(**options: object) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(np.eye(4, dtype=np.uint8)).convert("P").save(stream, "PNG", **options)
+    data = stream.getvalue()
+    start = data.index(b"PLTE") - 4
+    return data[:start] + data[start + 12 + int.from_bytes(data[start : start + 4]) :]
+
+
 @pytest.mark.parametrize(
     ("data", "culprit"),
     [
+        (without_palette(), "it has no palette"),
+        (without_palette(transparency=1), "it has no palette"),
         (b"", "none of these"),
         (b"P2 2 1 255 1", "cannot be read"),
         (b"GIF89a", "none of these"),

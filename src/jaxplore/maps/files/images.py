@@ -68,6 +68,9 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
                 raise ValueError("it is not there or not a file")
             with file:
                 image = Image.open(file, formats=_FORMATS)
+                if image.mode == "P" and image.palette is None:
+                    # Pillow takes all its pixels for black.
+                    raise ValueError("it has no palette")
                 large = image.width * image.height > PIXEL_LIMIT
                 if not large and image.mode in _MODES:
                     return _levels(image, alpha_is_shade)

@@ -16,6 +16,7 @@ from jaxplore.report.drawing.colours import OUTLINE, UNKNOWN, belief_colours
 from jaxplore.report.drawing.figure import figure_bytes
 from jaxplore.report.drawing.series import line_style
 from jaxplore.report.table import to_html
+from jaxplore.study.comparison.replay import seen_cells
 from jaxplore.study.comparison.rows import Row
 from jaxplore.study.comparison.table import NEEDED, list_failures, map_tables
 
@@ -101,7 +102,7 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
     replays: list[dict[str, Any]] = []
     parts_shown = {name: known_part(grid) for name, grid in maps.items()}
     for table in map_tables(results):
-        runs = [row for row in results if row["map"] == table.map and row["error"] is None]
+        runs = _shown(results, table.map)
         parts.append(f"<h2>{html.escape(table.map)}</h2>")
         parts.append(f'<div class="wide">{to_html(table.rows)}</div>')
         parts.append(_picture(curves_figure(runs), f"Coverage over time on {table.map}"))
@@ -110,13 +111,16 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
             parts.append('<div class="runs">')
             for name, own in _by_variant(runs).items():
                 drawn = _picture(path_figure(own[0], grid, part), f"Path of {name} on {table.map}")
-                drawn = (
-                    f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
-                    "</button>"
-                )
+                # A run on another version of the map has a path and no replay.
+                seen = seen_cells(own[0]["seen"], grid.shape)
+                if seen is not None:
+                    drawn = (
+                        f'<button type="button" data-run="{len(replays)}" title="Replay">{drawn}'
+                        "</button>"
+                    )
+                    replays.append(_replay(own[0], grid, part, seen))
                 caption = f"{html.escape(name)}, seed {own[0]['seed']}"
                 parts.append(f"<figure>{drawn}<figcaption>{caption}</figcaption></figure>")
-                replays.append(_replay(own[0], grid, part))
             parts.append("</div>")
     if replays:
         parts.append(DIALOG)
@@ -138,13 +142,22 @@ def page_figures(
         maps: maps by name; a missing one has no paths.
     """
     for table in map_tables(results):
-        runs = [row for row in results if row["map"] == table.map and row["error"] is None]
+        runs = _shown(results, table.map)
         yield f"{table.map}-curves", curves_figure(runs)
         if table.map in maps:
             grid = maps[table.map]
             part = known_part(grid)
             for name, own in _by_variant(runs).items():
                 yield f"{table.map}-{name}-path", path_figure(own[0], grid, part)
+
+
+def _shown(results: Sequence[Row], name: str) -> list[Row]:
+    """Return the rows of a map's runs that have something to draw."""
+    return [
+        row
+        for row in results
+        if row["map"] == name and row["error"] is None and row["curve_time"] is not None
+    ]
 
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":
@@ -243,11 +256,11 @@ def _in_cells(row: Row, grid: OccupancyGrid, part: Part) -> tuple[np.ndarray, np
     return across - columns.start, along - rows.start
 
 
-def _replay(row: Row, grid: OccupancyGrid, part: Part) -> dict[str, Any]:
+def _replay(row: Row, grid: OccupancyGrid, part: Part, seen: np.ndarray) -> dict[str, Any]:
     """Return the data of a run for the page's player, in pixels from the upper left."""
     across, along = _in_cells(row, grid, part)
     # A picture has its first row at the top, a map at the bottom.
-    seen = np.asarray(Image.open(io.BytesIO(row["seen"])))[::-1][part][::-1]
+    seen = seen[part][::-1]
     radius = json.loads(row["settings"])["robot"]["radius"]
     return {
         "map": row["map"],

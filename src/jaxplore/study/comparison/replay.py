@@ -26,6 +26,23 @@ class Replay(NamedTuple):
     picture: bytes
 
 
+def seen_cells(picture: bytes, shape: tuple[int, int]) -> np.ndarray | None:
+    """Return the levels of a replay's picture, row 0 at the bottom; None if it is none of a map.
+
+    Args:
+        picture: the PNG; it may have more rows at the top and more columns at the right.
+        shape: number of rows and columns of the map.
+    """
+    try:
+        cells = np.asarray(Image.open(io.BytesIO(picture), formats=("PNG",)))
+    except Exception:
+        # Pillow raises errors of many kinds for damaged pictures.
+        return None
+    is_map = cells.ndim == 2 and cells.dtype == np.uint8
+    cells = cells[::-1][: shape[0], : shape[1]]
+    return cells if is_map and cells.shape == shape else None
+
+
 def make_replay(recording: ExplorationData) -> Replay:
     """Compute the first frame in which each cell was known."""
     first = np.full(recording.world.shape, NEVER, np.uint8)

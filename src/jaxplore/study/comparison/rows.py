@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxplore._files import parse_json
 from jaxplore._optional import import_optional
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.exploration.metrics import ExplorationMetrics
@@ -163,8 +164,37 @@ def store_row(row: Row) -> StoredRow:
         import_optional("pyarrow.parquet", "comparison"),
     )
     file = io.BytesIO()
-    parquet.write_table(pyarrow.Table.from_pylist([row], schema=schema()), file)
+    # The checksums show damage that leaves a file readable.
+    table = pyarrow.Table.from_pylist([row], schema=schema())
+    parquet.write_table(table, file, write_page_checksum=True)
     return StoredRow(row["id"], row["map"], row["error"], file.getvalue())
+
+
+def is_row(row: Row, id_: str) -> bool:
+    """Check that a row that was read is one of a run, with all or nothing of what a page shows.
+
+    Args:
+        row: the row.
+        id_: id of the run.
+    """
+    if row["id"] != id_ or any(row[name] is None for name in KEYS):
+        return False
+    if row["error"] is not None or row["curve_time"] is None:
+        return True
+    try:
+        lists = [
+            [np.asarray(row[name], np.float64) for name in together]
+            for together in (("curve_time", "curve_coverage"), ("positions_x", "positions_y"))
+        ]
+        radius = parse_json(row["settings"])["robot"]["radius"]
+        numbers = [row["duration"], row["time_limit"], radius]
+        return (
+            all(len(a) == len(b) > 0 and np.isfinite([*a, *b]).all() for a, b in lists)
+            and bool(np.isfinite([*numbers, *row["seen_time"]]).all())
+            and isinstance(row["seen"], bytes)
+        )
+    except (ValueError, TypeError, LookupError):
+        return False
 
 
 def schema() -> Any:

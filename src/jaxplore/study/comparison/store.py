@@ -5,12 +5,14 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from jaxplore._files import open_regular, parse_json, read_bytes
 from jaxplore._locks import OWN
 from jaxplore._optional import import_optional
+from jaxplore._text import short_repr
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.drawing.figure import write_figure
 from jaxplore.report.folder import in_one_line, write_whole
@@ -24,7 +26,7 @@ from jaxplore.study.comparison.episodes import (
 )
 from jaxplore.study.comparison.maps import MapFile
 from jaxplore.study.comparison.page import SHOWN, page, page_figures
-from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, schema
+from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, is_row, schema
 
 MARK = "comparison.json"
 """File by which a comparison is recognised: version of the format, and the plan."""
@@ -39,6 +41,8 @@ FIGURES = "figures"
 RUNS = "runs"
 """Folder with a file for each run, named by its id."""
 
+MARK_LIMIT = 2**24
+"""Largest such file that is read [bytes]."""
 _ROWS_AT_ONCE = 100
 _WHAT = "comparison folder:"
 _ACCEPTED = "accepted: the same command as before, or a new folder"
@@ -92,9 +96,12 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        # Incomplete files have hidden names and are skipped.
+        files = sorted(path for path in (folder / RUNS).glob("*.parquet") if path.name[0] != ".")
         self._state = {
             row["id"]: (row["map"], row["error"])
-            for _, row in _read(self._files(), ["id", "map", "error"])
+            for path, row in _read(files, None)
+            if is_row(row, path.stem)
         }
 
     @property
@@ -194,10 +201,7 @@ class Store:
         return self.folder / RUNS / f"{id_}.parquet"
 
     def _files(self) -> list[Path]:
-        # Incomplete files have hidden names and are skipped.
-        return sorted(
-            path for path in (self.folder / RUNS).glob("*.parquet") if path.name[0] != "."
-        )
+        return sorted(map(self._file, self._state))
 
 
 def open_store(
@@ -261,20 +265,40 @@ def _former(target: Path, where: str) -> dict[str, Any] | None:
             f"{where} exists and holds no {MARK}; accepted: a new folder, or that of a comparison"
         )
     try:
-        former = json.loads(mark.read_text(encoding="utf-8"))
+        former = parse_json(read_bytes(mark, "a comparison's", MARK_LIMIT), MARK_LIMIT)
         version = former["format"]
-    except (OSError, ValueError, LookupError, TypeError) as error:
+    except (ValueError, LookupError, TypeError) as error:
         raise ValueError(
             f"{where}: its {mark.name} cannot be read: {error}; accepted: that of a comparison"
         ) from None
     if version != FORMAT:
-        raise ValueError(f"{where} has format {version!r}; accepted: format {FORMAT}")
-    for name, kind in {"settings": dict, "maps": dict, "explorers": list, "seeds": list}.items():
-        if not isinstance(former.get(name), kind):
+        raise ValueError(f"{where} has format {short_repr(version)}; accepted: format {FORMAT}")
+    for name, is_part in _PARTS.items():
+        if not is_part(former.get(name)):
             raise ValueError(
-                f"{where}: its {mark.name} has no {name}; accepted: that of a comparison"
+                f"{where}: its {mark.name} has no {name} as comparisons have them; accepted: that "
+                "of a comparison"
             )
     return dict(former)
+
+
+def _is_map(entry: object) -> bool:
+    if not isinstance(entry, dict):
+        return False
+    return isinstance(entry.get("content"), str) and isinstance(entry.get("start"), list | None)
+
+
+_PARTS: dict[str, Callable[[Any], bool]] = {
+    "settings": lambda part: isinstance(part, dict),
+    "maps": lambda part: isinstance(part, dict) and all(map(_is_map, part.values())),
+    "explorers": lambda part: isinstance(part, list) and all(isinstance(e, str) for e in part),
+    "seeds": lambda part: isinstance(part, list) and all(type(each) is int for each in part),
+    "variants": lambda part: (
+        part is None
+        or (isinstance(part, dict) and all(isinstance(each, dict) for each in part.values()))
+    ),
+}
+"""Parts of the stored plan, and what they must be."""
 
 
 def _together(
@@ -331,23 +355,24 @@ def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _text(value: object) -> str:
-    return "not given" if value is None else repr(value)
+    return "not given" if value is None else short_repr(value)
 
 
 def _read(files: Sequence[Path], columns: list[str] | None) -> Iterator[tuple[Path, Row]]:
     """Yield the rows of files; a damaged file, as after a power cut, is skipped."""
-    parquet, pyarrow = (
-        import_optional("pyarrow.parquet", "comparison"),
-        import_optional("pyarrow", "comparison"),
-    )
+    parquet = import_optional("pyarrow.parquet", "comparison")
     expected = schema()
     for path in files:
         try:
-            with parquet.ParquetFile(path) as file:
+            opened = open_regular(path)
+            if opened is None:
+                continue
+            with opened, parquet.ParquetFile(opened, page_checksum_verification=True) as file:
                 # A row of another version has other columns, and is run again.
                 is_row = file.schema_arrow.equals(expected) and file.metadata.num_rows == 1
                 rows = file.read(columns=columns).to_pylist() if is_row else []
-        except (OSError, pyarrow.ArrowException):
+        except Exception:
+            # A damaged file may raise errors of any kind.
             continue
         yield from ((path, row) for row in rows)
 

@@ -7,8 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._optional import import_optional
+from jaxplore._text import error_reason
 from jaxplore.report.folder import locked_folder
 from jaxplore.study.tuning.episodes import Episodes
+from jaxplore.study.tuning.former import (
+    check_content,
+    close_storage,
+    former_study,
+    storage_at,
+)
 from jaxplore.study.tuning.search import Search
 from jaxplore.study.tuning.study import Study
 
@@ -18,8 +25,6 @@ STUDY = "study.db"
 """File of Optuna's storage in the folder of a study."""
 _NAME, _ASKED = "jaxplore", "asked"
 """Name of Optuna's study, and its attribute with the definition of the search."""
-_SQLITE = b"SQLite format 3\0"
-"""First bytes of a SQLite database."""
 
 
 @contextlib.contextmanager
@@ -41,18 +46,14 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
     # As plain values, to compare with the stored definition.
     asked = {"format": FORMAT, "search": search.describe(), "episodes": episodes.describe()}
     with contextlib.ExitStack() as stack:
-        storage = None
+        storage = former = None
         if folder is not None:
             # A second search would mix its candidates into the study, so it is refused at once.
             stack.enter_context(locked_folder(folder, "study folder"))
-            stack.enter_context(_errors_in_one_line(optuna, folder / STUDY))
-            storage = _storage(optuna, folder)
-            stack.callback(_close, storage)
-        former = None
-        if storage is not None and _NAME in optuna.get_all_study_names(storage):
-            former = optuna.load_study(study_name=_NAME, storage=storage).user_attrs.get(_ASKED)
-        if former is not None:
-            _check_same(former, asked, str(folder))
+            former = _checked(optuna, folder, search, asked)
+            storage = storage_at(optuna, folder / STUDY)
+            stack.callback(close_storage, storage)
+            stack.enter_context(_in_one_line(optuna, folder))
         # The first generation is evaluated completely, so that there is a median to compare with.
         pruner = (
             optuna.pruners.MedianPruner(n_startup_trials=search.population)
@@ -74,53 +75,53 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
         yield Study(search, episodes, study)
 
 
-@contextlib.contextmanager
-def _errors_in_one_line(optuna: Any, path: Path) -> Iterator[None]:
-    """Convert errors of the database, such as a full disk or a damaged file, into one line."""
-    database = import_optional("sqlalchemy.exc", "tuning").SQLAlchemyError
+def _checked(optuna: Any, folder: Path, search: Search, asked: dict[str, Any]) -> Any:
+    """Return the definition that a folder's study was made with, or None without a study."""
+    path, former, difference = folder / STUDY, None, None
     try:
-        yield
-    except (optuna.exceptions.StorageInternalError, database) as error:
-        # Optuna's own text names no reason.
-        causes = (error, error.__cause__, error.__context__)
-        known = [each.orig for each in causes if getattr(each, "orig", None) is not None]
-        reason = " ".join(str(known[0] if known else error).split())
-        raise ValueError(
-            f"study {str(path)!r} cannot be read or written: {reason}; accepted: a study of "
-            "jaxplore tune, on a writable disk with space left"
-        ) from error
-
-
-def _close(storage: Any) -> None:
-    storage.remove_session()
-    storage.engine.dispose()
-
-
-def _storage(optuna: Any, folder: Path) -> Any:
-    path = folder / STUDY
-    try:
-        # An empty file is accepted, because SQLite takes it for a new database.
-        if path.exists():
-            with path.open("rb") as file:
-                if file.read(len(_SQLITE)) not in (_SQLITE, b""):
-                    raise ValueError("no SQLite")
-        # One connection per transaction, so that no file stays open in between.
-        options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
-        return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
+        with former_study(optuna, path, _NAME) as study:
+            former = None if study is None else study.user_attrs.get(_ASKED)
+            if former is not None:
+                difference = _difference(former, asked, str(folder))
+                if difference is None:
+                    check_content(study, search)
     except Exception as error:
         # Optuna and SQLAlchemy raise errors of many types for a file that is no study.
         raise ValueError(
             f"study {str(path)!r} cannot be read: {type(error).__name__}; accepted: a study of "
             "jaxplore tune, or a new folder"
         ) from None
+    if difference is not None:
+        raise ValueError(difference)
+    return former
 
 
-def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
+@contextlib.contextmanager
+def _in_one_line(optuna: Any, folder: Path) -> Iterator[None]:
+    """Convert errors of the storage during a search into one line."""
+    try:
+        yield
+    except (
+        optuna.exceptions.StorageInternalError,
+        import_optional("sqlalchemy.exc", "tuning").SQLAlchemyError,
+    ) as error:
+        # Optuna's own text names no reason.
+        causes = (error, error.__cause__, error.__context__)
+        known = [each.orig for each in causes if getattr(each, "orig", None) is not None]
+        reason = error_reason(known[0] if known else error)
+        raise ValueError(
+            f"study {str(folder / STUDY)!r} cannot be written: {reason}; accepted: "
+            "a folder on a writable disk with space left"
+        ) from error
+
+
+def _difference(former: Any, asked: dict[str, Any], folder: str) -> str | None:
+    """Return how two definitions of a study differ, or None if they do not."""
     # The scenarios are compared first: their names explain a mismatch better than a setting.
     ways = [list(each["episodes"].get("scenarios", ())) for each in (former, asked)]
     if ways[0] != ways[1]:
         was, is_ = (", ".join(names) or "none" for names in ways)
-        raise ValueError(
+        return (
             f"study folder {folder!r} was made for {was}, asked is {is_}; accepted: the same "
             "scenarios as before, or a new folder"
         )
@@ -130,10 +131,11 @@ def _check_same(former: Any, asked: dict[str, Any], folder: str) -> None:
             was, is_ = (
                 "not given" if name not in each else repr(each[name]) for each in (before, now)
             )
-            raise ValueError(
+            return (
                 f"study folder {folder!r} was made with {name} {was}, asked is {is_}; accepted: "
                 "the same command as before with any budget, or a new folder"
             )
+    return None
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

@@ -13,7 +13,7 @@ from jaxplore.study.tuning.objective import Numbers, Objective
 from jaxplore.study.tuning.optimizers import Evaluated, Optimizer
 from jaxplore.study.tuning.search import Search, make_optimizer
 from jaxplore.study.tuning.space import Candidate
-from jaxplore.study.tuning.trials import Trial, make_trial
+from jaxplore.study.tuning.trials import UNSEEN, Trial, make_trial
 
 BEFORE = -1
 """Number that stands for the current values, which may lie outside the bounds."""
@@ -354,4 +354,4 @@ def _last_error(trials: Sequence[Trial]) -> str:
 
 
 def _unseen(number: int, scenario: str, seed: int) -> str:
-    return f"unseen {number} {scenario} {seed}"
+    return f"{UNSEEN}{number} {scenario} {seed}"

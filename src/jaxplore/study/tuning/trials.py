@@ -8,6 +8,8 @@ from jaxplore.study.tuning.space import Candidate, Value
 
 EPISODE = "episode "
 """Prefix of the attributes in which a trial stores its episodes."""
+UNSEEN = "unseen "
+"""Prefix of the attributes in which a study stores episodes on unseen seeds."""
 VERDICT = "verdict"
 """Attribute in which a trial stores its state and an error."""
 
