@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import pytest
+from jaxplore.maps.files.untrusted import replace_files
 
 from jaxplore import _locks
 from jaxplore._locks import (
@@ -20,7 +21,6 @@ from jaxplore._locks import (
     put_folder,
     sweep,
 )
-from jaxplore.maps.files.untrusted import replace_files
 from jaxplore.report.folder import (
     check_folder,
     is_reserved,
