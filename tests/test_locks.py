@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 import pytest
-from jaxplore.maps.files.untrusted import replace_files
 
 from jaxplore import _locks
+from jaxplore._files import replace_files
 from jaxplore._locks import (
     InUseError,
     hidden_container,

@@ -110,7 +110,7 @@ def _in_one_line(optuna: Any, folder: Path) -> Iterator[None]:
         known = [each.orig for each in causes if getattr(each, "orig", None) is not None]
         reason = error_reason(known[0] if known else error)
         raise ValueError(
-            f"study {str(folder / STUDY)!r} cannot be written: {reason}; accepted: "
+            f"study {str(folder / STUDY)!r} cannot be read or written: {reason}; accepted: "
             "a folder on a writable disk with space left"
         ) from error
 
