@@ -70,6 +70,7 @@ DAMAGE = {
     "another study": sql("UPDATE studies SET study_name = 'other'"),
     "study gone": sql("DELETE FROM studies"),
     "no direction": sql("DELETE FROM study_directions"),
+    "names": sql("UPDATE study_system_attributes SET value_json = '[1, 2]'"),
     "two values": sql("UPDATE trial_values SET objective = 1"),
     "no state": sql("UPDATE trials SET state = 'DONE'"),
     "no verdict": sql("DELETE FROM trial_user_attributes WHERE key = 'verdict'"),

@@ -122,6 +122,8 @@ def check_content(study: Any, search: Search) -> None:
     expected = {each.name: distribution(each) for each in search.space.parameters}
     directions = [each.name for each in study.directions]
     _require(directions == ["MINIMIZE"] * len(search.objectives))
+    # An interruption may come before the names are stored.
+    _require(study.metric_names in (None, [str(each) for each in search.objectives]))
     for number, frozen in enumerate(study.get_trials(deepcopy=False)):
         trial = make_trial(frozen)
         _require(trial.number == number)
