@@ -22,6 +22,9 @@ The owner of a setting is the function or class whose parameter it is. Meaning a
 owner's. Where the default is another one, the row says why. *Quadrotors* are the architectures
 `two-layer`, `parallel`, `sequential`, `random-walk` and `goal`. The last column says which runs
 read a setting. In brackets are the scenarios that do with their own defaults, unless all do.
+
+The bounds of sizes are in the column *accepted*. All other numbers are at most 1e12 in size, and
+what must be above 0 is at least 1e-12; see [Limits](limits.md).
 """
 
 

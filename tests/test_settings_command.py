@@ -46,7 +46,7 @@ def test_a_section_is_a_table(capsys) -> None:
     assert shown.startswith("lidar (exploration): the lidar of the robot setting default [unit]")
     for text in (
         "max_range 5.0 [m] greatest range; static",
-        "Accepted: number > 0. Read by: every run.",
+        "Accepted: number in (0, 10000]. Read by: every run.",
         "field_of_view_degrees 360.0 [degrees] field of view",
         "In degrees; `Lidar` takes radians.",
         "Quadrotors: 4.0, a depth camera, from the design notes.",

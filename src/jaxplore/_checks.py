@@ -42,19 +42,26 @@ def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
     warnings.warn(text, UserWarning, skip_file_prefixes=ours)
 
 
-def positive_int(name: str, value: object) -> int:
-    """Return `value` as an int >= 1."""
-    return whole_number(name, value, at_least=1)
+def positive_int(name: str, value: object, *, at_most: int | None = None) -> int:
+    """Return `value` as an int >= 1, and <= `at_most` if it is given."""
+    return whole_number(name, value, at_least=1, at_most=at_most)
 
 
-def whole_number(name: str, value: object, *, at_least: int) -> int:
-    """Return `value` as an int >= `at_least`."""
+def whole_number(name: str, value: object, *, at_least: int, at_most: int | None = None) -> int:
+    """Return `value` as an int >= `at_least`, and <= `at_most` if it is given.
+
+    Sizes of arrays have an `at_most`, one of `jaxplore._limits`.
+    """
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
         number = at_least - 1  # refused below, with the same message as a number that is too small
     if isinstance(value, bool) or number < at_least:
         raise ValueError(f"{name} is {value!r}; accepted: a whole number >= {at_least}")
+    if at_most is not None and number > at_most:
+        # Python refuses to print whole numbers of many digits.
+        shown = number if number < LARGEST else f"{number.bit_length()} bits long"
+        raise ValueError(f"{name} is {shown}; accepted: a whole number <= {at_most}")
     return number
 
 

@@ -60,7 +60,7 @@ def test_a_row_says_what_is_known() -> None:
     assert row.meaning.startswith("greatest range [m]; static")
     assert row.short_meaning.startswith("greatest range; static")
     assert (row.unit, row.default, row.owner) == ("m", 5.0, "Lidar")
-    assert (row.accepted, row.read_by) == ("number > 0", "every run")
+    assert (row.accepted, row.read_by) == ("number in (0, 10000]", "every run")
     assert row.notes == (
         "Quadrotors: 4.0, a depth camera, from the design notes.",
         "warehouse: 8.0; search-rescue: 8.0; perimeter: 8.0.",

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_LOOKS
 from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Rows, Scalar
 from jaxplore._xla import on_device
 from jaxplore.belief.anomaly_reports import (
@@ -141,7 +142,9 @@ class AnomalyTest(eqx.Module):
         self.outliers = _checks.scalar("outliers", outliers, above=0.0, below=1.0)
         self.near = _checks.scalar("near", near, above=0.0)
         self.baseline = _checks.scalar("baseline", baseline, at_least=0.0)
-        self.looks = on_device(np.asarray(_checks.positive_int("looks", looks), np.int32))
+        self.looks = on_device(
+            np.asarray(_checks.positive_int("looks", looks, at_most=MOST_LOOKS), np.int32)
+        )
         self.expiry = _checks.scalar("expiry", expiry, above=0.0)
         self.attention = _checks.scalar("attention", attention, at_least=0.0, below=1.0)
         self.radius = _checks.scalar("radius", radius, above=0.0)

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
@@ -152,7 +153,7 @@ class Perception(eqx.Module):
         self.sensors = as_sensors(sensors)
         self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
-        if _checks.positive_int("num_directions", num_directions) < 4:
+        if _checks.positive_int("num_directions", num_directions, at_most=MOST_DIRECTIONS) < 4:
             raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")
         spacing = _checks.number("node_spacing", node_spacing, above=0.0)
         self.field_sensor = FieldSensor(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DELAY
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.control.base import Controller, Info, SampledPlan
@@ -120,7 +121,13 @@ class LatencyCompensation(Controller):
                 "commands are on their way"
             )
         periods = float(self.latency) / float(self.control_period)
-        self.num_pending = math.ceil(periods - ROUNDING)
+        pending = math.ceil(periods - ROUNDING)
+        if pending > MOST_DELAY:
+            raise ValueError(
+                f"latency is {float(self.latency):g} s, {pending} periods; accepted: at most "
+                f"{MOST_DELAY} periods"
+            )
+        self.num_pending = pending
 
     def init(self) -> LatencyState:
         """Return the initial state, with default controls on their way."""

@@ -9,6 +9,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_OUTCOMES, MOST_SAMPLES, MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore._xla import cut
 from jaxplore.control import devices
@@ -141,9 +142,11 @@ class MPPI(Controller):
             )
         self.dynamics = dynamics
         self.cost = cost
-        self.horizon = _checks.positive_int("horizon", horizon)
-        self.num_samples = _checks.positive_int("num_samples", num_samples)
-        self.num_outcomes = _checks.positive_int("num_outcomes", num_outcomes)
+        self.horizon = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
+        self.num_samples = _checks.positive_int("num_samples", num_samples, at_most=MOST_SAMPLES)
+        self.num_outcomes = _checks.positive_int(
+            "num_outcomes", num_outcomes, at_most=MOST_OUTCOMES
+        )
         self.dt = _checks.scalar("dt", dt, above=0.0)
         period = self.dt if control_period is None else control_period
         self.control_period = _checks.scalar("control_period", period, above=0.0)

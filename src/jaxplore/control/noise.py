@@ -10,6 +10,7 @@ import jax.scipy.linalg
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_OUTCOMES
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.control.parameterisations import Parameters, Samples
 
@@ -179,7 +180,9 @@ class NoiseBank(Noise):
         for name, size in zip(("P", "nu", "K"), shape, strict=True):
             _checks.positive_int(f"{name} of shape", size)
         self.noise = WhiteNoise() if noise is None else noise
-        keys = jax.random.split(key, _checks.positive_int("num_draws", num_draws))
+        keys = jax.random.split(
+            key, _checks.positive_int("num_draws", num_draws, at_most=MOST_OUTCOMES)
+        )
         self.stored = jnp.stack([self.noise.draw(shape, key=one) for one in keys])
 
     def draw(self, shape: Shape, *, key: Key) -> Samples:

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DISCS
 from jaxplore._types import ArrayLike, Scalar
 
 
@@ -94,7 +95,7 @@ class Rectangle(Footprint):
             length = np.float64(self.front) + np.float64(self.rear)
             # Tolerate rounding: a length of exactly three widths needs three discs, not four.
             num_discs = max(1, math.ceil(length / np.float64(self.width) - 1e-6))
-        self.num_discs = _checks.positive_int("num_discs", num_discs)
+        self.num_discs = _checks.positive_int("num_discs", num_discs, at_most=MOST_DISCS)
 
     @property
     def length(self) -> Scalar:

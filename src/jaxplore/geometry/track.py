@@ -3,6 +3,7 @@
 import numpy as np
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_BENDS
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
 
@@ -39,7 +40,7 @@ def race_track(
     total = _checks.number("length", length, above=0.0)
     side = _checks.number("half_width", half_width, above=0.0)
     tightest = _checks.number("min_radius", min_radius, at_least=side)
-    bends = _checks.whole_number("num_bends", num_bends, at_least=2)
+    bends = _checks.whole_number("num_bends", num_bends, at_least=2, at_most=MOST_BENDS)
     rng = np.random.default_rng(_checks.whole_number("seed", seed, at_least=0))
     waves = np.arange(2, bends + 1)
     # Amplitudes fall with the frequency, whose square the curvature grows with.

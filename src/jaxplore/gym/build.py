@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_AT_ONCE
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.settings.defaults import parameter_default
@@ -116,7 +117,7 @@ def _checked(scenario: object, settings: dict[str, Any]) -> RunSettings:
 
 def _scenarios(settings: RunSettings, num_floors: int) -> list[Scenario]:
     """Build the scenarios of settings, one for each floor."""
-    number = _checks.positive_int("num_floors", num_floors)
+    number = _checks.positive_int("num_floors", num_floors, at_most=MOST_AT_ONCE)
     if number == 1:
         return [build(settings).scenario]
     if not isinstance(settings, Settings) or settings.map != OFFICE:

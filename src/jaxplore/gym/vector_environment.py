@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from jax import Array
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_AT_ONCE
 from jaxplore._trees import stack_trees
 from jaxplore._types import Count
 from jaxplore.gym.build import build_environment
@@ -68,7 +69,7 @@ class ScenarioVectorEnvironment(VectorEnv[Observed, np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.num_envs = _checks.positive_int("num_envs", num_envs)
+        self.num_envs = _checks.positive_int("num_envs", num_envs, at_most=MOST_AT_ONCE)
         self.is_vmapped = jax.default_backend() != "cpu" if is_vmapped is None else is_vmapped
         self.render_mode = checked_render_mode(render_mode)
         self.environment = build_environment(**options)

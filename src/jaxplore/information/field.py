@@ -10,6 +10,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._types import GridValues, Position, Scalar
 from jaxplore.information.heading_field import HeadingField, at_nodes_figure
 from jaxplore.maps.field import Stencil, gather, stencil
@@ -103,7 +104,7 @@ class InformationField(eqx.Module):
         Raises:
             ValueError: no headings, a field of view outside (0, 2 pi].
         """
-        count = _checks.positive_int("num_headings", num_headings)
+        count = _checks.positive_int("num_headings", num_headings, at_most=MOST_DIRECTIONS)
         view = self._view(field_of_view)
         sectors = self.sectors.shape[0]
         # Fraction of each sector within the view of each heading. The view may wrap around the

@@ -10,6 +10,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._types import GridValues, Position
 from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, CellMaps, window_maps
@@ -89,7 +90,7 @@ class FieldSensor(eqx.Module):
         _kinds.flag("no_return", no_return)
         _kinds.flag("near_weight", near_weight)
         resolution = _checks.number("resolution", resolution, above=0.0)
-        count = _checks.positive_int("num_directions", num_directions)
+        count = _checks.positive_int("num_directions", num_directions, at_most=MOST_DIRECTIONS)
         stride = _checks.positive_int("stride", stride)
         if method not in (None, "scan", "doubling"):
             raise ValueError(f"method is {method!r}; accepted: 'scan', 'doubling' or None")

@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._types import Position
 from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, window_maps
@@ -65,7 +66,7 @@ class LocalFieldSensor(eqx.Module):
         resolution = _checks.number("resolution", resolution, above=0.0)
         spacing = _checks.number("spacing", spacing, above=0.0)
         extent = _checks.number("extent", extent, at_least=spacing)
-        count = _checks.positive_int("num_headings", num_headings)
+        count = _checks.positive_int("num_headings", num_headings, at_most=MOST_DIRECTIONS)
         yaws = 2.0 * np.pi / count * np.arange(count)
         beams = yaws[:, None] + np.asarray(pose.lidar.beam_angles, float)
         # Headings share beams: directions that differ by less than a microradian, which is

@@ -9,6 +9,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_BEAMS
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.rays import TOUCH, RayCells
 from jaxplore.sensing.base import Sensor
@@ -73,7 +74,7 @@ class Camera(Sensor):
         tilt: ArrayLike = -0.1,
         range_noise: ArrayLike = 0.0,
     ) -> None:
-        self.num_beams = _checks.positive_int("num_beams", num_beams)
+        self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
         self.max_range = checked_range("max_range", max_range)
         self.field_of_view = checked_view("field_of_view", field_of_view)
         view = _checks.scalar("vertical_view", vertical_view, above=0.0, below=2.0 * STEEPEST)

@@ -8,6 +8,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks
+from jaxplore._limits import LONGEST_RANGE
 from jaxplore._types import Position
 from jaxplore.geometry.rays import RayCells, traverse
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -79,7 +80,7 @@ def disc_distance(
 
 def checked_range(name: str, value: float) -> float:
     """Return a greatest range [m]; warn if its unit is likely to be another one."""
-    reach = _checks.number(name, value, above=0.0)
+    reach = _checks.number(name, value, above=0.0, at_most=LONGEST_RANGE)
     _checks.warn_above(name, reach, 1000.0, "a range is in metres, not in millimetres")
     return reach
 

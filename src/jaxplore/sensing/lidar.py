@@ -7,6 +7,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_BEAMS
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.sensing.base import Sensor
@@ -56,7 +57,7 @@ class Lidar(Sensor):
         range_noise: ArrayLike = 0.02,
         height: ArrayLike = 0.5,
     ) -> None:
-        self.num_beams = _checks.positive_int("num_beams", num_beams)
+        self.num_beams = _checks.positive_int("num_beams", num_beams, at_most=MOST_BEAMS)
         self.max_range = checked_range("max_range", max_range)
         self.field_of_view = checked_view("field_of_view", field_of_view)
         self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)

@@ -5,6 +5,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from jaxplore._limits import LARGEST
+
 _PLAIN = {
     "null": "null",
     "boolean": "true or false",
@@ -55,11 +57,20 @@ def _words(schema: dict[str, Any]) -> str:
 
 
 def _bounds(schema: dict[str, Any]) -> str:
-    least, above = schema.get("minimum"), schema.get("exclusiveMinimum")
-    most, below = schema.get("maximum"), schema.get("exclusiveMaximum")
+    least, above = _shown(schema, "minimum"), _shown(schema, "exclusiveMinimum")
+    most, below = _shown(schema, "maximum"), _shown(schema, "exclusiveMaximum")
     if (least is None and above is None) or (most is None and below is None):
         signs = {">=": least, ">": above, "<=": most, "<": below}
         return "".join(f" {sign} {bound}" for sign, bound in signs.items() if bound is not None)
     begins = f"({above}" if least is None else f"[{least}"
     ends = f"{below})" if most is None else f"{most}]"
     return f" in {begins}, {ends}"
+
+
+def _shown(schema: dict[str, Any], name: str) -> object:
+    bound = schema.get(name)
+    # Every number has this bound, which the page of settings says once.
+    if bound is None or abs(bound) == LARGEST:
+        return None
+    # Whole metres and seconds without `.0` or an exponent.
+    return int(bound) if abs(bound) > 1 and bound == int(bound) else bound

@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from jaxplore._limits import MOST_MEMBERS, MOST_NAMES
 from jaxplore._spelling import spelled
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
@@ -35,18 +36,33 @@ from jaxplore.settings.robot import (
     SensorModelSettings,
 )
 from jaxplore.settings.sections import (
-    Count,
+    Body,
+    Directions,
+    Duration,
     Fraction,
+    Headings,
+    Length,
+    Looks,
+    Margin,
     NoiseName,
     NonNegative,
-    Number,
     ParameterisationName,
     Positive,
     Probability,
+    Range,
+    Rate,
+    Real,
     RunSettings,
+    Samples,
     Section,
+    Seed,
     Share,
+    Spacing,
+    Step,
+    StepsAhead,
+    Wait,
     WeightingName,
+    Width,
     checked_section,
 )
 from jaxplore.settings.sections import read_settings as read_settings
@@ -77,13 +93,18 @@ ZONES = "zones"
 SCENARIOS = ("warehouse", "search-rescue", "perimeter")
 """Scenarios for ground vehicles: settings with a world, in `scenarios/`."""
 
+Names = Annotated[tuple[str, ...], Field(max_length=MOST_NAMES)]
+Fractions = Annotated[tuple[Fraction, ...], Field(max_length=MOST_NAMES)]
+Deviations = Annotated[tuple[Positive, ...], Field(max_length=MOST_NAMES)]
+Weights = Annotated[dict[str, NonNegative], Field(max_length=MOST_NAMES)]
+
 
 class OfficeSettings(Section):
     """The generated office: see `jaxplore.office`."""
 
-    seed: Number = setting(office, "seed")
-    width: Positive = setting(office, "width")
-    height: Positive = setting(office, "height")
+    seed: Seed = setting(office, "seed")
+    width: Width = setting(office, "width")
+    height: Width = setting(office, "height")
 
 
 class WatchSettings(Section):
@@ -99,9 +120,9 @@ class AnomalySettings(Section):
 
     false_alarms: Probability = setting(AnomalyTest, "false_alarms")
     outliers: Probability = setting(AnomalyTest, "outliers")
-    near: Positive = setting(AnomalyTest, "near")
+    near: Length = setting(AnomalyTest, "near")
     baseline: NonNegative = setting(AnomalyTest, "baseline")
-    looks: Count = setting(AnomalyTest, "looks")
+    looks: Looks = setting(AnomalyTest, "looks")
     expiry: Positive = setting(AnomalyTest, "expiry")
     attention: Annotated[float, Field(ge=0, lt=1)] = setting(AnomalyTest, "attention")
     radius: Positive = setting(AnomalyTest, "radius")
@@ -118,11 +139,13 @@ class DetectorSettings(Section):
             class c that is detected. Its rows sum to 1.
     """
 
-    classes: tuple[str, ...]
-    confusion: tuple[tuple[Fraction, ...], ...]
-    recall: Share | tuple[Share, ...] = setting(Detector, "recall")
+    classes: Names
+    confusion: Annotated[tuple[Fractions, ...], Field(max_length=MOST_NAMES)]
+    recall: Share | Annotated[tuple[Share, ...], Field(max_length=MOST_NAMES)] = setting(
+        Detector, "recall"
+    )
     reach: Positive = setting(Detector, "reach")
-    prior: tuple[Fraction, ...] | None = setting(Recognition, "prior")
+    prior: Fractions | None = setting(Recognition, "prior")
     certainty: Annotated[float, Field(gt=0.5, lt=1)] = setting(Recognition, "certainty")
     baseline: NonNegative = setting(Recognition, "baseline")
     weight: NonNegative = setting(Recognition, "weight")
@@ -146,10 +169,10 @@ class TerrainSettings(Section):
 class FieldSettings(Section):
     """The information and guidance fields: see `jaxplore.Perception`."""
 
-    num_directions: Annotated[int, Field(ge=4)] = setting(Perception, "num_directions")
-    node_spacing: Positive = setting(Perception, "node_spacing")
-    max_clearance: Positive = setting(Perception, "max_clearance")
-    margin: NonNegative = setting(Perception, "margin")
+    num_directions: Directions = setting(Perception, "num_directions")
+    node_spacing: Spacing = setting(Perception, "node_spacing")
+    max_clearance: Body = setting(Perception, "max_clearance")
+    margin: Margin = setting(Perception, "margin")
     decay_length: Positive = setting(Perception, "decay_length")
     min_information: Positive = setting(Perception, "min_information")
     occupancy_prior: Probability = setting(Perception, "occupancy_prior")
@@ -161,15 +184,15 @@ class ControllerSettings(Section):
     """MPPI and its costs: see `jaxplore.explorer`."""
 
     parameterisation: ParameterisationName = setting(explorer, "parameterisation")
-    horizon: Count = setting(explorer, "horizon")
-    num_samples: Count = setting(explorer, "num_samples")
+    horizon: StepsAhead = setting(explorer, "horizon")
+    num_samples: Samples = setting(explorer, "num_samples")
     noise: NoiseName = setting(explorer, "noise")
     weighting: WeightingName = setting(explorer, "weighting")
     temperature: Positive = setting(explorer, "temperature")
     effective_share: Share = setting(explorer, "effective_share")
-    noise_std: tuple[Positive, ...] | None = setting(explorer, "noise_std")
-    dt: Positive = setting(explorer, "dt")
-    clearance: Positive = setting(explorer, "clearance")
+    noise_std: Deviations | None = setting(explorer, "noise_std")
+    dt: Step = setting(explorer, "dt")
+    clearance: Body = setting(explorer, "clearance")
     obstacle_weight: NonNegative = setting(explorer, "obstacle_weight")
     information_weight: NonNegative = setting(explorer, "information_weight")
     guidance_weight: NonNegative = setting(explorer, "guidance_weight")
@@ -189,9 +212,9 @@ class PortfolioSettings(Section):
     decomposition: Literal["roles", "temporal", "regional"] = setting(
         ground_portfolio, "decomposition"
     )
-    members: tuple[str, ...] | None = None
-    weights: dict[str, dict[str, NonNegative]] | None = None
-    common: dict[str, NonNegative] | None = setting(ground_portfolio, "common")
+    members: Annotated[tuple[str, ...], Field(max_length=MOST_MEMBERS)] | None = None
+    weights: Annotated[dict[str, Weights], Field(max_length=MOST_MEMBERS)] | None = None
+    common: Weights | None = setting(ground_portfolio, "common")
     fusion: Literal[
         "weighted-vote",
         "best-only",
@@ -201,7 +224,9 @@ class PortfolioSettings(Section):
         "information-density",
         "contextual",
     ] = "weighted-vote"
-    roles: dict[str, str] | None = setting(Contextual, "roles")
+    roles: Annotated[dict[str, str], Field(max_length=MOST_MEMBERS)] | None = setting(
+        Contextual, "roles"
+    )
     is_safe: bool = True
     regret: NonNegative | None = setting(SafeFusion, "regret")
     vote_temperature: Positive = setting(WeightedVote, "temperature")
@@ -211,16 +236,16 @@ class PortfolioSettings(Section):
     hysteresis: NonNegative = setting(Contextual, "hysteresis")
     parameterisation: ParameterisationName = setting(ground_portfolio, "parameterisation")
     effort: NonNegative = setting(ground_portfolio, "effort")
-    horizon: Count = setting(ground_portfolio, "horizon")
-    num_samples: Count = setting(ground_portfolio, "num_samples")
+    horizon: StepsAhead = setting(ground_portfolio, "horizon")
+    num_samples: Samples = setting(ground_portfolio, "num_samples")
     noise: NoiseName = setting(ground_portfolio, "noise")
     weighting: WeightingName = setting(ground_portfolio, "weighting")
     temperature: Positive = setting(ground_portfolio, "temperature")
     effective_share: Share = setting(ground_portfolio, "effective_share")
     noise_share: Positive = setting(ground_portfolio, "noise_share")
-    dt: Positive = setting(ground_portfolio, "dt")
-    clearance: Positive = setting(ground_portfolio, "clearance")
-    margin: NonNegative = setting(ground_portfolio, "margin")
+    dt: Step = setting(ground_portfolio, "dt")
+    clearance: Body = setting(ground_portfolio, "clearance")
+    margin: Margin = setting(ground_portfolio, "margin")
 
 
 class InformativeSettings(Section):
@@ -228,29 +253,29 @@ class InformativeSettings(Section):
     `jaxplore.FieldNumbers`."""
 
     parameterisation: ParameterisationName = setting(Flight, "parameterisation")
-    horizon: Count = setting(Flight, "horizon")
-    num_samples: Count = setting(Flight, "num_samples")
+    horizon: StepsAhead = setting(Flight, "horizon")
+    num_samples: Samples = setting(Flight, "num_samples")
     noise: NoiseName = setting(Flight, "noise")
     weighting: WeightingName = setting(Flight, "weighting")
     temperature: Positive = setting(Flight, "temperature")
     effective_share: Share = setting(Flight, "effective_share")
-    noise_std: tuple[Positive, ...] | None = setting(Flight, "noise_std")
-    dt: Positive = setting(Flight, "dt")
-    clearance: Positive = setting(Flight, "clearance")
+    noise_std: Deviations | None = setting(Flight, "noise_std")
+    dt: Step = setting(Flight, "dt")
+    clearance: Body = setting(Flight, "clearance")
     bias_fraction: Fraction = setting(informative_mppi, "bias_fraction")
     likelihood_ratio: bool = setting(informative_mppi, "likelihood_ratio")
-    field_beams: Count = setting(FieldNumbers, "field_beams")
-    field_range: Positive = setting(FieldNumbers, "field_range")
+    field_beams: Headings = setting(FieldNumbers, "field_beams")
+    field_range: Range = setting(FieldNumbers, "field_range")
     field_noise: NonNegative = setting(FieldNumbers, "field_noise")
-    field_spacing: Positive = setting(FieldNumbers, "field_spacing")
-    field_extent: Positive = setting(FieldNumbers, "field_extent")
-    field_headings: Count = setting(FieldNumbers, "field_headings")
-    local_beams: Count = setting(FieldNumbers, "local_beams")
-    local_range: Positive = setting(FieldNumbers, "local_range")
-    local_extent: Positive = setting(FieldNumbers, "local_extent")
+    field_spacing: Spacing = setting(FieldNumbers, "field_spacing")
+    field_extent: Range = setting(FieldNumbers, "field_extent")
+    field_headings: Headings = setting(FieldNumbers, "field_headings")
+    local_beams: Headings = setting(FieldNumbers, "local_beams")
+    local_range: Range = setting(FieldNumbers, "local_range")
+    local_extent: Range = setting(FieldNumbers, "local_extent")
     by_heading: bool = setting(informative_mppi, "by_heading")
     reference_speed: Positive = setting(informative_mppi, "reference_speed")
-    reference_steps: Count = setting(informative_mppi, "reference_steps")
+    reference_steps: StepsAhead = setting(informative_mppi, "reference_steps")
     target_choice: Literal[
         "remaining", "direct", "discount", "filtered", "temporal", "occlusion"
     ] = setting(zone_choice, "method")
@@ -271,9 +296,9 @@ class InformativeSettings(Section):
 class RatesSettings(Section):
     """Rates of control, sensing and fields: see `jaxplore.ExplorationScenario`."""
 
-    control: Positive = setting(ExplorationScenario, "control_rate")
-    sensing: Positive = setting(ExplorationScenario, "sensing_rate")
-    fields: Positive = setting(ExplorationScenario, "field_rate")
+    control: Rate = setting(ExplorationScenario, "control_rate")
+    sensing: Rate = setting(ExplorationScenario, "sensing_rate")
+    fields: Rate = setting(ExplorationScenario, "field_rate")
 
 
 class Settings(RunSettings):
@@ -311,13 +336,13 @@ class Settings(RunSettings):
     map: str
     world: dict[str, Any] | None = None
     architecture: Annotated[str, WordsOrOwn(ARCHITECTURES)] = "explorer"
-    goal: tuple[float, float] | tuple[float, float, float] | None = None
-    goal_radius: Positive | None = setting(ExplorationScenario, "goal_radius")
+    goal: tuple[Real, Real] | tuple[Real, Real, Real] | None = None
+    goal_radius: Length | None = setting(ExplorationScenario, "goal_radius")
     max_unknown: Fraction | None = setting(ExplorationScenario, "max_unknown")
-    hover_time: NonNegative = setting(ExplorationScenario, "hover_time")
-    altitude: float = setting(Flight, "altitude")
-    resolution: Positive = setting(office, "resolution")
-    time_limit: Positive = 900.0
+    hover_time: Wait = setting(ExplorationScenario, "hover_time")
+    altitude: Real = setting(Flight, "altitude")
+    resolution: Spacing = setting(office, "resolution")
+    time_limit: Duration = 900.0
     target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()

@@ -8,7 +8,15 @@ from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
-from jaxplore.settings.sections import NonNegative, Positive, Section, checked_section
+from jaxplore.settings.sections import (
+    Latency,
+    NonNegative,
+    Positive,
+    Real,
+    Section,
+    Width,
+    checked_section,
+)
 
 
 class NodeContouring(ContouringNumbers):
@@ -68,15 +76,15 @@ class NodeSettings(Section):
     command_type: Literal["twist", "twist_stamped"] = "twist"
     world_frame: str = "odom"
     robot_frame: str = "base_link"
-    map_size: Positive = 50.0
-    lidar_x: float = setting(PilotOptions, "lidar_x")
-    lidar_y: float = setting(PilotOptions, "lidar_y")
-    lidar_yaw_degrees: float = 0.0
+    map_size: Width = 50.0
+    lidar_x: Real = setting(PilotOptions, "lidar_x")
+    lidar_y: Real = setting(PilotOptions, "lidar_y")
+    lidar_yaw_degrees: Real = 0.0
     is_lidar_inverted: bool = False
     deadline: Positive = 0.9
     rollout_colour: str = WEIGHT
     is_autostarted: bool = True
-    latency: NonNegative = setting(PilotOptions, "latency")
+    latency: Latency = setting(PilotOptions, "latency")
     max_age: Positive = setting(PilotOptions, "max_age")
     max_frozen: Positive = setting(PilotOptions, "max_frozen")
     max_jump: Positive = setting(PilotOptions, "max_jump")

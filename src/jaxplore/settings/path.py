@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from jaxplore._limits import MOST_OBSTACLES
 from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.geometry.track import race_track
 from jaxplore.maps.files.path_file import read_path
@@ -13,15 +14,27 @@ from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import GROUND_ROBOTS, RobotSettings
 from jaxplore.settings.sections import (
-    Count,
+    Bends,
+    Body,
+    Duration,
+    Laps,
+    Length,
+    Margin,
     NonNegative,
-    Number,
+    Obstacles,
+    Outcomes,
     ParameterisationName,
     Positive,
+    Rate,
+    Real,
     RunSettings,
+    Samples,
     Section,
+    Seed,
     Share,
     Steering,
+    Step,
+    StepsAhead,
     WeightingName,
     checked_section,
 )
@@ -33,18 +46,18 @@ PATH = "path"
 TRACK = "track"
 """Name of the generated path."""
 
-Point = tuple[float, float]
+Point = tuple[Real, Real]
 PathRobot = Annotated[str, WordsOrOwn(GROUND_ROBOTS)]
 
 
 class TrackSettings(Section):
     """The generated track: see `jaxplore.race_track`."""
 
-    seed: Number = setting(race_track, "seed")
-    length: Positive = setting(race_track, "length")
-    half_width: Positive = setting(race_track, "half_width")
-    min_radius: Positive = setting(race_track, "min_radius")
-    num_bends: Annotated[int, Field(ge=2)] = setting(race_track, "num_bends")
+    seed: Seed = setting(race_track, "seed")
+    length: Length = setting(race_track, "length")
+    half_width: Length = setting(race_track, "half_width")
+    min_radius: Length = setting(race_track, "min_radius")
+    num_bends: Bends = setting(race_track, "num_bends")
 
 
 class PathRobotSettings(RobotSettings):
@@ -63,9 +76,9 @@ class PathRobotSettings(RobotSettings):
         Ackermann, "max_acceleration", differs="path.robot.max_acceleration"
     )
     drag: NonNegative = setting(Ackermann, "drag")
-    wheelbase: Positive = setting(Ackermann, "wheelbase", differs="path.robot.wheelbase")
-    length: Positive = 0.58
-    width: Positive = 0.31
+    wheelbase: Body = setting(Ackermann, "wheelbase", differs="path.robot.wheelbase")
+    length: Body = 0.58
+    width: Body = 0.31
     max_steering: Steering = setting(Ackermann, "max_steering", differs="path.robot.max_steering")
     max_steering_rate: Positive = setting(
         Ackermann, "max_steering_rate", differs="path.robot.max_steering_rate"
@@ -83,14 +96,17 @@ class PathObstacleSettings(Section):
         polygons: lists of corners of static polygons [m].
     """
 
-    number: Number = 0
-    radius: Positive = setting(Traffic.random, "radius")
-    speeds: tuple[float, float] = setting(Traffic.random, "rates")
-    seed: Number | None = None
-    discs: tuple[tuple[float, float, Positive], ...] = ()
-    polygons: tuple[tuple[Point, ...], ...] = ()
-    clearance: Positive = setting(avoidance_cost, "clearance")
-    margin: NonNegative = setting(avoidance_cost, "margin")
+    number: Obstacles = 0
+    radius: Length = setting(Traffic.random, "radius")
+    speeds: tuple[Real, Real] = setting(Traffic.random, "rates")
+    seed: Seed | None = None
+    discs: Annotated[tuple[tuple[Real, Real, Positive], ...], Field(max_length=MOST_OBSTACLES)] = ()
+    polygons: Annotated[
+        tuple[Annotated[tuple[Point, ...], Field(max_length=MOST_OBSTACLES)], ...],
+        Field(max_length=MOST_OBSTACLES),
+    ] = ()
+    clearance: Body = setting(avoidance_cost, "clearance")
+    margin: Margin = setting(avoidance_cost, "margin")
     caution: NonNegative = setting(avoidance_cost, "caution")
     weight: NonNegative = setting(avoidance_cost, "weight")
     prediction: Literal["constant-turn", "constant-velocity"] = setting(PathScenario, "prediction")
@@ -105,9 +121,9 @@ class ContouringNumbers(Section):
     noise: Literal["gaussian", "coloured"] = setting(mpcc, "noise")
     weighting: WeightingName = setting(mpcc, "weighting")
     effective_share: Share = setting(mpcc, "effective_share")
-    horizon: Count = setting(mpcc, "horizon")
-    num_samples: Count = setting(mpcc, "num_samples")
-    dt: Positive = setting(mpcc, "dt")
+    horizon: StepsAhead = setting(mpcc, "horizon")
+    num_samples: Samples = setting(mpcc, "num_samples")
+    dt: Step = setting(mpcc, "dt")
     temperature: Positive = setting(mpcc, "temperature")
     contouring_weight: NonNegative = setting(mpcc, "contouring_weight")
     lag_weight: NonNegative = setting(mpcc, "lag_weight")
@@ -128,9 +144,9 @@ class ContouringSettings(ContouringNumbers):
             absent.
     """
 
-    corridor_margin: NonNegative = setting(mpcc, "corridor_margin")
+    corridor_margin: Margin = setting(mpcc, "corridor_margin")
     risk_level: Annotated[float, Field(ge=0, lt=1)] | None = None
-    num_outcomes: Count = setting(mpcc, "num_outcomes")
+    num_outcomes: Outcomes = setting(mpcc, "num_outcomes")
 
 
 class PathSettings(RunSettings):
@@ -149,10 +165,10 @@ class PathSettings(RunSettings):
     path: str = TRACK
     method: Literal["cubic", "monotone", "akima"] = setting(read_path, "method")
     is_closed: bool | None = setting(read_path, "is_closed")
-    half_width: Positive | None = None
-    laps: Count = setting(PathScenario, "laps")
-    time_limit: Positive = 120.0
-    control_rate: Positive = setting(PathScenario, "control_rate")
+    half_width: Length | None = None
+    laps: Laps = setting(PathScenario, "laps")
+    time_limit: Duration = 120.0
+    control_rate: Rate = setting(PathScenario, "control_rate")
     track: TrackSettings = TrackSettings()
     robot: PathRobotSettings = PathRobotSettings()
     obstacles: PathObstacleSettings = PathObstacleSettings()

@@ -14,10 +14,13 @@ from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.sections import (
-    Count,
+    Beams,
+    Body,
     Negative,
     NonNegative,
     Positive,
+    Range,
+    Real,
     Section,
     Steering,
 )
@@ -50,22 +53,22 @@ class RobotSettings(Section):
     max_deceleration: Positive | None = setting(DifferentialDrive, "max_deceleration")
     max_angular_acceleration: Positive = setting(DifferentialDrive, "max_angular_acceleration")
     drag: NonNegative = setting(DifferentialDrive, "drag")
-    radius: Positive = setting(DifferentialDrive, "radius")
+    radius: Body = setting(DifferentialDrive, "radius")
     mass: Positive = setting(Quadrotor, "mass")
-    wheelbase: Positive = setting(Ackermann, "wheelbase")
-    length: Positive = 0.75
-    width: Positive = 0.4
+    wheelbase: Body = setting(Ackermann, "wheelbase")
+    length: Body = 0.75
+    width: Body = 0.4
     max_steering: Steering = setting(Ackermann, "max_steering")
     max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
-    min_speed: float = setting(Ackermann, "min_speed")
+    min_speed: Real = setting(Ackermann, "min_speed")
     max_lateral_speed: Positive | None = setting(Omnidirectional, "max_lateral_speed")
 
 
 class LidarSettings(Section):
     """A planar lidar: see `jaxplore.Lidar`."""
 
-    num_beams: Count = setting(Lidar, "num_beams")
-    max_range: Positive = setting(Lidar, "max_range")
+    num_beams: Beams = setting(Lidar, "num_beams")
+    max_range: Range = setting(Lidar, "max_range")
     field_of_view_degrees: Annotated[float, Field(gt=0, le=360)] = setting(
         Lidar, "field_of_view", in_degrees
     )
@@ -76,13 +79,13 @@ class LidarSettings(Section):
 class CameraSettings(Section):
     """A forward depth camera: see `jaxplore.Camera`."""
 
-    num_beams: Count = setting(Camera, "num_beams")
-    max_range: Positive = setting(Camera, "max_range")
+    num_beams: Beams = setting(Camera, "num_beams")
+    max_range: Range = setting(Camera, "max_range")
     field_of_view_degrees: ViewDegrees = setting(Camera, "field_of_view", in_degrees)
     vertical_view_degrees: ViewDegrees = setting(Camera, "vertical_view", in_degrees)
     range_noise: NonNegative = setting(Camera, "range_noise")
     height: Positive = setting(Camera, "height")
-    tilt: float = setting(Camera, "tilt")
+    tilt: Real = setting(Camera, "tilt")
 
 
 class SensorModelSettings(Section):

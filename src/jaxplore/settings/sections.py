@@ -1,10 +1,12 @@
 """Base classes of settings, and how they are read and checked."""
 
 import os
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Field,
@@ -12,8 +14,34 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
+from pydantic_core import PydanticCustomError
 
 from jaxplore._files import parse_yaml, read_bytes
+from jaxplore._limits import (
+    BROADEST,
+    FINEST,
+    HIGHEST_RATE,
+    LARGEST,
+    LONGEST,
+    LONGEST_LATENCY,
+    LONGEST_RANGE,
+    LONGEST_TIME,
+    LOWEST_RATE,
+    MOST_BEAMS,
+    MOST_BENDS,
+    MOST_DELAY,
+    MOST_DIRECTIONS,
+    MOST_LAPS,
+    MOST_LOOKS,
+    MOST_NAMES,
+    MOST_OBSTACLES,
+    MOST_OUTCOMES,
+    MOST_SAMPLES,
+    MOST_STEPS_AHEAD,
+    SHORTEST_TIME,
+    SMALLEST,
+    WIDEST,
+)
 from jaxplore._spelling import spelled
 from jaxplore._text import printable_path, short_repr
 from jaxplore.settings.defaults import setting
@@ -21,25 +49,60 @@ from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.variation import Variation
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Negative = Annotated[float, Field(lt=0)]
+
+def _not_tiny(value: float) -> float:
+    # Smaller numbers, or their squares, are zero in float32.
+    if value < SMALLEST:
+        raise PydanticCustomError("too_small", "at least {least}", {"least": SMALLEST})
+    return value
+
+
+Real = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST), AfterValidator(_not_tiny)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
+Negative = Annotated[float, Field(lt=0, ge=-LARGEST)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
-Share = Annotated[float, Field(gt=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
-Number = Annotated[int, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, le=1), AfterValidator(_not_tiny)]
 Seed = Annotated[int, Field(ge=0, lt=2**32)]
 Probability = Annotated[float, Field(gt=0, lt=1)]
-Steering = Annotated[float, Field(gt=0, lt=1.57)]
+Steering = Annotated[float, Field(gt=0, lt=1.57), AfterValidator(_not_tiny)]
+
+# Sizes: what the memory or the time of a run grows with.
+Length = Annotated[float, Field(gt=0, le=LONGEST), AfterValidator(_not_tiny)]
+Body = Annotated[float, Field(gt=0, le=BROADEST), AfterValidator(_not_tiny)]
+Margin = Annotated[float, Field(ge=0, le=BROADEST)]
+Range = Annotated[float, Field(gt=0, le=LONGEST_RANGE), AfterValidator(_not_tiny)]
+Width = Annotated[float, Field(gt=0, le=WIDEST)]
+Spacing = Annotated[float, Field(ge=FINEST, le=LONGEST)]
+Duration = Annotated[float, Field(gt=0, le=LONGEST_TIME), AfterValidator(_not_tiny)]
+Wait = Annotated[float, Field(ge=0, le=LONGEST_TIME)]
+Latency = Annotated[float, Field(ge=0, le=LONGEST_LATENCY)]
+Step = Annotated[float, Field(ge=SHORTEST_TIME, le=LONGEST_TIME)]
+Rate = Annotated[float, Field(ge=LOWEST_RATE, le=HIGHEST_RATE)]
+Samples = Annotated[int, Field(ge=1, le=MOST_SAMPLES)]
+StepsAhead = Annotated[int, Field(ge=1, le=MOST_STEPS_AHEAD)]
+Outcomes = Annotated[int, Field(ge=1, le=MOST_OUTCOMES)]
+Beams = Annotated[int, Field(ge=1, le=MOST_BEAMS)]
+Headings = Annotated[int, Field(ge=1, le=MOST_DIRECTIONS)]
+Directions = Annotated[int, Field(ge=4, le=MOST_DIRECTIONS)]
+Looks = Annotated[int, Field(ge=1, le=MOST_LOOKS)]
+Delay = Annotated[int, Field(ge=0, le=MOST_DELAY)]
+Obstacles = Annotated[int, Field(ge=0, le=MOST_OBSTACLES)]
+Bends = Annotated[int, Field(ge=2, le=MOST_BENDS)]
+Laps = Annotated[int, Field(ge=1, le=MOST_LAPS)]
+
 Interval = tuple[NonNegative, NonNegative]
 Positives = tuple[Positive, Positive]
-Numbers = tuple[Number, Number]
+Delays = tuple[Delay, Delay]
 ParameterisationName = Literal["direct", "smooth", "knots"]
 NoiseName = Literal["gaussian", "coloured", "sobol", "bank"]
 WeightingName = Literal["softmax", "adaptive", "elite"]
 SETTINGS_LIMIT = 1_000_000
 """Largest settings file that is read [bytes]."""
-Parameters = dict[str, float | list[float]]
+Parameters = Annotated[
+    dict[str, Real | Annotated[list[Real], Field(max_length=MOST_NAMES)]],
+    Field(max_length=MOST_NAMES),
+]
 """Controller parameters by path; a list for an array."""
 
 
@@ -62,7 +125,7 @@ class FaultSettings(Section):
     scan_dropout: Interval = setting(Faults, "scan_dropout")
     lost_odometry: Interval = setting(Faults, "lost_odometry")
     frozen_odometry: Interval = setting(Faults, "frozen_odometry")
-    control_delay: Number = setting(Faults, "control_delay")
+    control_delay: Delay = setting(Faults, "control_delay")
 
 
 class VariationSettings(Section):
@@ -72,11 +135,13 @@ class VariationSettings(Section):
         parameters: intervals of parameters of the robot's model by their path, such as `drag`.
     """
 
-    parameters: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    parameters: Annotated[dict[str, tuple[Real, Real]], Field(max_length=MOST_NAMES)] = Field(
+        default_factory=dict
+    )
     gain: Positives = setting(Variation, "gain")
     slip: Interval = setting(Variation, "slip")
     turn_slip: Interval = setting(Variation, "turn_slip")
-    control_delay: Numbers = setting(Variation, "control_delay")
+    control_delay: Delays = setting(Variation, "control_delay")
     control_noise: Interval = setting(Variation, "control_noise")
     position_noise: Interval = setting(Variation, "position_noise")
     heading_noise: Interval = setting(Variation, "heading_noise")
@@ -95,9 +160,9 @@ class AdaptiveHorizonSettings(Section):
     """
 
     rule: Literal["speed", "clearance", "information"] | None = None
-    min_horizon: Count = 20
-    at_shortest: float | None = None
-    at_longest: float | None = None
+    min_horizon: StepsAhead = 20
+    at_shortest: Real | None = None
+    at_longest: Real | None = None
 
 
 class RunSettings(Section):
@@ -116,11 +181,11 @@ class RunSettings(Section):
             settings: see `jaxplore.get_parameters`. A list sets each element of an array.
     """
 
-    start: tuple[float, float, float] | None = None
-    time_limit: Positive
+    start: tuple[Real, Real, Real] | None = None
+    time_limit: Duration
     seed: Seed = 0
     parameters: Parameters = Field(default_factory=dict)
-    latency: NonNegative = 0.0
+    latency: Latency = 0.0
     adaptive_horizon: AdaptiveHorizonSettings = AdaptiveHorizonSettings()
     faults: FaultSettings = FaultSettings()
     variation: VariationSettings = VariationSettings()
@@ -189,6 +254,9 @@ def _one_line(
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
     if kind == "missing":
         return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
+    if kind == "too_long":
+        most = re.search(r"at most (\d+)", message)
+        message = f"at most {most[1]} entries" if most else message
     accepted = message.removeprefix("Input should be ")
     return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
 

@@ -13,6 +13,7 @@ from jaxtyping import Array, Bool
 from jaxtyping import Key as KeyArray
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS
 from jaxplore._types import Count, Flag, Key
 from jaxplore.control.base import Controller
 from jaxplore.report.recording import Frame, Recording
@@ -103,7 +104,7 @@ def record_experiments(
     Raises:
         ValueError: fewer than one step; no experiments, or some that differ in more than numbers.
     """
-    limit = _checks.positive_int("num_steps", num_steps)
+    limit = _checks.positive_int("num_steps", num_steps, at_most=MOST_STEPS)
     if not experiments:
         raise ValueError("experiments is empty; accepted: at least one")
     began = time.perf_counter()

@@ -7,6 +7,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DELAY
 from jaxplore._types import ArrayLike, ControlVector, Flag, GridMask, Scalar, StateVector, Vector
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -50,7 +51,9 @@ class Faults(eqx.Module):
         self.scan_dropout = _interval("scan_dropout", scan_dropout)
         self.lost_odometry = _interval("lost_odometry", lost_odometry)
         self.frozen_odometry = _interval("frozen_odometry", frozen_odometry)
-        self.control_delay = _checks.whole_number("control_delay", control_delay, at_least=0)
+        self.control_delay = _checks.whole_number(
+            "control_delay", control_delay, at_least=0, at_most=MOST_DELAY
+        )
         self.walls_from = _checks.scalar("walls_from", walls_from, at_least=0.0)
         self.walls = None
         if walls is not None:

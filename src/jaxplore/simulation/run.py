@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS
 from jaxplore._types import Count, Key
 from jaxplore.control.base import Controller
 from jaxplore.maps.lattice_figure import shown_in_notebooks
@@ -339,7 +340,7 @@ def _closed_loop(
     _kinds.instance("controller", controller, Controller, hint=order)
     _kinds.instance("scenario", scenario, Scenario, hint=order)
     _kinds.key("key", key)
-    limit = _checks.positive_int("num_steps", num_steps)
+    limit = _checks.positive_int("num_steps", num_steps, at_most=MOST_STEPS)
     rollouts = _checks.whole_number("num_trajectories", num_trajectories, at_least=0)
     if former is not None:
         former.check(controller, scenario, key, limit)

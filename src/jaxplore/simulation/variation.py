@@ -11,6 +11,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DELAY
 from jaxplore._types import ControlVector, Count, Key, Scalar, StateVector, Vector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.parameters import find_parameter, get_parameters, set_parameters, split_index
@@ -267,7 +268,9 @@ def _periods(name: str, value: Any) -> tuple[int, int]:
     """Return an interval of whole numbers."""
     given = tuple(value) if isinstance(value, (tuple, list)) else ()
     if len(given) == 2:
-        low, high = (_checks.whole_number(name, each, at_least=0) for each in given)
+        low, high = (
+            _checks.whole_number(name, each, at_least=0, at_most=MOST_DELAY) for each in given
+        )
         if low <= high:
             return low, high
     raise ValueError(f"{name} is {value!r}; accepted: two whole numbers, 0 <= low <= high")

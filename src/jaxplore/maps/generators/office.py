@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import DEEPEST_OFFICE
 from jaxplore.maps.generators._clutter import DOOR_CLEARANCE, ROBOT_RADIUS, wall_cells
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.resample import CELL_LIMIT
@@ -54,7 +55,8 @@ def office(
         and its origin at (0, 0, 0). `start_pose` gives a pose to start from.
 
     Raises:
-        ValueError: a seed, size or resolution that is not accepted, or more than 64 million cells.
+        ValueError: a seed, size or resolution that is not accepted, more than 64 million cells, or
+            rooms that are too deep to furnish.
     """
     number = _checks.whole_number("seed", seed, at_least=0)
     width = _checks.number("width", width, at_least=8.0)
@@ -64,6 +66,11 @@ def office(
         raise ValueError(
             f"resolution is {resolution}; accepted: at most {CELL_LIMIT} cells on "
             f"{width} m x {height} m"
+        )
+    if (width / resolution) * (height / resolution) * height > DEEPEST_OFFICE:
+        raise ValueError(
+            f"height is {height} m beside a width of {width} m and cells of {resolution} m; "
+            f"accepted: at most {DEEPEST_OFFICE:g} cells times height"
         )
     rng = np.random.default_rng(number)
     occupied = np.zeros((round(height / resolution), round(width / resolution)), bool)

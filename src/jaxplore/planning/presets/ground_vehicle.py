@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
 from jaxplore.control.mppi import MPPI
@@ -193,7 +194,7 @@ def ground_portfolio(
     # would make all roles plan alike. A member without a weight for "goal" needs it there.
     is_guided = mission.goal is not None or not all(row.get("goal") for row in weights.values())
     terms: dict[str, Cost | list[Cost]] = {**objectives(mission, clearance, is_guided=is_guided)}
-    steps = _checks.positive_int("horizon", horizon)
+    steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
     length = computed(lambda _, dt: dt * steps, _checks.scalar("dt", dt, above=0.0))
     if decomposition == "temporal":
         horizons = jnp.stack([HORIZONS[name] * length for name in weights])

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_OUTCOMES
 from jaxplore._types import ArrayLike, Vector
 from jaxplore.control.augmented import AugmentedProposal
 from jaxplore.control.disturbance import Disturbance
@@ -230,7 +231,7 @@ def mpcc(
             `comfort_weight` for a robot without a time derivative, or a value that a part rejects.
     """
     _checks.scalar("corridor_margin", corridor_margin, at_least=0.0)
-    _checks.positive_int("num_outcomes", num_outcomes)
+    _checks.positive_int("num_outcomes", num_outcomes, at_most=MOST_OUTCOMES)
     _kinds.instance("robot", robot, Dynamics)
     _kinds.instance("path", path, Path)
     _kinds.instance("noise", noise, str)

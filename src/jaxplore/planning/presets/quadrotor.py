@@ -3,6 +3,7 @@
 from typing import Any
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
@@ -103,7 +104,7 @@ def informative_mppi(
         ValueError: an unknown architecture, a reference or target choice for the parallel one, a
             value that a part does not accept.
     """
-    _checks.positive_int("reference_steps", reference_steps)
+    _checks.positive_int("reference_steps", reference_steps, at_most=MOST_STEPS_AHEAD)
     _kinds.flag("by_heading", by_heading)
     _checks.scalar("goal_weight", goal_weight)
     _checks.scalar("reference_speed", reference_speed, above=0.0)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_SAMPLES, MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.control.coloured_noise import ColouredNoise
@@ -108,7 +109,7 @@ def parameterisation_by_name(
     """
     if isinstance(given, Parameterisation):
         return given
-    steps = _checks.positive_int("horizon", horizon)
+    steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
     if given == "direct":
         return Direct()
     if given == "smooth":
@@ -133,7 +134,7 @@ def spread(parameterisation: Parameterisation, horizon: int, dt: ArrayLike) -> S
     Raises:
         ValueError: a horizon or a model step that is not positive.
     """
-    steps = _checks.positive_int("horizon", horizon)
+    steps = _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
     step = _checks.scalar("dt", dt, above=0.0)
     if isinstance(parameterisation, Smooth):
         return computed(lambda _, dt: 1.0 / (dt * math.sqrt(0.5 * steps)), step)
@@ -180,8 +181,10 @@ def noise_by_name(
         return ColouredNoise(1.0)
     if given == "sobol":
         return SobolNoise()
-    rows = parameterisation.num_parameters(_checks.positive_int("horizon", horizon))
-    samples = _checks.positive_int("num_samples", num_samples)
+    rows = parameterisation.num_parameters(
+        _checks.positive_int("horizon", horizon, at_most=MOST_STEPS_AHEAD)
+    )
+    samples = _checks.positive_int("num_samples", num_samples, at_most=MOST_SAMPLES)
     return NoiseBank((rows, robot.control_size, samples), key=jax.random.key(0))
 
 
@@ -215,7 +218,7 @@ def weighting_by_name(
     # Checked under any name, so that a bad number is refused wherever it stands.
     heat = _checks.scalar("temperature", temperature, above=0.0)
     share = _checks.scalar("effective_share", effective_share, above=0.0, at_most=1.0)
-    samples = _checks.positive_int("num_samples", num_samples)
+    samples = _checks.positive_int("num_samples", num_samples, at_most=MOST_SAMPLES)
     if isinstance(given, Weighting):
         return given
     if given == "softmax":

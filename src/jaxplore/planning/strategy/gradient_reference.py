@@ -9,6 +9,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore import _checks
+from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, Flag, Position, Scalar
 from jaxplore.maps.field import ScalarField, gather, stencil
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
@@ -58,7 +59,7 @@ class GradientReference(eqx.Module):
             else _checks.scalar("reverse_speed", reverse_speed, above=0.0)
         )
         self.dt = _checks.scalar("dt", dt, above=0.0)
-        self.num_steps = _checks.positive_int("num_steps", num_steps)
+        self.num_steps = _checks.positive_int("num_steps", num_steps, at_most=MOST_STEPS_AHEAD)
 
     def __call__(
         self, field: ScalarField, grid: OccupancyGrid, start: Float[Array, "3"]

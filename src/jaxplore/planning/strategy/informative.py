@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_DIRECTIONS
 from jaxplore._types import ArrayLike, ControlVector, Count, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief, StrategicBelief
 from jaxplore.control.base import Controller, Info, SampledPlan
@@ -76,7 +77,7 @@ class ShortRangeField(eqx.Module):
     def __check_init__(self) -> None:
         _kinds.instance("sensor", self.sensor, FieldSensor)
         _checks.positive_int("num_nodes", self.num_nodes)
-        _checks.positive_int("num_headings", self.num_headings)
+        _checks.positive_int("num_headings", self.num_headings, at_most=MOST_DIRECTIONS)
 
     def __call__(self, belief: Belief, model: CellSensor, position: Array) -> HeadingField:
         """Compute the field around a position [nat]."""

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
+from jaxplore._limits import MOST_LAPS
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -126,7 +127,7 @@ class PathScenario(Scenario):
                 f"robot has the states {', '.join(robot.state_names)}; accepted: one with phi, "
                 "such as mpcc returns"
             )
-        rounds = _checks.positive_int("laps", laps)
+        rounds = _checks.positive_int("laps", laps, at_most=MOST_LAPS)
         if rounds > 1 and not path.is_closed:
             raise ValueError(f"laps is {laps!r} of an open path; accepted: 1")
         self.robot, self.path = robot, path

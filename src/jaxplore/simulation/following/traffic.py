@@ -8,6 +8,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._checks import array, one_each
+from jaxplore._limits import MOST_OBSTACLES
 from jaxplore._types import Scalar, Vector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.geometry.outlines import Outlines
@@ -91,7 +92,7 @@ class Traffic(eqx.Module):
         Raises:
             ValueError: a path without room for them, numbers that are not positive.
         """
-        count = _checks.whole_number("number", number, at_least=0)
+        count = _checks.whole_number("number", number, at_least=0, at_most=MOST_OBSTACLES)
         size = _checks.number("radius", radius, above=0.0)
         length, free = float(path.length), _checks.number("clear", clear, at_least=0.0)
         narrow = float(np.asarray(path.half_widths).min())

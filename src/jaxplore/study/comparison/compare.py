@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS
 from jaxplore.control.base import Controller
 from jaxplore.report.console import progress_bar
 from jaxplore.report.metrics import Metrics
@@ -18,6 +19,7 @@ from jaxplore.simulation.scenario import Scenario
 from jaxplore.study.comparison.comparison import Comparison, check_names
 from jaxplore.study.experiments import record_alone
 from jaxplore.study.runner import Runner
+from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
 from jaxplore.study.workers.task import Task
 
 
@@ -93,6 +95,8 @@ def compare(
         ValueError: no experiments, no seeds, a repeated seed, a name that is not a file name.
     """
     _check_arguments(experiments, seeds)
+    check_number_of_seeds("seeds", seeds)
+    check_number_of_runs(len(experiments) * len(seeds))
     _kinds.instance("runner", runner, Runner, may_be_none=True)
     _kinds.flag("progress", progress)
     if not experiments:
@@ -144,7 +148,7 @@ def _check_arguments(experiments: object, seeds: object) -> None:
             raise ValueError(f"{label} is {given}; accepted: (controller, scenario, num_steps)")
         _kinds.instance(f"controller of {label}", experiment[0], Controller)
         _kinds.instance(f"scenario of {label}", experiment[1], Scenario)
-        _checks.positive_int(f"num_steps of {label}", experiment[2])
+        _checks.positive_int(f"num_steps of {label}", experiment[2], at_most=MOST_STEPS)
     if not isinstance(seeds, Sequence) or isinstance(seeds, str):
         given = _kinds.described(seeds)
         raise ValueError(f"seeds is {given}; accepted: different whole numbers, at least one")

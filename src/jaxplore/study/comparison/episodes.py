@@ -19,6 +19,7 @@ from jaxplore.settings.exploration import (
 )
 from jaxplore.settings.own import is_own
 from jaxplore.study.comparison.maps import MapFile
+from jaxplore.study.seeds import check_number_of_runs, check_number_of_seeds
 
 FORMAT = 3
 """Version of the stored results. It is raised when former results are no longer comparable, also
@@ -124,6 +125,8 @@ def make_episodes(
     """
     if batch < 1:
         raise ValueError(f"batch is {batch}; accepted: a whole number >= 1")
+    check_number_of_seeds("seeds", seeds)
+    check_number_of_runs(len(maps) * len(variants) * len(seeds))
     kinds: dict[str, list[Any]] = {
         "maps": [each.name for each in maps],
         "variants": list(variants),

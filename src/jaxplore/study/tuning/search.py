@@ -1,8 +1,12 @@
 """Definition of a search: space, objectives, seeds and optimizer."""
 
 import dataclasses
+import math
 from typing import Any
 
+from jaxplore import _checks
+from jaxplore._limits import MOST_AT_ONCE, MOST_CANDIDATES
+from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.tuning.objective import Objective
 from jaxplore.study.tuning.optimizers import (
     EVOSAX,
@@ -30,7 +34,7 @@ class Measure:
         cells: number of cells.
 
     Raises:
-        ValueError: bounds that are reversed, fewer than two cells.
+        ValueError: bounds that are reversed, fewer than two or too many cells.
     """
 
     metric: str
@@ -44,6 +48,7 @@ class Measure:
                 f"measure {self.metric} has {self.cells} cells from {self.low:g} to {self.high:g}; "
                 "accepted: at least two, the lower bound first"
             )
+        _checks.positive_int(f"cells of {self.metric}", self.cells, at_most=MOST_CANDIDATES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,12 +95,19 @@ class Search:
                 f"measures are {[each.metric for each in self.measures]} for {self.optimizer}; "
                 "accepted: some for cma-me, none for others"
             )
+        check_number_of_seeds("seeds", self.seeds)
         if not self.seeds or len(set(self.seeds)) != len(self.seeds):
             raise ValueError(
                 f"seeds are {list(self.seeds)}; accepted: different ones, at least one"
             )
         if self.population < 1:
             raise ValueError(f"population is {self.population}; accepted: a whole number >= 1")
+        _checks.positive_int("population", self.population, at_most=MOST_AT_ONCE)
+        cells = math.prod(each.cells for each in self.measures)
+        if cells > MOST_CANDIDATES:
+            raise ValueError(
+                f"measures have {cells} cells in all; accepted: at most {MOST_CANDIDATES}"
+            )
         if self.optimizer in EVOSAX and (self.population % 2 or self.population < 4):
             raise ValueError(
                 f"population is {self.population}; accepted for {self.optimizer}: an even number "

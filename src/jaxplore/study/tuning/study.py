@@ -7,6 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxplore import _checks
+from jaxplore._limits import MOST_CANDIDATES
 from jaxplore.study.tuning.episodes import Episode, Episodes, Result
 from jaxplore.study.tuning.generation import Generations
 from jaxplore.study.tuning.objective import Numbers, Objective
@@ -140,6 +142,8 @@ class Study:
         """
         if (budget is None and seconds is None) or (budget is not None and budget < 1):
             raise ValueError(f"budget is {budget}; accepted: a whole number >= 1, or a time")
+        if budget is not None:
+            _checks.positive_int("budget", budget, at_most=MOST_CANDIDATES)
         began, before = time.perf_counter(), self._num_done()
         now = SearchProgress(before, self._least(), 0.0, 0, 0)
         on_progress(now)

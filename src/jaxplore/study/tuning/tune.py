@@ -10,6 +10,7 @@ from pathlib import Path
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.figure import PNG, figure_formats
 from jaxplore.report.drawing.film import FilmOptions
+from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.tuning.before_after import before_and_after
 from jaxplore.study.tuning.episodes import Episodes
 from jaxplore.study.tuning.objective import Objective
@@ -103,10 +104,13 @@ def tune(
     if unseen < 1:
         raise ValueError(f"unseen is {unseen}; accepted: a whole number >= 1")
     objectives = _objectives(episodes, objective)
+    asked = range(seed, seed + seeds)
+    check_number_of_seeds("seeds", asked)
+    check_number_of_seeds("unseen", range(seed, seed + unseen))
     search = Search(
         build_space(parameters, episodes),
         objectives,
-        tuple(range(seed, seed + seeds)),
+        tuple(asked),
         optimizer,
         population=population,
         seed=seed,

@@ -1,0 +1,36 @@
+"""Bounds of the numbers of seeds, runs and candidates of a study."""
+
+from collections.abc import Sequence
+
+from jaxplore._limits import MOST_CANDIDATES, MOST_SEEDS
+
+LAST = 2**32 - 1
+"""Last seed of a run."""
+
+
+def check_number_of_seeds(name: str, seeds: Sequence[int]) -> None:
+    """Check that there are not too many seeds, without looking at each of them.
+
+    Args:
+        name: name of the argument.
+        seeds: the seeds.
+
+    Raises:
+        ValueError: more than `MOST_SEEDS`, or a last one beyond 32 bits.
+    """
+    # `len` of a range of more than 2**63 numbers is an error.
+    number = seeds[-1] - seeds[0] + 1 if isinstance(seeds, range) and seeds else len(seeds)
+    if number > MOST_SEEDS:
+        raise ValueError(f"{name} has {number} seeds; accepted: at most {MOST_SEEDS}")
+    if isinstance(seeds, range) and seeds and seeds[-1] > LAST:
+        raise ValueError(f"{name} end at {seeds[-1]}; accepted: up to {LAST}")
+
+
+def check_number_of_runs(number: int) -> None:
+    """Check the number of runs of a comparison.
+
+    Raises:
+        ValueError: more than `MOST_CANDIDATES`.
+    """
+    if number > MOST_CANDIDATES:
+        raise ValueError(f"the comparison has {number} runs; accepted: at most {MOST_CANDIDATES}")
