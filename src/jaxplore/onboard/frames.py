@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Any
 
+from jaxplore.simulation.chunks import are_too_many
+
 FRAME_SECONDS = 0.5
 """Time between two frames at the start [s]."""
-MAX_FRAMES = 120
-"""Greatest number of frames; beyond it every second one is dropped."""
 
 
 class EvenFrames:
@@ -35,7 +35,7 @@ class EvenFrames:
         if time < self._next:
             return
         self._frames.append(make())
-        if len(self._frames) > MAX_FRAMES:
+        if are_too_many(self._frames):
             self._frames, self._period = self._frames[::2], 2.0 * self._period
         self._next = time + self._period
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -23,6 +23,8 @@ STEPWISE_CHUNKS = 10
 """One chunk in this many is run step by step, by the same compiled program, to time steps."""
 MAX_FRAMES = 120
 """Greatest number of frames of a run; beyond it, every second one is dropped."""
+MOST_FRAME_BYTES = 1_000_000_000
+"""Greatest memory of the frames of a run, likewise: frames of a large map are few."""
 
 
 def loop[S, R](
@@ -117,6 +119,20 @@ class Chunk[S, R]:
     is_stop_requested: Callable[[], bool]
 
 
+def are_too_many(frames: Sequence[Any]) -> bool:
+    """Return whether every second frame is to be dropped.
+
+    Args:
+        frames: frames of a run, of equal size, or tuples of them in a batch of runs.
+    """
+    if len(frames) <= 2:
+        return False
+    last = frames[-1] if isinstance(frames[-1], tuple) else (frames[-1],)
+    leaves = [leaf for each in last for leaf in jax.tree.leaves(getattr(each, "__dict__", {}))]
+    size = sum(getattr(leaf, "nbytes", 0) for leaf in leaves)
+    return len(frames) > MAX_FRAMES or len(frames) * size > MOST_FRAME_BYTES
+
+
 class _Frames[S, F]:
     """Frames at regular steps, and one at the end.
 
@@ -151,7 +167,7 @@ class _Frames[S, F]:
         self.frames.append(self._make(state, total))
         self._shown = total
         # The interval doubles with the dropped frames, so that frames stay evenly spaced.
-        if len(self.frames) > MAX_FRAMES:
+        if are_too_many(self.frames):
             self.frames, self.interval = self.frames[::2], self.interval * 2
 
     def until_end(self, state: S, total: int) -> tuple[F, ...]:
