@@ -18,6 +18,7 @@ from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
+from jaxplore.cli._memory import memory_option
 from jaxplore.cli._node_options import node_options, replay_options, robot_options
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
@@ -43,6 +44,7 @@ def cli() -> None:
 
 @cli.command()
 @with_options()
+@memory_option
 @cache_option
 @path_options
 @click.option(
@@ -96,6 +98,7 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
 @path_options
 @comparison_options
 @runner_options
+@memory_option
 @cache_option
 @click.option(
     "--seeds",
@@ -142,6 +145,7 @@ def compare(seeds: int, out: Path | None, overwrite: bool, **options: Any) -> No
 
 @cli.command()
 @with_options()
+@memory_option
 @cache_option
 @path_options
 @tune_options
@@ -183,6 +187,7 @@ def tune(out: Path | None, **options: Any) -> None:
     help="Also record the drive for Foxglove (needs foxglove-sdk).",
 )
 @view_options
+@memory_option
 @cache_option
 def node(**options: Any) -> None:
     """Drive a robot that explores, over ROS 2.
@@ -211,6 +216,7 @@ def node(**options: Any) -> None:
 @cli.command()
 @click.argument("bag", type=click.Path(path_type=Path))
 @replay_options
+@memory_option
 @cache_option
 def replay(bag: Path, **options: Any) -> None:
     """Feed a recorded drive to mapping and controller: what would it have commanded?
@@ -232,6 +238,7 @@ def replay(bag: Path, **options: Any) -> None:
 @cli.command()
 @with_options("architecture")
 @robot_options
+@memory_option
 @cache_option
 @click.option(
     "--out",

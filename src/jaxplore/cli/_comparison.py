@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._exit import FAILED, INTERRUPTED
+from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts
@@ -20,9 +22,11 @@ from jaxplore.settings.exploration import GROUND, QUADROTOR, merge_entries
 from jaxplore.settings.sections import RunSettings
 from jaxplore.study.comparison.compare import compare
 from jaxplore.study.comparison.compare_maps import MapComparison, compare_maps
+from jaxplore.study.comparison.episodes import variant_entries
 from jaxplore.study.comparison.maps import maps_in, with_starts
 from jaxplore.study.comparison.store import Plan
 from jaxplore.study.runner import Runner
+from jaxplore.study.seeds import check_number_of_seeds
 from jaxplore.study.variants import make_variants
 
 _OF_MAPS = ("starts", "batch")
@@ -47,8 +51,8 @@ def run_comparison(
         ValueError: options that are not accepted.
     """
     pictures = take_pictures(options)
-    if seeds < 1:
-        raise ValueError(f"--seeds is {seeds}; accepted: a whole number >= 1")
+    limit = memory_limit(options)
+    check_count("--seeds", seeds, MOST_SEEDS)
     variants = make_variants(
         _names(options.pop("architectures")),
         _names(options.pop("variants")),
@@ -62,12 +66,12 @@ def run_comparison(
             raise ValueError("--fps or --film-scale is given beside --maps, which draws no film; "
                              "accepted: without --maps")  # fmt: skip
         kinds = pictures.figures
-        _on_maps(options, given, variants, seeds, out, runner, kinds, overwrite=overwrite)
+        _on_maps(options, given, variants, seeds, out, runner, kinds, limit, overwrite=overwrite)
         return
     for name in _OF_MAPS:
         if given[name] is not None:
             raise ValueError(f"--{name} is {given[name]}; accepted: with --maps")
-    _in_one_place(options, pictures, variants, seeds, out, runner, overwrite=overwrite)
+    _in_one_place(options, pictures, variants, seeds, out, runner, limit, overwrite=overwrite)
 
 
 def _names(text: str | None) -> list[str]:
@@ -81,6 +85,7 @@ def _in_one_place(
     seeds: int,
     out: Path | None,
     runner: Runner,
+    limit: float,
     *,
     overwrite: bool,
 ) -> None:
@@ -94,6 +99,7 @@ def _in_one_place(
             "--vary is missing; accepted here: --vary NAME=A,B or --variants FILE,FILE"
         )
     given = {name: merge_entries(entries, own) for name, own in variants.items()}
+    check_memory(map(make_settings, given.values()), limit, num_runs=runner.num_processes)
     started = {name: find_task(each).with_start(each) for name, each in given.items()}
     settings = {name: make_settings(each) for name, each in started.items()}
     _check_one_robot(settings)
@@ -105,6 +111,7 @@ def _in_one_place(
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     show_starts(given, started)
     first = common.seed
+    check_number_of_seeds("--seeds", range(first, first + seeds))
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
     # Defaults depend on the architecture; settings.yaml stores those of the first one.
     architecture = getattr(common, "architecture", None)
@@ -151,6 +158,7 @@ def _on_maps(
     out: Path | None,
     runner: Runner,
     kinds: Sequence[str],
+    limit: float,
     *,
     overwrite: bool,
 ) -> None:
@@ -166,13 +174,24 @@ def _on_maps(
     first = entries.get("seed", 0)
     if not isinstance(first, int):
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
-    plan = Plan(
-        maps,
-        variants or GROUND,
-        tuple(range(first, first + seeds)),
-        entries,
-        1 if given["batch"] is None else given["batch"],
-    )
+    batch = 1 if given["batch"] is None else given["batch"]
+    check_count("--batch", batch, MOST_AT_ONCE)
+    for name, own in variant_entries(variants or GROUND).items():
+        # A variant without an architecture of its own is named by it.
+        common = merge_entries({**entries, "architecture": name}, own)
+        for each in maps:
+            settings = make_settings({**common, "map": each.path})
+            # The runs on a map that cannot be read fail, and the others go on.
+            check_memory(
+                [settings],
+                limit,
+                num_runs=runner.num_processes,
+                batch=batch,
+                must_be_readable=False,
+            )
+    seeds_of_all = range(first, first + seeds)
+    check_number_of_seeds("--seeds", seeds_of_all)
+    plan = Plan(maps, variants or GROUND, tuple(seeds_of_all), entries, batch)
     folder = _default_folder(given["maps"]) if out is None else out
     found = compare_maps(
         plan, folder, runner=runner, overwrite=overwrite, figures=kinds, progress=True

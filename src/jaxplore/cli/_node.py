@@ -9,10 +9,12 @@ from typing import Any
 import jax
 
 from jaxplore._exit import INTERRUPTED
+from jaxplore._limits import LONGEST_LATENCY
 from jaxplore._signals import stop_requests
 from jaxplore.build.onboard import build_goal_chooser, build_pilot, make_node_settings
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import assign, assign_all, folder_name, option_entries
+from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._show import free_name, reserve, show_starts
 from jaxplore.cli._terminal import say
 from jaxplore.cli._view_options import VIEW
@@ -33,6 +35,8 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.monitor import Monitor
 from jaxplore.simulation.run import Run
 
+_MOST = {"delay": LONGEST_LATENCY, "drift": 1.0}
+"""Greatest values of options of the simulated robot."""
 COMMANDS = "commands.csv"
 """File of a run folder with the velocity commands of a drive."""
 
@@ -125,12 +129,16 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
 
 def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Path]:
     """Return the checked settings of a drive, and the folder that it will be written to."""
+    limit = memory_limit(options)
     file, out = options["settings_file"], options["out"]
     entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
     assign_all(entries, options["assignments"])
     if options.get("mode") is not None:
         assign(entries, "node.mode", options["mode"])
     settings, node = make_node_settings(entries)
+    # A chooser of goals gets its map from another program, and compiles when it has come.
+    if node.mode != "goal":
+        check_memory([settings], limit, node=node)
     folder = free_name(Path("runs") / "drive") if out is None else out
     reserve(folder, overwrite=options["overwrite"])
     return settings, node, folder
@@ -207,7 +215,14 @@ def simulate_robot(options: dict[str, Any]) -> None:
     """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
     own = {name: options.pop(name) for name in ("delay", "drift", "command_type", "has_map")}
+    limit = memory_limit(options)
+    for name in ("delay", "drift"):
+        if not 0.0 <= own[name] <= _MOST[name]:
+            raise ValueError(
+                f"--{name} is {own[name]:g}; accepted: a number in [0, {_MOST[name]:g}]"
+            )
     given = option_entries(options)
+    check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / f"{folder_name(entries)}-robot") if out is None else out

@@ -8,6 +8,7 @@ from typing import Any
 from jaxplore._text import printable_path
 from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
+from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._show import free_name, reserve, save, show_starts
 from jaxplore.cli._view_options import VIEW
@@ -30,6 +31,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
             run folder has been.
     """
     pictures = take_pictures(options, overwrite=overwrite)
+    limit = memory_limit(options)
     record, resume = options.pop("record"), options.pop("resume")
     recorder = None
     if record is not None:
@@ -45,6 +47,8 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
             f"--resume is {printable_path(resume)!r} beside --view; accepted: one of them"
         )
     given = option_entries(options)
+    # A map is read to find a start on it.
+    check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out

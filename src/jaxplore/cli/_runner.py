@@ -4,6 +4,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from jaxplore._limits import MOST_AT_ONCE
+from jaxplore.cli._memory import check_count
+
 if TYPE_CHECKING:
     from jaxplore.study.runner import Runner
 
@@ -34,8 +37,8 @@ def make_runner(given: dict[str, Any]) -> "Runner":
         ValueError: a number of workers < 1.
     """
     workers, on_ray, address = given["workers"], given["ray"], given["address"]
-    if workers is not None and workers < 1:
-        raise ValueError(f"--workers is {workers}; accepted: a whole number >= 1")
+    if workers is not None:
+        check_count("--workers", workers, MOST_AT_ONCE)
     if workers is None and not on_ray and address is None:
         workers = 1
     # Imported here, so that the help needs no JAX.

@@ -5,7 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._exit import INTERRUPTED
-from jaxplore.build.tasks import find_task
+from jaxplore._limits import MOST_AT_ONCE, MOST_SEEDS
+from jaxplore.build.tasks import find_task, make_settings
+from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
 from jaxplore.cli._show import show_starts
@@ -14,7 +16,7 @@ from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_ent
 from jaxplore.cli._tune_options import OWN
 from jaxplore.report.table import print_table
 from jaxplore.study.tuning.settings_episodes import SettingsEpisodes
-from jaxplore.study.tuning.tune import tune
+from jaxplore.study.tuning.tune import build_space, tune
 
 
 def run_tune(options: dict[str, Any], out: Path | None) -> None:
@@ -26,14 +28,14 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
         ValueError: options that are not accepted.
     """
     pictures = take_pictures(options)
+    limit = memory_limit(options)
     given = {name: options.pop(name) for name in (*OWN, *RUNNER)}
     if options.pop("overwrite"):
         raise ValueError("--overwrite is given; accepted: a new --out, or the folder as it is")
     asked, common = scenario_entries(options, given["also"])
     budget, seconds = parse_budget(given["budget"])
-    for name in ("seeds", "unseen", "population"):
-        if given[name] < 1:
-            raise ValueError(f"--{name} is {given[name]}; accepted: a whole number >= 1")
+    for name, most in _MOST.items():
+        check_count(f"--{name}", given[name], most)
     first = common.get("seed", 0)
     if not isinstance(first, int):
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
@@ -42,6 +44,13 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
             "--tune is missing; accepted: a setting or a controller parameter, such as "
             "controller.temperature=0.01:3:log"
         )
+    runner = make_runner(given)
+    check_memory(
+        map(make_settings, asked.values()),
+        limit,
+        num_runs=runner.num_processes,
+        batch=given["batch"],
+    )
     scenarios = {name: find_task(each).with_start(each) for name, each in asked.items()}
     # With one place, the settings of the first scenario are those that the search writes.
     first_name = next(iter(asked))
@@ -49,8 +58,14 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
         common = scenarios[first_name]
     name = "-".join(scenarios)
     folder = Path("runs") / f"{name}-tuned" if out is None else out
-    with make_runner(given) as runner:
+    with runner:
         episodes = SettingsEpisodes(scenarios, batch=given["batch"], runner=runner, common=common)
+        check_memory(
+            episodes.largest(build_space(given["tuned"], episodes)),
+            limit,
+            num_runs=runner.num_processes,
+            batch=given["batch"],
+        )
         show_starts(asked, scenarios)
         try:
             found = tune(
@@ -81,6 +96,14 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
 
 _PASSED = ("seeds", "unseen", "optimizer", "population", "gives_up")
 """Options that are parameters of `tune` with the same name."""
+
+_MOST = {
+    "seeds": MOST_SEEDS,
+    "unseen": MOST_SEEDS,
+    "population": MOST_AT_ONCE,
+    "batch": MOST_AT_ONCE,
+}
+"""Options that are counts, and their greatest values."""
 
 
 def _end(folder: Path, kept: str = "") -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxplore._limits import LONGEST_TIME, MOST_CANDIDATES
 from jaxplore.cli._entries import folder_name, map_entries, option_entries
 from jaxplore.settings.exploration import merge_entries, read_settings
 from jaxplore.settings.path import PATH
@@ -62,7 +63,10 @@ def _holds_settings(file: str) -> bool:
 
 def parse_budget(text: str) -> tuple[int | None, float | None]:
     """Parse a budget: a number of candidates, or a time [s]."""
-    if text.isdigit() and int(text) >= 1:
+    # Python refuses to convert thousands of digits.
+    if text.isdecimal() and len(text) <= 20 and int(text) >= 1:
+        if int(text) > MOST_CANDIDATES:
+            raise ValueError(f"--budget is {text}; accepted: a whole number <= {MOST_CANDIDATES}")
         return int(text), None
     found = re.fullmatch(r"(\d+\.?\d*)\s*(s|min|h)", text.strip())
     if found is None or float(found[1]) <= 0.0:
@@ -70,6 +74,8 @@ def parse_budget(text: str) -> tuple[int | None, float | None]:
             f"--budget is {text!r}; accepted: a whole number >= 1 of candidates, or a time such as "
             "90s, 30min or 2h"
         )
+    if float(found[1]) * _UNITS[found[2]] > LONGEST_TIME:
+        raise ValueError(f"--budget is {text!r}; accepted: a time of at most {LONGEST_TIME:g} s")
     return None, float(found[1]) * _UNITS[found[2]]
 
 

@@ -1,6 +1,5 @@
 """Describe a world: the true map, and the part of it that the robot knows beforehand."""
 
-import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -197,8 +196,8 @@ class World:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the map."""
-        width, height = (max(1, math.ceil(side / self.resolution - SLIVER)) for side in self.size)
-        return height, width
+        rows, columns = _shape(self.size, self.resolution)
+        return int(rows), int(columns)
 
     def truth(self) -> OccupancyGrid:
         """Return the true map: 0.99 in known and hidden obstacles, 0.01 elsewhere."""
@@ -351,6 +350,29 @@ def is_world_file(path: str | os.PathLike[str]) -> bool:
     except ValueError:
         return False
     return "size" in entries and "image" not in entries
+
+
+def world_shape(entries: Mapping[Any, Any]) -> tuple[tuple[float, float], float]:
+    """Return the rows and columns of a world, and its resolution [m], without building it.
+
+    Args:
+        entries: entries of `World.from_dict`.
+
+    Raises:
+        ValueError: a size or a resolution that `World` refuses.
+    """
+    if "size" not in entries:
+        raise ValueError("size is missing; accepted: a world with size and start")
+    size = CHECKS["size"]("size", entries["size"])
+    given = entries.get("resolution", World.resolution)
+    resolution = float(CHECKS["resolution"]("resolution", given))
+    return _shape(size, resolution), resolution
+
+
+def _shape(size: tuple[float, float], resolution: float) -> tuple[float, float]:
+    """Return rows and columns; whole numbers, which may be too large for an array."""
+    width, height = (float(np.maximum(1.0, np.ceil(side / resolution - SLIVER))) for side in size)
+    return height, width
 
 
 def three_zones() -> World:

@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import Any
 
+from jaxplore import _checks
+from jaxplore._limits import MOST_AT_ONCE
 from jaxplore.study.workers.pool import WorkerPool, num_processors
 from jaxplore.study.workers.processes import ProcessPool
 from jaxplore.study.workers.ray_pool import RayPool
@@ -33,10 +35,19 @@ class Runner:
     ) -> None:
         if workers is not None and workers < 1:
             raise ValueError(f"workers is {workers}; accepted: a whole number >= 1")
+        if workers is not None:
+            _checks.positive_int("workers", workers, at_most=MOST_AT_ONCE)
         self._workers, self._address = workers, address
         self._is_on_ray = on_ray or address is not None
         self._scheduler: Scheduler | None = None
         self._is_closed = False
+
+    @property
+    def num_processes(self) -> int:
+        """Number of processes on this machine that run tasks; one for a cluster that is joined."""
+        if self._address is not None:
+            return 1
+        return self._workers or num_processors()
 
     @property
     def is_local(self) -> bool:

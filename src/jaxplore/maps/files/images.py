@@ -1,6 +1,7 @@
 """Read grey images that are not trusted, for maps and elevations."""
 
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -41,6 +42,16 @@ class Greys(NamedTuple):
         return shade
 
 
+def image_size(path: Path) -> tuple[int, int]:
+    """Return the rows and columns of an image file, without reading its pixels; see `read_greys`.
+
+    Raises:
+        ValueError: a file that is missing, malformed, of another format or too large; one line
+            that names it.
+    """
+    return _opened(path, lambda image: (image.height, image.width))
+
+
 def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
     """Read an image file of 1 to 16 bits: PGM (or another portable map), PNG or BMP.
 
@@ -55,6 +66,11 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
         ValueError: a file that is missing, malformed, of another format or too large; one line
             that names it.
     """
+    return _opened(path, lambda image: _levels(image, alpha_is_shade))
+
+
+def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
+    """Open an image, check its format and size, and return what a function makes of it."""
     from PIL import Image  # slow to import, and few need it
 
     where, accepted = f"image {printable_path(path)}", "a PGM, PNG or BMP image"
@@ -73,7 +89,7 @@ def read_greys(path: Path, *, alpha_is_shade: bool = False) -> Greys:
                     raise ValueError("it has no palette")
                 large = image.width * image.height > PIXEL_LIMIT
                 if not large and image.mode in _MODES:
-                    return _levels(image, alpha_is_shade)
+                    return read(image)
         except Image.DecompressionBombError:
             raise ValueError(too_large) from None
         except Exception as error:

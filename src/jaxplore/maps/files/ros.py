@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from jaxplore import _checks
 from jaxplore._files import read_yaml, replace_files
 from jaxplore._text import printable_path, short_repr
-from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
+from jaxplore.maps.files.images import PIXEL_LIMIT, image_size, read_greys
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -72,6 +72,16 @@ def read_map(
         probability[~greys.opaque] = _UNKNOWN
     # Row 0 of a map is at its origin, the bottom row of the image.
     return np.ascontiguousarray(probability[::-1]), settings.resolution, settings.origin
+
+
+def map_size(path: str | os.PathLike[str]) -> tuple[int, int, float]:
+    """Return the rows, the columns and the resolution [m] of a map, without reading its cells.
+
+    Raises:
+        ValueError: as `read_map`, but what is wrong with the pixels is not found.
+    """
+    settings = _settings(Path(path))
+    return *image_size(settings.image), settings.resolution
 
 
 def write_map(

@@ -32,7 +32,7 @@ from jaxplore.study.tuning.episodes import (
     report_each,
 )
 from jaxplore.study.tuning.objective import known_metrics
-from jaxplore.study.tuning.space import Candidate, Value
+from jaxplore.study.tuning.space import Candidate, Space, Value
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
@@ -134,6 +134,20 @@ class SettingsEpisodes(Episodes):
         # Array elements that are not searched keep the values of this scenario's controller.
         arrays = self._current(scenario, None).controller if inside else None
         return self._with_values(self._scenarios[scenario], candidate, seed, arrays)
+
+    def largest(self, space: Space) -> Iterator[RunSettings]:
+        """Yield the settings of each scenario with the greatest values of a space.
+
+        Raises:
+            ValueError: a greatest value that a setting does not accept.
+        """
+        greatest: dict[str, Value] = {}
+        for each in space.parameters:
+            numbers = [one for one in each.choices or () if type(one) in (int, float)]
+            if each.name in self._known and (each.choices is None or numbers):
+                greatest[each.name] = each.value(1.0) if each.choices is None else max(numbers)
+        for name in self._scenarios:
+            yield make_settings(self.entries(name, greatest))
 
     def chosen_settings(self, candidate: Candidate) -> dict[str, Any]:
         """Return the entries of a settings file with a candidate's values.

@@ -1,0 +1,85 @@
+"""The option with the greatest memory of runs, and the check before anything is allocated."""
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from jaxplore.settings.node import NodeSettings
+    from jaxplore.settings.sections import RunSettings
+
+GIGABYTE = 1e9
+"""Bytes in the unit of the option."""
+
+memory_option = click.option(
+    "--memory-limit",
+    type=float,
+    metavar="GB",
+    help="Memory that the command may need; what needs more by its estimate is refused before it "
+    "starts.  [default: 80 % of what is free]",
+)
+
+
+def memory_limit(options: dict[str, Any]) -> float:
+    """Take the option from all options, and return the limit [bytes].
+
+    Raises:
+        ValueError: a limit that is not positive.
+    """
+    given = options.pop("memory_limit")
+    if given is None:
+        # Imported here, so that the help needs no JAX.
+        from jaxplore.build.memory_limit import default_limit
+
+        return default_limit()
+    if not (math.isfinite(given) and given > 0.0):
+        raise ValueError(f"--memory-limit is {given}; accepted: a number > 0 [GB]")
+    return float(given) * GIGABYTE
+
+
+def check_memory(
+    runs: "Iterable[RunSettings]",
+    limit: float,
+    *,
+    node: "NodeSettings | None" = None,
+    num_runs: int = 1,
+    batch: int = 1,
+    must_be_readable: bool = True,
+) -> None:
+    """Check that each of several runs fits into the memory.
+
+    Args:
+        runs: settings of the runs.
+        limit: greatest memory [bytes].
+        node: settings of a drive; None for a simulation.
+        num_runs: number of processes with runs.
+        batch: number of runs in each of them, in one program.
+        must_be_readable: whether a map that cannot be read is an error here.
+
+    Raises:
+        ValueError: a run that needs more; a map that cannot be read.
+    """
+    from jaxplore.build.needs import check_needs, needs
+
+    for settings in runs:
+        try:
+            parts = needs(settings, node)
+        except ValueError:
+            if must_be_readable:
+                raise
+            continue
+        check_needs(parts, limit, num_runs=num_runs, batch=batch)
+
+
+def check_count(name: str, value: int, most: int) -> None:
+    """Check a number of things that a command makes or runs.
+
+    Raises:
+        ValueError: less than one, or more than the greatest number.
+    """
+    if value < 1:
+        raise ValueError(f"{name} is {value}; accepted: a whole number >= 1")
+    if value > most:
+        raise ValueError(f"{name} is {value}; accepted: a whole number <= {most}")
