@@ -133,5 +133,8 @@ def test_a_study_that_cannot_be_written_any_more_is_one_line(tmp_path: Path) -> 
             (tmp_path / "study.db").write_bytes(b"overwritten by someone else")
             study.run(2)
 
-    with pytest.raises(ValueError, match=r"study\.db' cannot be read or written: .*; accepted: a folder"):
+    text = r"study\.db' cannot be read or written: .*; accepted: a folder"
+    with pytest.raises(ValueError, match=text):
+        ValueError, match=r"study\.db' cannot be read or written: .*; accepted: a folder"
+    ):
         search()

@@ -23,10 +23,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxplore._files import read_yaml
 from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.build.world import ENOUGH, is_ros_map
 from jaxplore.maps.files.ros import map_size
-from jaxplore._files import read_yaml
 from jaxplore.maps.padding import padded_shape
 from jaxplore.maps.world import three_zones, world_shape
 from jaxplore.settings.exploration import (
