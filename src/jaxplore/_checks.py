@@ -4,6 +4,7 @@ Each function returns the checked value, or raises a `ValueError` that names the
 and what is accepted. Traced values pass unchecked: their numbers are unknown during tracing.
 """
 
+import math
 import operator
 import sys
 import warnings
@@ -23,6 +24,8 @@ from jaxplore._xla import on_device
 
 LARGEST = float(np.finfo(np.float32).max)
 """Greatest finite number in float32, the type of all arrays."""
+PATH_STEP = 0.002
+"""Greatest distance between neighbouring coordinates in float32 along a path [m]."""
 
 
 def warn_above(name: str, value: ArrayLike, most: float, meaning: str) -> None:
@@ -180,6 +183,31 @@ def vector(name: str, value: object, size: int, *, at_least: float | None = None
         raise ValueError(f"{name} is {array.tolist()}; accepted: {size} numbers >= {at_least:g}")
     # A copy: `asarray` may share memory with the caller's array, who may write to it later.
     return on_device(array.copy())
+
+
+def near(name: str, value: Any, step: float) -> None:
+    """Check that single precision tells coordinates apart; traced ones are not checked.
+
+    Args:
+        name: name of the argument.
+        value: coordinates of any shape [m]; those that are not finite are not checked.
+        step: greatest distance between neighbouring numbers in single precision [m].
+
+    Raises:
+        ValueError: a coordinate so far from 0 that they are farther apart.
+    """
+    if isinstance(value, jax.core.Tracer):
+        return
+    given = np.asarray(value, np.float64)
+    worst = float(np.max(np.abs(given), where=np.isfinite(given), initial=0.0))
+    # From 2^e to 2^(e + 1) numbers in single precision are 2^(e - 23) apart.
+    limit = 2.0 ** (math.floor(math.log2(step)) + 24)
+    if worst >= limit:
+        raise ValueError(
+            f"{name} has a coordinate of {worst:.10g} m, where single precision resolves "
+            f"{2.0 ** (math.floor(math.log2(worst)) - 23):.2g} m; accepted: less than {limit:g} m, "
+            "or relative to a datum, see jaxplore.maps.Datum"
+        )
 
 
 def probabilities(name: str, value: ArrayLike, ndim: int) -> Array:

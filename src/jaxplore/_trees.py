@@ -10,3 +10,28 @@ def stack_trees[Tree](trees: Sequence[Tree]) -> Tree:
     """Return N pytrees of one structure as one, whose arrays have a leading axis of N."""
     stacked: Tree = jax.tree.map(lambda *leaves: jnp.stack(leaves), *trees)
     return stacked
+
+
+class HostOnly[T]:
+    """A value that belongs to an object on the host, and on which no compiled program depends.
+
+    All are equal, so that as a static field one does not compile a program again. A function that
+    is compiled must neither read nor return it: it would have that of another call.
+
+    Args:
+        value: the value.
+    """
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: T) -> None:
+        self.value = value
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, HostOnly)
+
+    def __hash__(self) -> int:
+        return hash(HostOnly)
+
+    def __repr__(self) -> str:
+        return repr(self.value)

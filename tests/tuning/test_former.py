@@ -135,6 +135,4 @@ def test_a_study_that_cannot_be_written_any_more_is_one_line(tmp_path: Path) -> 
 
     text = r"study\.db' cannot be read or written: .*; accepted: a folder"
     with pytest.raises(ValueError, match=text):
-        ValueError, match=r"study\.db' cannot be read or written: .*; accepted: a folder"
-    ):
         search()

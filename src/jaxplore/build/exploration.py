@@ -94,6 +94,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
         planted=None if settings.anomalies is None else world.planted,
+        datum=world.datum,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     ).varied(build_variation(settings.variation))
@@ -146,7 +147,7 @@ def with_start(entries: dict[str, Any]) -> dict[str, Any]:
     if settings.start is not None or not is_ros_map(settings):
         return entries
     world = build_world(settings, float(build_robot(settings.robot).radius))
-    return {**entries, "start": world.start}
+    return {**entries, "start": tuple(world.datum.shown(world.start).tolist())}
 
 
 def compared_architectures(entries: dict[str, Any]) -> tuple[str, ...]:

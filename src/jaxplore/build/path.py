@@ -16,7 +16,8 @@ from jaxplore.costs.base import Cost
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
 from jaxplore.geometry.track import race_track
-from jaxplore.maps.files.path_file import read_path
+from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.files.path_file import path_datum, read_path
 from jaxplore.parameters import set_parameters
 from jaxplore.planning.presets.path_following import PathFollowing, avoidance_cost, mpcc
 from jaxplore.settings.defaults import arguments
@@ -32,17 +33,19 @@ def build_path_following(settings: PathSettings) -> Experiment:
     Raises:
         ValueError: a file that cannot be read, or a value that a part rejects.
     """
-    path = _path(settings)
-    traffic, standing = _traffic(settings, path), _standing(settings)
+    datum = ORIGIN if settings.path == TRACK else path_datum(settings.path)
+    path = _path(settings, datum)
+    traffic, standing = _traffic(settings, path), _standing(settings, datum)
     has_obstacles = traffic is not None or standing is not None
     following = _following(settings, path, has_obstacles=has_obstacles)
     scenario = PathScenario(
         following.model,
         path,
-        start=settings.start,
+        start=None if settings.start is None else datum.to_local(settings.start),
         traffic=traffic,
         standing=standing,
         faults=build_faults(settings.faults),
+        datum=datum,
         **arguments(settings, PathScenario),
         **arguments(settings.obstacles, PathScenario),
     ).varied(build_variation(settings.variation))
@@ -80,10 +83,10 @@ def _following(settings: PathSettings, path: Path, *, has_obstacles: bool) -> Pa
     )
 
 
-def _path(settings: PathSettings) -> Path:
+def _path(settings: PathSettings, datum: Datum) -> Path:
     if settings.path == TRACK:
         return race_track(**arguments(settings.track, race_track))
-    path = read_path(settings.path, **arguments(settings, read_path))
+    path = read_path(settings.path, datum=datum, **arguments(settings, read_path))
     if settings.half_width is not None and not path.has_room:
         path = path.with_room([settings.half_width, settings.half_width])
     return path
@@ -105,9 +108,10 @@ def _traffic(settings: PathSettings, path: Path) -> Traffic | None:
     )
 
 
-def _standing(settings: PathSettings) -> Outlines | None:
+def _standing(settings: PathSettings, datum: Datum) -> Outlines | None:
     given = settings.obstacles
     if not given.discs and not given.polygons:
         return None
-    discs = np.reshape(given.discs, (-1, 3))
-    return Outlines.discs(discs[:, :2], discs[:, 2]) + Outlines.polygons(given.polygons)
+    discs = datum.to_local(np.reshape(given.discs, (-1, 3)))
+    polygons = [datum.to_local(each) for each in given.polygons]
+    return Outlines.discs(discs[:, :2], discs[:, 2]) + Outlines.polygons(polygons)

@@ -2,9 +2,12 @@
 
 from typing import NamedTuple
 
+from jaxplore.maps.datum import ORIGIN, Datum
+from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.generators.office import office, start_pose
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.relative import relative_world
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.maps.world import LabelledObject, MovingObstacle, World, is_world_file, three_zones
 from jaxplore.settings.defaults import arguments
@@ -20,6 +23,8 @@ only."""
 class RunWorld(NamedTuple):
     """The true world of a run, the start and the goal, and the map known in advance.
 
+    All positions are relative to the datum.
+
     Args:
         grid: true map.
         start: start pose (x, y, yaw) [m, m, rad].
@@ -32,6 +37,7 @@ class RunWorld(NamedTuple):
         forbidden: rectangles in which nobody may be [m].
         planted: what differs from the prior map.
         objects: objects other than the targets.
+        datum: point of the map's coordinates; (0, 0) unless the map is far away.
     """
 
     grid: OccupancyGrid
@@ -45,6 +51,7 @@ class RunWorld(NamedTuple):
     forbidden: tuple[tuple[float, ...], ...] = ()
     planted: PlantedAnomalies | None = None
     objects: tuple[LabelledObject, ...] = ()
+    datum: Datum = ORIGIN
 
 
 def build_world(settings: Settings, radius: float) -> RunWorld:
@@ -87,11 +94,13 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
             "hills; accepted: a height map with a ROS map"
         )
     options = arguments(given, Ground)
+    datum = Datum.near(*world.origin)
+    world = relative_world(world, datum)
     return RunWorld(
         world.truth(),
-        world.start if settings.start is None else settings.start,
+        world.start if settings.start is None else _local_pose(settings.start, datum),
         world.prior(),
-        world.goal if settings.goal is None else settings.goal,
+        world.goal if settings.goal is None else _local(settings.goal, datum),
         world.zones,
         world.ground(**options),
         world.targets,
@@ -99,6 +108,7 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
         world.forbidden,
         planted_anomalies(world),
         world.objects,
+        datum,
     )
 
 
@@ -107,21 +117,36 @@ def _on_map(settings: Settings, radius: float) -> RunWorld:
 
     A start that is not given is the position with the greatest clearance, heading along x.
     """
-    given, ground = settings.terrain, None
+    given, ground, datum = settings.terrain, None, map_datum(settings.map)
     if given.height_map is None:
-        grid = OccupancyGrid.from_ros(settings.map)
+        grid = OccupancyGrid.from_ros(settings.map, datum=datum)
         if grid.resolution < settings.resolution * ENOUGH:
             grid = grid.resample(settings.resolution)
     else:
         options = arguments(given, Ground)
         terrain = TerrainMap.from_ros(
-            settings.map, given.height_map, elevation_scale=given.elevation_scale, **options
+            settings.map,
+            given.height_map,
+            elevation_scale=given.elevation_scale,
+            datum=datum,
+            **options,
         )
         if terrain.resolution < settings.resolution * ENOUGH:
             terrain = terrain.resample(settings.resolution)
         grid, ground = terrain.grid, terrain.ground
-    start = settings.start
-    if start is None:
+    if settings.start is None:
         open_ground = grid if ground is None else with_closed(grid, ground)
         start = (*open_spot(open_ground, radius), 0.0)
-    return RunWorld(grid, start, goal=settings.goal, ground=ground)
+    else:
+        start = _local_pose(settings.start, datum)
+    goal = None if settings.goal is None else _local(settings.goal, datum)
+    return RunWorld(grid, start, goal=goal, ground=ground, datum=datum)
+
+
+def _local(position: tuple[float, ...], datum: Datum) -> tuple[float, ...]:
+    return tuple(datum.to_local(position).tolist())
+
+
+def _local_pose(pose: tuple[float, float, float], datum: Datum) -> tuple[float, float, float]:
+    x, y, yaw = _local(pose, datum)
+    return x, y, yaw

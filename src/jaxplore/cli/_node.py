@@ -72,7 +72,7 @@ def drive(options: dict[str, Any]) -> None:
             try:
                 driver.run(is_stopped)
                 if pilot.log.num_steps:
-                    recording = pilot.recording()
+                    recording = pilot.recording(in_odometry=True)
             finally:
                 # A recorder closes its file, however the drive ended.
                 driver.watch.end(recording)
@@ -119,7 +119,7 @@ def replay_bag(bag: Path, options: dict[str, Any]) -> None:
         )
     if not pilot.log.num_steps:
         raise ValueError(f"{scan} and {pose} have no pose to start from; accepted: a drive")
-    _save_drive(pilot, pilot.recording(), settings, node, folder, options)
+    _save_drive(pilot, pilot.recording(in_odometry=True), settings, node, folder, options)
     say(f"{len(found.commands)} commands for {found.num_messages} messages", err=True)
     if found.num_malformed:
         say(f"{found.num_malformed} messages were left out: {found.reason}", err=True)

@@ -88,8 +88,9 @@ class Path(eqx.Module):
             at equal distances from start to end. The path is unbounded by default.
 
     Raises:
-        ValueError: a length that is not positive, points that are not finite, a closed path whose
-            ends differ, half widths that are not positive.
+        ValueError: a length that is not positive, points that are not finite or beyond 32 km (see
+            `jaxplore.maps.Datum`), a closed path whose ends differ, half widths that are not
+            positive.
     """
 
     points: Float[Array, "N 2"]
@@ -125,6 +126,7 @@ class Path(eqx.Module):
                 raise ValueError(
                     f"{name} of {count} arc lengths is {rows!r}; accepted: finite numbers (N, 2)"
                 )
+        _checks.near("position", points, _checks.PATH_STEP)
         # Tangents that are off by rounding are normalised below; others are a user's mistake.
         size = np.hypot(*tangents.T)
         if not np.allclose(size, 1.0, atol=1e-3):

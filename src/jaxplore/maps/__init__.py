@@ -1,14 +1,18 @@
 """Maps: occupancy grids, terrain, worlds, map files and generated maps."""
 
 from jaxplore.maps.clearance import clearance_field as clearance_field
+from jaxplore.maps.datum import Datum as Datum
 from jaxplore.maps.field import ScalarField as ScalarField
+from jaxplore.maps.files.path_file import path_datum as path_datum
 from jaxplore.maps.files.path_file import read_path as read_path
+from jaxplore.maps.files.ros import map_datum as map_datum
 from jaxplore.maps.generators.generated import generate_map as generate_map
 from jaxplore.maps.generators.office import office as office
 from jaxplore.maps.generators.office import start_pose as start_pose
 from jaxplore.maps.ground import Ground as Ground
 from jaxplore.maps.ground import GroundSample as GroundSample
 from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
+from jaxplore.maps.relative import relative_world as relative_world
 from jaxplore.maps.terrain import TerrainMap as TerrainMap
 from jaxplore.maps.terrain import TerrainSample as TerrainSample
 from jaxplore.maps.world import LabelledObject as LabelledObject

@@ -10,6 +10,10 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import on_device
 
+PRECISION = 0.01
+"""Greatest distance between neighbouring numbers in single precision at the origin of a grid, as a
+share of a cell."""
+
 
 class GridFrame(eqx.Module):
     """Pose and cell size of a regular grid.
@@ -28,8 +32,9 @@ class GridFrame(eqx.Module):
         origin: pose (x, y, yaw) of the outer corner of cell (0, 0) [m, m, rad].
 
     Raises:
-        ValueError: a resolution that is not a positive number, an origin that is not three finite
-            numbers.
+        ValueError: a resolution that is not a positive number; an origin that is not three finite
+            numbers, or so far away that single precision does not resolve a hundredth of a cell:
+            beyond 8 km for cells of 0.05 m. `jaxplore.maps.Datum` is for such maps.
     """
 
     origin: Pose
@@ -39,6 +44,8 @@ class GridFrame(eqx.Module):
     def __init__(self, resolution: float, origin: Vector = (0.0, 0.0, 0.0)) -> None:
         self.resolution = _checks.number("resolution", resolution, above=0.0)
         self.origin = _checks.vector("origin", origin, 3)
+        if not _kinds.is_traced(self.origin):
+            _checks.near("origin", np.asarray(self.origin)[:2], PRECISION * self.resolution)
         self.map_shape = None
 
     def padded(self, map_shape: tuple[int, int]) -> "GridFrame":

@@ -13,6 +13,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._describe import describe
 from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Position, Scalar, Vector
 from jaxplore.maps import resample
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.field import bilinear
 from jaxplore.maps.files import ros
 from jaxplore.maps.frame import GridFrame
@@ -50,7 +51,7 @@ class OccupancyGrid(eqx.Module):
     Raises:
         ValueError: a probability outside [0, 1] or NaN, an array that is empty or not
             two-dimensional, a resolution that is not positive, an origin that is not three finite
-            numbers.
+            numbers or too far away for single precision (see `GridFrame`).
     """
 
     probability: GridValues
@@ -84,19 +85,36 @@ class OccupancyGrid(eqx.Module):
         return cls(filled, frame.resolution, frame.origin)
 
     @classmethod
-    def from_ros(cls, path: str | PathLike[str]) -> "OccupancyGrid":
-        """Read a ROS `map_server` map (see `jaxplore.maps.files.ros.read_map`)."""
-        _kinds.instance("path", path, str, PathLike)
-        return cls(*ros.read_map(path))
+    def from_ros(cls, path: str | PathLike[str], *, datum: Datum = ORIGIN) -> "OccupancyGrid":
+        """Read a ROS `map_server` map (see `jaxplore.maps.files.ros.read_map`).
 
-    def to_ros(self, path: str | PathLike[str], *, mode: str = "trinary") -> None:
-        """Write a ROS `map_server` map (see `jaxplore.maps.files.ros.write_map`)."""
+        Args:
+            path: path of the YAML file.
+            datum: point of the map's coordinates to which the grid is relative, which a map far
+                from the origin needs: `jaxplore.maps.map_datum` chooses it.
+        """
         _kinds.instance("path", path, str, PathLike)
+        _kinds.instance("datum", datum, Datum)
+        probability, resolution, origin = ros.read_map(path)
+        return cls(probability, resolution, datum.to_local(origin))
+
+    def to_ros(
+        self, path: str | PathLike[str], *, mode: str = "trinary", datum: Datum = ORIGIN
+    ) -> None:
+        """Write a ROS `map_server` map (see `jaxplore.maps.files.ros.write_map`).
+
+        Args:
+            path: path of the YAML file.
+            mode: "trinary", "scale" or "raw".
+            datum: point of the map's coordinates to which the grid is relative.
+        """
+        _kinds.instance("path", path, str, PathLike)
+        _kinds.instance("datum", datum, Datum)
         ros.write_map(
             path,
             self.cropped(self.probability),
             self.resolution,
-            tuple(np.asarray(self.frame.origin, np.float64).tolist()),
+            datum.to_map(np.asarray(self.frame.origin, np.float64)).tolist(),
             mode=mode,
         )
 

@@ -15,6 +15,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._files import read_bytes, replace_files
 from jaxplore._text import printable_path
 from jaxplore._types import ArrayLike, GridMask, GridValues, Vector
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.files import terrain_file
 from jaxplore.maps.files.images import read_greys
 from jaxplore.maps.frame import GridFrame
@@ -135,13 +136,14 @@ class TerrainMap(eqx.Module):
         height_image: str | os.PathLike[str],
         *,
         elevation_scale: float = 5.0,
+        datum: Datum = ORIGIN,
         **ground_options: Any,
     ) -> "TerrainMap":
         """Build a terrain map from a ROS `map_server` map and a grey elevation image of its size.
 
-        See `OccupancyGrid.from_ros` for the map, and `from_images` for `height_image`.
+        See `OccupancyGrid.from_ros` for the map and `datum`, and `from_images` for `height_image`.
         """
-        grid = OccupancyGrid.from_ros(map_yaml)
+        grid = OccupancyGrid.from_ros(map_yaml, datum=datum)
         elevation = _heights(Path(height_image), elevation_scale, grid.shape)
         return cls(grid, Ground(elevation, grid.resolution, grid.frame.origin, **ground_options))
 

@@ -268,7 +268,9 @@ class World:
     def _check_zones(self) -> None:
         (x, y), (width, height) = self.origin, self.size
         # Maxima change their sign, so that one comparison tests all four sides.
-        bounds = np.array([x, y, -x - width, -y - height]) - TOLERANCE
+        bounds = np.array([x, y, -x - width, -y - height])
+        # Far from the origin, the sums are rounded more than that.
+        bounds -= np.maximum(TOLERANCE, 4.0 * np.spacing(np.abs(bounds)))
         for index, zone in enumerate(self.zones):
             if (np.array(zone) * [1, 1, -1, -1] < bounds).any():
                 raise ValueError(

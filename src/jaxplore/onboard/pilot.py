@@ -268,7 +268,10 @@ class Pilot:
         self._finished = self._finished or reason
 
     def make_frame(self) -> ExplorationFrame:
-        """Make a frame of the present moment with its plan, as in the animation."""
+        """Make a frame of the present moment with its plan, as in the animation.
+
+        Its positions are relative to the origin of the belief.
+        """
         last = self._history.last
         state = self._expected if last is None else self._state(last.time)
         scan = self._scan
@@ -294,10 +297,19 @@ class Pilot:
             else made
         )
 
-    def recording(self) -> ExplorationRecording:
-        """Make the recording of the drive; its final map stands for the world."""
+    def recording(self, *, in_odometry: bool = False) -> ExplorationRecording:
+        """Make the recording of the drive; its final map stands for the world.
+
+        Args:
+            in_odometry: whether positions are in the frame of the odometry, as a run folder has
+                them; else they are relative to the origin of the belief.
+        """
         self.log.frames.add_last(self.make_frame())
-        return self.log.recording(self.belief, is_done=self.task.is_done)
+        local = self.log.recording(self.belief, is_done=self.task.is_done)
+        if not in_odometry:
+            return local
+        frames = (each.moved(self._offset, self.robot.state_names) for each in local.frames)
+        return dataclasses.replace(local.moved(self._offset), frames=tuple(frames))
 
     def _adapt(self) -> None:
         """Let the task change the controller and the model, such as for another path."""

@@ -94,7 +94,8 @@ class SimulatedRobot:
         self._before: ExplorationState = initial(scenario, key)
         self.state = self._before
         self._pose = np.asarray(scenario.robot.pose(scenario.start), np.float64)
-        self._odometry = self._pose.copy()
+        # What leaves the robot is in the coordinates of the map.
+        self._odometry = np.array(scenario.datum.to_map(self._pose))
         self._twist = np.zeros(3)
         self._commanded, self._commanded_at = np.zeros(3), -math.inf
         self._records: list[Any] = []

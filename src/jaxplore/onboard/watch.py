@@ -12,8 +12,9 @@ import numpy as np
 from jaxplore.onboard import steps
 from jaxplore.onboard.options import Command
 from jaxplore.onboard.pilot import Pilot
+from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.report.recording import Recording
+from jaxplore.report.recording import Recording, moved_records
 from jaxplore.simulation.monitor import (
     Monitor,
     ParameterRequests,
@@ -43,12 +44,14 @@ class DriveWatch:
         )
         self._requested = ParameterRequests()
         self._is_paused = self._has_begun = False
+        self._blank: ExplorationRecording | None = None
+        self._offset = np.zeros(2)
 
-    def begin(self) -> None:
-        """Tell the monitors that the drive begins, see `begin_all`."""
-        if not self._shown:
-            return
+    def prepare(self) -> None:
+        """Make what `begin` shows, so that nothing is compiled when `after` calls it."""
         pilot = self._pilot
+        if not self._shown or self._blank is not None:
+            return
         scenario = pilot.scenario
         state: Any = LoopState(
             steps.initial(scenario),
@@ -61,8 +64,21 @@ class DriveWatch:
         assert isinstance(recording, ExplorationRecording)
         # The scenario's world is free, for its checks; nobody knows the true one.
         unknown = np.full_like(recording.world, 0.5)
-        recording = dataclasses.replace(recording, world=unknown)
-        begin_all(self._shown, recording, pilot.controller)
+        self._blank = dataclasses.replace(recording, world=unknown)
+
+    def begin(self) -> None:
+        """Tell the monitors that the drive begins, see `begin_all`.
+
+        Positions are in the frame of the odometry, as far as it is known: before the first pose
+        they are relative to that. `after` begins with the first pose, unless this was called.
+        """
+        self.prepare()
+        if self._blank is None:
+            return
+        self._offset = self._pilot.offset.copy()
+        recording = self._blank.moved(self._offset)
+        recording = dataclasses.replace(recording, frames=(self._make_frame(),))
+        begin_all(self._shown, recording, self._pilot.controller)
         self._has_begun = True
 
     def after(self, command: Command) -> None:
@@ -71,13 +87,19 @@ class DriveWatch:
         Args:
             command: the newest command.
         """
+        if not self._has_begun and self._pilot.pose is not None:
+            self.begin()
+        if not self._has_begun:
+            return
         log, now, frame = self._pilot.log, time.monotonic(), None
         for each, (number, last, shown_at) in self._shown.items():
             simulated = log.num_steps * self._pilot.period
             if log.num_commands > number and each.is_due(simulated - last, now - shown_at):
                 # One frame serves all monitors that are due.
-                frame = self._pilot.make_frame() if frame is None else frame
+                frame = self._make_frame() if frame is None else frame
                 records, times = log.newest(number)
+                names = self._pilot.robot.state_names
+                records = moved_records(records, self._offset, names)
                 why = f", {command.reason}" if command.reason else ""
                 area = log.num_known * self._pilot.scenario.cell_size**2
                 text = f"{command.mode}{why}, explored {area:.1f} m\u00b2"
@@ -93,6 +115,11 @@ class DriveWatch:
         """
         for each in self._shown if self._has_begun else ():
             each.end(recording)
+
+    def _make_frame(self) -> ExplorationFrame:
+        """Make a frame of the present moment, as `begin` says."""
+        pilot = self._pilot
+        return pilot.make_frame().moved(self._offset, pilot.robot.state_names)
 
     def _take(self, requests: Mapping[Monitor, Requests]) -> None:
         pilot = self._pilot

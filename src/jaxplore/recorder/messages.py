@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from jaxplore._optional import import_optional
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.drawing.palette import Colour
 
 EXTRA = "record"
@@ -141,15 +142,19 @@ def laser_scan(stamp: int, frame: str, angles: tuple[float, float], ranges: np.n
 
 
 def point_cloud(stamp: int, frame: str, points: np.ndarray) -> Any:
-    """Return a `PointCloud` of points (N, 2) on the ground."""
+    """Return a `PointCloud` of points (N, 2) on the ground.
+
+    Its points are in single precision, so far from the origin they are relative to its pose.
+    """
     sdk = _sdk()
+    place = Datum.near(*points[0].tolist()) if len(points) else ORIGIN
     kind = sdk.PackedElementFieldNumericType.Float32
     flat = np.zeros((len(points), 3), np.float32)
-    flat[:, :2] = points
+    flat[:, :2] = place.to_local(points)
     return sdk.PointCloud(
         timestamp=timestamp(stamp),
         frame_id=frame,
-        pose=pose(0.0, 0.0),
+        pose=pose(place.x, place.y),
         point_stride=12,
         fields=[
             sdk.PackedElementField(name=name, offset=4 * i, type=kind)

@@ -10,12 +10,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from PIL import Image
 
 from jaxplore import _kinds
+from jaxplore.maps.datum import moved
 from jaxplore.report.compute import Timing as Timing
 from jaxplore.report.compute import compute_cost, software
 from jaxplore.report.drawing.film import (
@@ -45,6 +46,37 @@ class Frame:
     step: int
     time: float
 
+    places: ClassVar[tuple[str, ...]] = ()
+    """Fields that are positions (..., 2) [m]."""
+
+    def moved(self, offset: np.ndarray, state_names: Sequence[str]) -> Self:
+        """Return the frame with an offset (2,) [m] added to all positions, and to a `state`.
+
+        Args:
+            offset: the offset; with one of zero nothing changes.
+            state_names: names of the components of the robot's state.
+        """
+        if not offset.any():
+            return self
+        changed: dict[str, Any] = {name: moved(getattr(self, name), offset) for name in self.places}
+        if hasattr(self, "state"):
+            changed["state"] = moved_states(self.state, offset, state_names)
+        return dataclasses.replace(self, **changed)
+
+
+def moved_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Return states (..., nx) with an offset (2,) [m] added to x and y, if they have them."""
+    if "x" not in names or "y" not in names:
+        return states
+    return moved(states, offset, (names.index("x"), names.index("y")))
+
+
+def moved_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
+    """Return records of steps with an offset (2,) [m] added to their states, if they have any."""
+    if not (offset.any() and hasattr(records, "state")):
+        return records
+    return records._replace(state=moved_states(records.state, offset, names))
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class RunData:
@@ -73,6 +105,15 @@ class RunData:
     def time(self) -> np.ndarray:
         """Times (N + 1,) of the start and of the end of each step [s]."""
         return np.arange(self.num_steps + 1) * self.control_period
+
+    def moved(self, offset: np.ndarray) -> Self:
+        """Return the data with an offset (2,) [m] added to all positions but those of the frames,
+        see `Frame.moved`; by default there are none.
+
+        Args:
+            offset: the offset; with one of zero nothing changes.
+        """
+        return self
 
     def common_metrics(self, *, finished_at: float | None, seed: int | None) -> dict[str, Any]:
         """Compute the fields that all `Metrics` share.

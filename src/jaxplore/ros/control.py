@@ -223,7 +223,7 @@ class ControlNode:
         Args:
             is_stopped: ends the drive when it is set.
         """
-        self.watch.begin()
+        self.watch.prepare()
         self._began = time.time()
         jax.monitoring.register_event_duration_secs_listener(self._count)
         try:

@@ -155,7 +155,7 @@ class RobotNode:
             message,
             grid.cropped(grid.probability),
             grid.resolution,
-            np.asarray(grid.frame.origin, np.float64),
+            self.robot.scenario.datum.to_map(np.asarray(grid.frame.origin, np.float64)),
             now,
             WORLD_FRAME,
         )

@@ -130,7 +130,10 @@ def record_experiments(
             return ()
         arrays = jax.tree.map(np.asarray, _frames(stacked, batch.states, keys))
         steps = np.asarray(batch.states.step).tolist()
-        return tuple(scenario.make_frame(done, _run_at(arrays, i)) for i, done in enumerate(steps))
+        return tuple(
+            one.scenario.make_frame(done, _run_at(arrays, i))
+            for i, (one, done) in enumerate(zip(experiments, steps, strict=True))
+        )
 
     together = run_in_chunks(
         run,

@@ -32,12 +32,14 @@ class Checkpoint:
         key: data of the random key of the run.
         controller: digest of the controller.
         scenario: digest of the scenario.
+        datum: that of the scenario (2,) [m].
     """
 
     loop: ChunkedRun[Any, Any, Frame]
     key: np.ndarray
     controller: str
     scenario: str
+    datum: np.ndarray
 
     @classmethod
     def at_end_of(
@@ -48,7 +50,8 @@ class Checkpoint:
         key: Key,
     ) -> "Checkpoint":
         """Return the checkpoint at the end of a run."""
-        return cls(loop, np.asarray(jax.random.key_data(key)), digest(controller), digest(scenario))
+        data, datum = np.asarray(jax.random.key_data(key)), scenario.datum.offset
+        return cls(loop, data, digest(controller), digest(scenario), datum)
 
     @classmethod
     def from_arrays(
@@ -63,9 +66,12 @@ class Checkpoint:
         if f"{_LOOP}key" not in arrays:
             return None
         number = sum(name.startswith(_STATE) for name in arrays)
+        # Folders of former versions have none: they were written without one.
+        datum = np.asarray(arrays.get(f"{_LOOP}datum", np.zeros(2)), np.float64).reshape(2)
         loop: ChunkedRun[Any, Any, Frame] = ChunkedRun(
             tuple(arrays[f"{_STATE}{i}"] for i in range(number)),
-            recording.records,
+            # A recording is in the coordinates of the map, the loop is not.
+            recording.moved(-datum).records,
             recording.frames,
             recording.timing,
             recording.num_steps,
@@ -75,7 +81,7 @@ class Checkpoint:
         key, controller, scenario = (
             arrays[f"{_LOOP}{name}"] for name in ("key", "controller", "scenario")
         )
-        return cls(loop, key, str(controller), str(scenario))
+        return cls(loop, key, str(controller), str(scenario), datum)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return what a run folder stores of the checkpoint beside the recording."""
@@ -88,6 +94,7 @@ class Checkpoint:
             f"{_LOOP}key": self.key,
             f"{_LOOP}controller": np.asarray(self.controller),
             f"{_LOOP}scenario": np.asarray(self.scenario),
+            f"{_LOOP}datum": self.datum,
         }
 
     def state(self, scenario: Scenario, initial: LoopState) -> LoopState:

@@ -366,7 +366,10 @@ def _closed_loop(
     def report(chunk: Chunk[LoopState, Any]) -> int:
         share, text = scenario.progress(chunk.state.task)
         on_progress(RunProgress(chunk.total * period, limit * period, share, text, chunk.seconds))
-        return watch.after_chunk(chunk, text) if monitors else capacity
+        if not monitors:
+            return capacity
+        records = scenario.records_on_map(chunk.records)
+        return watch.after_chunk(dataclasses.replace(chunk, records=records), text)
 
     if monitors:
         frame = make_frame(watch.planner, first, total)

@@ -14,12 +14,14 @@ from jaxtyping import Array, Float
 
 from jaxplore import _kinds
 from jaxplore._describe import describe_fields
+from jaxplore._trees import HostOnly
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.compute import Timing
 from jaxplore.report.metrics import Metrics
-from jaxplore.report.recording import Frame, Recording
+from jaxplore.report.recording import Frame, Recording, moved_records
 from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.variation import Drawn, Variation
@@ -87,6 +89,8 @@ class Scenario(eqx.Module):
     """Injected faults; None without any."""
     variation: Variation | None = dataclasses.field(default=None, kw_only=True)
     """Variation of the robot from episode to episode; None without any. See `varied`."""
+    placed: HostOnly[Datum] = eqx.field(static=True, default=HostOnly(ORIGIN), kw_only=True)
+    """Holder of `datum`."""
 
     frame_type: ClassVar[type[Frame]] = Frame
     """Class of the frames; `frame` returns its fields."""
@@ -119,6 +123,16 @@ class Scenario(eqx.Module):
         # that no function of Equinox could replace it.
         object.__setattr__(varied, "variation", variation)
         return varied
+
+    @property
+    def datum(self) -> Datum:
+        """Point of the map's coordinates to which all positions of the scenario are relative; its
+        frames and recordings are in the map's. The origin by default. For the host only."""
+        return self.placed.value
+
+    def records_on_map(self, records: Any) -> Any:
+        """Return records of steps in NumPy, with their states in the coordinates of the map."""
+        return moved_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def objective(self) -> str:
@@ -189,7 +203,8 @@ class Scenario(eqx.Module):
     def make_frame(self, step: int, arrays: Mapping[str, Any]) -> Frame:
         """Make a frame on the host from the arrays of `frame` after a number of steps.
 
-        Scalars become Python numbers, all other arrays NumPy arrays.
+        Scalars become Python numbers, all other arrays NumPy arrays. Positions are in the
+        coordinates of the map.
         """
 
         def on_host(value: Any) -> Any:
@@ -197,7 +212,8 @@ class Scenario(eqx.Module):
             return array if array.ndim else array.item()
 
         fields = jax.tree.map(on_host, dict(arrays))
-        return self.frame_type(step=step, time=step * self.period, **fields)
+        frame = self.frame_type(step=step, time=step * self.period, **fields)
+        return frame.moved(self.datum.offset, self.robot.state_names)
 
     def progress(self, state: Any) -> tuple[float, str]:
         """Return the share of the task that is done, from 0 to 1, and a text for the progress

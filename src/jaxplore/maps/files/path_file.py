@@ -11,6 +11,7 @@ from jaxplore._files import read_bytes, read_yaml
 from jaxplore._text import printable_path, short_repr
 from jaxplore.geometry.curves import path_through
 from jaxplore.geometry.path import Path
+from jaxplore.maps.datum import ORIGIN, Datum
 
 CSV_LIMIT = 10_000_000
 """Largest CSV file that is read [bytes]."""
@@ -30,6 +31,7 @@ def read_path(
     *,
     method: str = "cubic",
     is_closed: bool | None = None,
+    datum: Datum = ORIGIN,
 ) -> Path:
     """Read waypoints from a file and return the smooth path through them.
 
@@ -48,30 +50,19 @@ def read_path(
         is_closed: whether the path is a lap. By default it is closed if the last waypoint equals
             the first, or if track widths are given and the last waypoint is at most twice the
             longest step away from the first.
+        datum: point of the file's coordinates to which the path is relative, which a path far from
+            the origin needs: `path_datum` chooses it.
 
     Raises:
         ValueError: a file that cannot be read, that holds something else or fewer than two
             different waypoints, and what `path_through` refuses; one line that names the file.
     """
-    _kinds.instance("path", path, str, PathLike)
     if is_closed is not None:
         _kinds.flag("is_closed", is_closed)
-    file = FilePath(path)
-    where = printable_path(file)
-    suffix = file.suffix.lower()
-    if suffix in (".csv", ".txt"):
-        rows = _csv_rows(file)
-    elif suffix in (".yaml", ".yml"):
-        rows = _ros_rows(file)
-    else:
-        raise ValueError(f"path is {where}; accepted: a .csv, .txt, .yaml or .yml file")
-    if len(rows) > MOST_WAYPOINTS:
-        raise ValueError(f"{where} has {len(rows)} waypoints; accepted: at most {MOST_WAYPOINTS}")
-    if not np.isfinite(rows).all():
-        index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
-        raise ValueError(
-            f"{where}, waypoint {index + 1} is {rows[index].tolist()}; accepted: finite numbers"
-        )
+    _kinds.instance("datum", datum, Datum)
+    rows = _rows(path)
+    rows[:, :2] = datum.to_local(rows[:, :2])
+    where = printable_path(FilePath(path))
     repeats = (np.diff(rows[:, :2], axis=0) == 0.0).all(axis=1)
     rows = rows[np.concatenate([[True], ~repeats])]
     if len(rows) < 2:
@@ -97,6 +88,42 @@ def read_path_file(path: str | PathLike[str]) -> bytes:
         ValueError: a file that cannot be read or is too large.
     """
     return read_bytes(FilePath(path), "a path's", CSV_LIMIT)
+
+
+def path_datum(path: str | PathLike[str]) -> Datum:
+    """Return the datum for a path: (0, 0), or its first waypoint in whole metres if that is far
+    away.
+
+    Args:
+        path: path of the file.
+
+    Raises:
+        ValueError: as of `read_path`, and a waypoint beyond 1e9 m.
+    """
+    x, y = _rows(path)[0, :2].tolist()
+    return Datum.near(x, y)
+
+
+def _rows(path: str | PathLike[str]) -> np.ndarray:
+    """Return the waypoints of a file, in double precision."""
+    _kinds.instance("path", path, str, PathLike)
+    file = FilePath(path)
+    where = printable_path(file)
+    suffix = file.suffix.lower()
+    if suffix in (".csv", ".txt"):
+        rows = _csv_rows(file)
+    elif suffix in (".yaml", ".yml"):
+        rows = _ros_rows(file)
+    else:
+        raise ValueError(f"path is {where}; accepted: a .csv, .txt, .yaml or .yml file")
+    if len(rows) > MOST_WAYPOINTS:
+        raise ValueError(f"{where} has {len(rows)} waypoints; accepted: at most {MOST_WAYPOINTS}")
+    if not np.isfinite(rows).all():
+        index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
+        raise ValueError(
+            f"{where}, waypoint {index + 1} is {rows[index].tolist()}; accepted: finite numbers"
+        )
+    return rows
 
 
 def _nearly_meets(points: np.ndarray) -> bool:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from jaxplore import _checks
 from jaxplore._files import read_yaml, replace_files
 from jaxplore._text import printable_path, short_repr
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.files.images import PIXEL_LIMIT, image_size, read_greys
 
 if TYPE_CHECKING:
@@ -82,6 +83,19 @@ def map_size(path: str | os.PathLike[str]) -> tuple[int, int, float]:
     """
     settings = _settings(Path(path))
     return *image_size(settings.image), settings.resolution
+
+
+def map_datum(path: str | os.PathLike[str]) -> Datum:
+    """Return the datum for a map: (0, 0), or its origin in whole metres if that is far away.
+
+    Args:
+        path: path of the YAML file; the image is not read.
+
+    Raises:
+        ValueError: as of `read_map`, and an origin beyond 1e9 m.
+    """
+    x, y, _ = _settings(Path(path)).origin
+    return Datum.near(x, y)
 
 
 def write_map(

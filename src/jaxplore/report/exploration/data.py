@@ -1,13 +1,14 @@
 """Data of an exploration run: the record of each step, the frames, the world."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
 from jaxplore.control.base import Members
-from jaxplore.report.recording import Frame, RunData
+from jaxplore.maps.datum import moved
+from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
 
 
 class MapProgress(NamedTuple):
@@ -149,6 +150,8 @@ class ExplorationFrame(Frame):
     sample_terms: dict[str, np.ndarray]
     classes: np.ndarray = dataclasses.field(default_factory=lambda: np.zeros((0, 0)))
 
+    places = ("scan", "samples", "plan", "reference", "movers")
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class ExplorationData(RunData):
@@ -214,6 +217,29 @@ class ExplorationData(RunData):
     member_names: tuple[str, ...]
     anomalies: AnomalyData | None = None
     objects: ObjectData | None = None
+
+    def moved(self, offset: np.ndarray) -> Self:
+        """Return the data with an offset (2,) [m] added to all positions but those of the frames;
+        see `RunData.moved`."""
+        if not offset.any():
+            return self
+        found, objects = self.anomalies, self.objects
+        if found is not None:
+            boxes = moved(moved(found.boxes, offset), offset, (2, 3))
+            found = found._replace(boxes=boxes, place=moved(found.place, offset))
+        if objects is not None:
+            objects = objects._replace(place=moved(objects.place, offset))
+        return dataclasses.replace(
+            self,
+            records=moved_records(self.records, offset, self.state_names),
+            origin=moved(self.origin, offset),
+            field_origin=moved(self.field_origin, offset),
+            start=moved_states(self.start, offset, self.state_names),
+            goal=None if self.goal is None else moved(self.goal, offset),
+            targets=moved(self.targets, offset),
+            anomalies=found,
+            objects=objects,
+        )
 
     @property
     def positions(self) -> np.ndarray:

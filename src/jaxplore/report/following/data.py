@@ -1,13 +1,14 @@
 """Data of a path-following run: the record of each step, the frames, the course."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore._types import ControlVector, Flag, Scalar, StateVector
-from jaxplore.report.recording import Frame, RunData
+from jaxplore.maps.datum import moved
+from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
 
 
 class PathRecord(NamedTuple):
@@ -67,6 +68,8 @@ class PathFrame(Frame):
     plan: np.ndarray
     sample_terms: dict[str, np.ndarray]
 
+    places = ("position", "corners", "samples", "plan")
+
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class PathData(RunData):
@@ -101,6 +104,19 @@ class PathData(RunData):
     robot_radius: float
     footprint: np.ndarray
     obstacle_radii: np.ndarray
+
+    def moved(self, offset: np.ndarray) -> Self:
+        """Return the data with an offset (2,) [m] added to all positions but those of the frames;
+        see `RunData.moved`."""
+        if not offset.any():
+            return self
+        return dataclasses.replace(
+            self,
+            records=moved_records(self.records, offset, self.state_names),
+            start=moved_states(self.start, offset, self.state_names),
+            centre=moved(self.centre, offset),
+            edges=moved(self.edges, offset),
+        )
 
     @property
     def progress(self) -> np.ndarray:

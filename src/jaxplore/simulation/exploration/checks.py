@@ -12,6 +12,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import MAX_UNKNOWN, Perception
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
@@ -28,7 +29,12 @@ def grid_and_ground(world: OccupancyGrid | TerrainMap) -> tuple[OccupancyGrid, G
 
 
 def check_goal(
-    goal: Position, world: OccupancyGrid, robot: Dynamics, reachable: GridMask, radius: float
+    goal: Position,
+    world: OccupancyGrid,
+    robot: Dynamics,
+    reachable: GridMask,
+    radius: float,
+    datum: Datum,
 ) -> None:
     """Check that a goal is in free space where the robot can get.
 
@@ -38,24 +44,27 @@ def check_goal(
         robot: true model of the robot.
         reachable: (H, W) cells that the robot's centre can reach.
         radius: distance at which the goal counts as reached [m].
+        datum: point of the map's coordinates to which positions are relative.
 
     Raises:
         ValueError: a goal off the map or in a wall; no reachable cell within the radius.
     """
     if float(probability_at(world, goal)) >= FREE_THRESHOLD:
-        raise ValueError(f"goal is {goal.tolist()}; accepted: a place in free space")
+        raise ValueError(f"goal is {datum.shown(goal).tolist()}; accepted: a place in free space")
     centres = np.argwhere(np.asarray(reachable)) + 0.5
     away = np.linalg.norm(centres - np.asarray(to_grid(world.frame, goal)), axis=-1)
     nearest = world.resolution * float(away.min())
     if nearest > radius:
         raise ValueError(
-            f"goal is {goal.tolist()}, which a robot of radius {float(robot.radius):g} m "
-            f"cannot reach from its start: {nearest:.2f} m is the nearest it gets; accepted: a "
-            f"goal within {radius:g} m of where it can go"
+            f"goal is {datum.shown(goal).tolist()}, which a robot of radius "
+            f"{float(robot.radius):g} m cannot reach from its start: {nearest:.2f} m is the "
+            f"nearest it gets; accepted: a goal within {radius:g} m of where it can go"
         )
 
 
-def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, "M 2"]:
+def checked_targets(
+    targets: Rows | None, world: OccupancyGrid, datum: Datum
+) -> Float[Array, "M 2"]:
     """Check that targets are in free space, and return them (M, 2); M = 0 when absent.
 
     Raises:
@@ -66,12 +75,12 @@ def checked_targets(targets: Rows | None, world: OccupancyGrid) -> Float[Array, 
     given = _checks.floats("targets", targets, "(M, 2) with M >= 1")
     if given.ndim != 2 or given.shape[0] < 1 or given.shape[1] != 2:
         raise ValueError(f"targets has shape {given.shape}; accepted: (M, 2) with M >= 1")
-    check_spots("targets", given, world)
+    check_spots("targets", given, world, datum)
     return on_device(given.copy())
 
 
-def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid) -> None:
-    """Check that positions (M, 2) are in free space [m].
+def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid, datum: Datum) -> None:
+    """Check that positions (M, 2) relative to a datum are in free space [m].
 
     Raises:
         ValueError: one that is not.
@@ -81,7 +90,9 @@ def check_spots(name: str, spots: np.ndarray, world: OccupancyGrid) -> None:
             not np.isfinite(spot).all()
             or float(probability_at(world, jnp.asarray(spot))) >= FREE_THRESHOLD
         ):
-            raise ValueError(f"{name}[{index}] is {spot.tolist()}; accepted: a place in free space")
+            raise ValueError(
+                f"{name}[{index}] is {datum.shown(spot).tolist()}; accepted: a place in free space"
+            )
 
 
 def checked_end(
@@ -192,7 +203,7 @@ def checked_perception(
     return perception
 
 
-def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid) -> OccupancyGrid:
+def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid, datum: Datum) -> OccupancyGrid:
     """Check that a prior map has the cells of the world; when absent, return an unknown map.
 
     Raises:
@@ -203,9 +214,10 @@ def checked_prior(prior: OccupancyGrid | None, world: OccupancyGrid) -> Occupanc
     _check_shape("prior", prior.cropped(prior.probability).shape, world)
     is_near = np.allclose(prior.frame.origin, world.frame.origin, rtol=1e-6, atol=1e-6)
     if not is_near or prior.resolution != world.resolution:
+        given, accepted = (datum.shown(each.frame.origin).tolist() for each in (prior, world))
         raise ValueError(
-            f"prior has cells of {prior.resolution:g} m at {prior.frame.origin.tolist()}; "
-            f"accepted: the world's, {world.resolution:g} m at {world.frame.origin.tolist()}"
+            f"prior has cells of {prior.resolution:g} m at {given}; "
+            f"accepted: the world's, {world.resolution:g} m at {accepted}"
         )
     return prior
 

@@ -12,12 +12,15 @@ from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.collision import clearance_reach, disc_clearance
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD, OccupancyGrid
 
 
-def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> np.ndarray:
+def reachable_cells(
+    world: OccupancyGrid, start: np.ndarray, radius: float, datum: Datum = ORIGIN
+) -> np.ndarray:
     """Compute the cells (H, W) that the centre of a disc can reach from a start.
 
     Free cells whose centres are at least `radius` from the nearest solid cell's face (centre
@@ -28,6 +31,7 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             map.
         start: start position (x, y, ...) [m].
         radius: radius of the disc [m].
+        datum: point of the map's coordinates to which positions are relative, for messages.
 
     Raises:
         ValueError: a start where the disc cannot stand.
@@ -37,7 +41,7 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     free = _free_cells(world)
     place = np.asarray(to_grid(world.frame, np.asarray(start[:2], np.float32)))
     row, column = (int(index) for index in np.floor(place))
-    where = f"start is ({start[0]:g}, {start[1]:g})"
+    where = f"start is ({_shown(start[:2], datum)})"
     if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1]):
         corners = np.asarray(
             world.frame.to_world(
@@ -46,11 +50,9 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
                 )
             )
         )
-        low, high = corners.min(axis=0), corners.max(axis=0)
-        raise ValueError(
-            f"{where}, off the map; accepted: free space within "
-            f"x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}"
-        )
+        low, high = (datum.shown(each) for each in (corners.min(axis=0), corners.max(axis=0)))
+        x, y = (f"{_number(low[i])} to {_number(high[i])}" for i in (0, 1))
+        raise ValueError(f"{where}, off the map; accepted: free space within x {x}, y {y}")
     if not free[row, column]:
         kind = (
             "in a wall"
@@ -58,7 +60,7 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
             else "in unknown space"
         )
         raise ValueError(
-            f"{where}, {kind}; accepted: free space{_nearest(world, free, radius, start)}"
+            f"{where}, {kind}; accepted: free space{_nearest(world, free, radius, start, datum)}"
         )
     distance = _face_distance(free, world.resolution)
     # The tolerance is for rounding: a passage that is exactly wide enough must stay open.
@@ -82,13 +84,17 @@ def reachable_cells(world: OccupancyGrid, start: np.ndarray, radius: float) -> n
     if beginnings.size == 0 or float(clearance) < 0.0:
         raise ValueError(
             f"{where}, where a robot of radius {radius:g} m touches something; "
-            f"accepted: free space{_nearest(world, free, radius, start)}"
+            f"accepted: free space{_nearest(world, free, radius, start, datum)}"
         )
     return np.isin(labels, beginnings)
 
 
 def drivable_cells(
-    world: OccupancyGrid, start: np.ndarray, robot: Dynamics, perception: Perception
+    world: OccupancyGrid,
+    start: np.ndarray,
+    robot: Dynamics,
+    perception: Perception,
+    datum: Datum,
 ) -> np.ndarray:
     """Compute the cells (H, W) that the position of a robot can reach from a start.
 
@@ -100,11 +106,12 @@ def drivable_cells(
         start: start pose (x, y, yaw) [m, m, rad].
         robot: model of the robot.
         perception: perception of the robot, with its locomotion.
+        datum: point of the map's coordinates to which positions are relative, for messages.
 
     Raises:
         ValueError: a start where the robot cannot stand, or from which it cannot drive.
     """
-    cells = reachable_cells(world, start, float(robot.radius))
+    cells = reachable_cells(world, start, float(robot.radius), datum)
     if isinstance(perception.locomotion, TurnsOnTheSpot):
         return cells
     padded = world.padded()
@@ -121,7 +128,7 @@ def drivable_cells(
     is_reached = np.isfinite(lengths)
     if is_reached.sum() < 2:
         raise ValueError(
-            f"start is ({start[0]:g}, {start[1]:g}, {start[2]:g}), from where a car with a turning "
+            f"start is ({_shown(start, datum)}), from where a car with a turning "
             f"radius of {float(robot.turning_radius):.2f} m cannot drive anywhere; accepted: a "
             "start with room to turn"
         )
@@ -185,12 +192,25 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
     return float(str(x)), float(str(y))
 
 
-def _nearest(world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray) -> str:
+def _shown(pose: np.ndarray, datum: Datum) -> str:
+    """Return a position or a pose in the coordinates of the map, for a message."""
+    return ", ".join(map(_number, datum.shown(pose)))
+
+
+def _number(value: float) -> str:
+    """Return a coordinate with six digits, and far from the origin with all in front of the
+    point."""
+    return f"{value:g}" if abs(value) < 1e5 else f"{value:.3f}"
+
+
+def _nearest(
+    world: OccupancyGrid, free: np.ndarray, radius: float, start: np.ndarray, datum: Datum
+) -> str:
     """Return a hint for an error message: the nearest position where the robot fits."""
     # The margin covers the rounding of the position in the message to centimetres.
     cells = np.argwhere(free & (_face_distance(free, world.resolution) >= radius + 0.1))
     if cells.size == 0:
         return f"; this map has no place for a robot of radius {radius:g} m"
     centres = np.asarray(world.frame.cell_centre(jnp.asarray(cells)))
-    x, y = centres[np.argmin(np.hypot(*(centres - start[:2]).T))]
+    x, y = datum.shown(centres[np.argmin(np.hypot(*(centres - start[:2]).T))])
     return f", for example ({x:.2f}, {y:.2f})"

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
+from jaxplore._trees import HostOnly
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -32,6 +33,7 @@ from jaxplore.belief.perception_checks import as_sensors
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import clearance_reach
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.terrain import TerrainMap
@@ -110,6 +112,8 @@ class ExplorationScenario(Scenario):
             those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
         planted: what differs from the prior map, to judge reports of anomalies; none when absent.
+        datum: point of a map's coordinates to which all positions here are relative; frames and
+            recordings are in the map's coordinates.
 
     Raises:
         ValueError: a part of another class; a perception made for another range, resolution or
@@ -168,6 +172,7 @@ class ExplorationScenario(Scenario):
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = (0.05, 0.1),
         planted: PlantedAnomalies | None = None,
+        datum: Datum = ORIGIN,
     ) -> None:
         all_sensors = as_sensors(sensors)
         _kinds.instance("world", world, OccupancyGrid, TerrainMap)
@@ -177,8 +182,10 @@ class ExplorationScenario(Scenario):
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
+        _kinds.instance("datum", datum, Datum)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
+        self.placed = HostOnly(datum)
         world, ground = checks.grid_and_ground(world)
         self.robot, self.sensors = robot, all_sensors
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
@@ -191,16 +198,16 @@ class ExplorationScenario(Scenario):
         perception = checks.checked_perception(
             perception, self.sensors, world, robot, ground, self.goal, self.max_unknown
         )
-        known = checks.checked_prior(prior, world)
+        known = checks.checked_prior(prior, world, datum)
         self.faults = checks.checked_faults(faults, world)
         self.start = checks.start_state(robot, pose, altitude)
         # The robot can enter untraversable ground, but coverage must not ask it to.
         passable = world if ground is None else with_closed(world, ground)
-        reachable = on_device(drivable_cells(passable, pose, robot, perception))
+        reachable = on_device(drivable_cells(passable, pose, robot, perception, datum))
         if self.goal is not None:
-            checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius))
-        self.targets = checks.checked_targets(targets, world)
-        self.objects = true_objects(self.targets, objects, perception.recognition, world)
+            checks.check_goal(self.goal, world, robot, reachable, float(self.goal_radius), datum)
+        self.targets = checks.checked_targets(targets, world, datum)
+        self.objects = true_objects(self.targets, objects, perception.recognition, world, datum)
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
         self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
@@ -388,7 +395,8 @@ class ExplorationScenario(Scenario):
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
         end = (self.goal, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
-        return make_recording(before, run, *parts, *end, names, planted, self.objects, how)
+        local = make_recording(before, run, *parts, *end, names, planted, self.objects, how)
+        return local.moved(self.datum.offset)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:
         """Return the true world at a moment, with the walls that have appeared."""

@@ -12,6 +12,7 @@ from jaxplore import _kinds
 from jaxplore._types import Key, Pose, Scalar
 from jaxplore._xla import on_device
 from jaxplore.belief.recognition import ObjectClasses, Recognition
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.world import LabelledObject
 from jaxplore.sensing.base import Sensor
@@ -71,6 +72,7 @@ def true_objects(
     objects: Sequence[LabelledObject] | None,
     recognition: Recognition | None,
     world: OccupancyGrid,
+    datum: Datum,
 ) -> TrueObjects | None:
     """Check the objects of a scenario, and return them behind the targets.
 
@@ -79,6 +81,7 @@ def true_objects(
         objects: the other objects; none when absent.
         recognition: how the robot recognises objects; None if it does not.
         world: true map.
+        datum: point of the map's coordinates to which positions are relative.
 
     Returns:
         The objects; None without any, or if the robot recognises none.
@@ -108,7 +111,7 @@ def true_objects(
     if not given and not targets.shape[0]:
         return None
     spots = np.array([each.position for each in given], np.float32).reshape(-1, 2)
-    check_spots("objects", spots, world)
+    check_spots("objects", spots, world, datum)
     return TrueObjects(
         on_device(np.concatenate([np.asarray(targets), spots])),
         on_device(np.array([target] * targets.shape[0] + labels, np.int32)),

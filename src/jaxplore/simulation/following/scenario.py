@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from jaxplore import _checks, _kinds
 from jaxplore._describe import describe_fields
 from jaxplore._limits import MOST_LAPS
+from jaxplore._trees import HostOnly
 from jaxplore._types import (
     ArrayLike,
     ControlVector,
@@ -35,6 +36,7 @@ from jaxplore.dynamics.augmented import Augmented
 from jaxplore.dynamics.base import ContinuousDynamics, State
 from jaxplore.geometry.outlines import Outlines
 from jaxplore.geometry.path import Path
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.following.data import PathFrame, PathRecord
 from jaxplore.report.following.metrics import PathMetrics
 from jaxplore.report.following.recording import PathRecording
@@ -77,6 +79,8 @@ class PathScenario(Scenario):
         turn_growth: standard deviation of the obstacles' turn rate in the prediction [rad/s].
         faults: injected faults. During a dropout of scans the tracker predicts obstacles from their
             last measurement.
+        datum: point of a map's coordinates to which all positions here are relative; frames and
+            recordings are in the map's coordinates.
 
     Raises:
         ValueError: a robot without a path parameter, a start that is no pose, laps or rates that
@@ -116,12 +120,15 @@ class PathScenario(Scenario):
         growth: ArrayLike = 0.1,
         turn_growth: ArrayLike = 0.1,
         faults: Faults | None = None,
+        datum: Datum = ORIGIN,
     ) -> None:
         _kinds.instance("robot", robot, Augmented)
         _kinds.instance("path", path, Path)
         _kinds.instance("traffic", traffic, Traffic, may_be_none=True)
         _kinds.instance("standing", standing, Outlines, may_be_none=True)
         _kinds.instance("faults", faults, Faults, may_be_none=True)
+        _kinds.instance("datum", datum, Datum)
+        self.placed = HostOnly(datum)
         if "phi" not in robot.state_names:
             raise ValueError(
                 f"robot has the states {', '.join(robot.state_names)}; accepted: one with phi, "
@@ -142,6 +149,7 @@ class PathScenario(Scenario):
             pose = np.asarray(_checks.vector("start", start, 3), np.float64).tolist()
             unit = "a yaw is in radians, not in degrees"
             _checks.warn_above("yaw of start", pose[2], math.tau, unit)
+            _checks.near("start", pose[:2], _checks.PATH_STEP)
         state = robot.at_pose(*pose)
         phi = _start_of(path, robot.position(state))
         self.start = robot.with_component(state, "phi", phi)
@@ -319,7 +327,7 @@ class PathScenario(Scenario):
         """Make the recording of a run."""
         path, model, truth = self.path, self.robot, self.true_obstacles(jnp.zeros(()))
         centre, edges = _centre_and_edges(path)
-        return PathRecording(
+        local = PathRecording(
             **run.common(self.period),
             **robot_fields(model, self.start),
             start_progress=float(before.progress),
@@ -330,6 +338,7 @@ class PathScenario(Scenario):
             is_closed=path.is_closed,
             obstacle_radii=np.zeros(0) if truth is None else np.asarray(truth.outlines.radii),
         )
+        return local.moved(self.datum.offset)
 
 
 @eqx.filter_jit
