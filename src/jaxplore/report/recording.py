@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from PIL import Image
@@ -49,7 +49,7 @@ class Frame:
     places: ClassVar[tuple[str, ...]] = ()
     """Fields that are positions (..., 2) [m]."""
 
-    def moved(self, offset: np.ndarray, state_names: Sequence[str]) -> Self:
+    def moved[F: "Frame"](self: F, offset: np.ndarray, state_names: Sequence[str]) -> F:
         """Return the frame with an offset (2,) [m] added to all positions, and to a `state`.
 
         Args:
@@ -106,14 +106,20 @@ class RunData:
         """Times (N + 1,) of the start and of the end of each step [s]."""
         return np.arange(self.num_steps + 1) * self.control_period
 
-    def moved(self, offset: np.ndarray) -> Self:
+    def moved[R: "RunData"](self: R, offset: np.ndarray) -> R:
         """Return the data with an offset (2,) [m] added to all positions but those of the frames,
-        see `Frame.moved`; by default there are none.
+        which have `Frame.moved`.
 
         Args:
             offset: the offset; with one of zero nothing changes.
         """
-        return self
+        if not offset.any():
+            return self
+        return dataclasses.replace(self, **self.moved_fields(offset))
+
+    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+        """Return the fields that are or have positions, with an offset added; none by default."""
+        return {}
 
     def common_metrics(self, *, finished_at: float | None, seed: int | None) -> dict[str, Any]:
         """Compute the fields that all `Metrics` share.

@@ -1,7 +1,7 @@
 """Data of an exploration run: the record of each step, the frames, the world."""
 
 import dataclasses
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -218,28 +218,25 @@ class ExplorationData(RunData):
     anomalies: AnomalyData | None = None
     objects: ObjectData | None = None
 
-    def moved(self, offset: np.ndarray) -> Self:
-        """Return the data with an offset (2,) [m] added to all positions but those of the frames;
-        see `RunData.moved`."""
-        if not offset.any():
-            return self
+    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+        """Return the fields that are or have positions, with an offset (2,) [m] added."""
         found, objects = self.anomalies, self.objects
         if found is not None:
             boxes = moved(moved(found.boxes, offset), offset, (2, 3))
             found = found._replace(boxes=boxes, place=moved(found.place, offset))
         if objects is not None:
             objects = objects._replace(place=moved(objects.place, offset))
-        return dataclasses.replace(
-            self,
-            records=moved_records(self.records, offset, self.state_names),
-            origin=moved(self.origin, offset),
-            field_origin=moved(self.field_origin, offset),
-            start=moved_states(self.start, offset, self.state_names),
-            goal=None if self.goal is None else moved(self.goal, offset),
-            targets=moved(self.targets, offset),
-            anomalies=found,
-            objects=objects,
-        )
+        return {
+            "records": moved_records(self.records, offset, self.state_names),
+            "start": moved_states(self.start, offset, self.state_names),
+            "goal": None if self.goal is None else moved(self.goal, offset),
+            "anomalies": found,
+            "objects": objects,
+            **{
+                name: moved(getattr(self, name), offset)
+                for name in ("origin", "field_origin", "targets")
+            },
+        }
 
     @property
     def positions(self) -> np.ndarray:

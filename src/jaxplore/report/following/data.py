@@ -1,7 +1,7 @@
 """Data of a path-following run: the record of each step, the frames, the course."""
 
 import dataclasses
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -105,18 +105,14 @@ class PathData(RunData):
     footprint: np.ndarray
     obstacle_radii: np.ndarray
 
-    def moved(self, offset: np.ndarray) -> Self:
-        """Return the data with an offset (2,) [m] added to all positions but those of the frames;
-        see `RunData.moved`."""
-        if not offset.any():
-            return self
-        return dataclasses.replace(
-            self,
-            records=moved_records(self.records, offset, self.state_names),
-            start=moved_states(self.start, offset, self.state_names),
-            centre=moved(self.centre, offset),
-            edges=moved(self.edges, offset),
-        )
+    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+        """Return the fields that are or have positions, with an offset (2,) [m] added."""
+        return {
+            "records": moved_records(self.records, offset, self.state_names),
+            "start": moved_states(self.start, offset, self.state_names),
+            "centre": moved(self.centre, offset),
+            "edges": moved(self.edges, offset),
+        }
 
     @property
     def progress(self) -> np.ndarray:
