@@ -11,15 +11,23 @@ if TYPE_CHECKING:
 LONGEST, BELOW = 0.25, 30.0
 """Greatest length of the bar as a share of the axis, and its distance below the axis [points]."""
 
+FAR = 1e4
+"""Coordinate from which matplotlib would label axes with an offset [m]."""
+
 
 def add_scale_bar(axes: "Axes") -> None:
     """Draw a bar of a round length below the right end of axes in metres, beside their label.
+
+    Far from the origin the labels of the axes are whole coordinates, without a common offset.
 
     Args:
         axes: axes of a map, whose limits are set.
     """
     from matplotlib.transforms import ScaledTranslation, blended_transform_factory
 
+    if max(map(abs, (*axes.get_xlim(), *axes.get_ylim()))) >= FAR:
+        axes.ticklabel_format(useOffset=False, style="plain")
+        axes.locator_params(axis="x", nbins=4)
     left, right = axes.get_xlim()
     length = round_length(LONGEST * (right - left))
     figure = axes.get_figure(root=True)

@@ -15,7 +15,7 @@ from jaxplore.report.folder import locked_folder
 from jaxplore.report.table import to_markdown
 from jaxplore.settings.exploration import OFFICE, make_exploration_settings, merge_entries
 from jaxplore.study.comparison.episodes import Entries, MapEpisode, make_batches
-from jaxplore.study.comparison.maps import MapFile, read_grids
+from jaxplore.study.comparison.maps import MapFile, read_datums, read_grids
 from jaxplore.study.comparison.row_task import MakeRows, RowTask, make_rows
 from jaxplore.study.comparison.rows import StoredRow
 from jaxplore.study.comparison.store import Plan, Store, open_store
@@ -141,9 +141,10 @@ def compare_maps(
         with progress_bar("exploring", enabled=progress) as advance:
             advance(0.0, f"{len(episodes)} runs")
             counts = run_episodes(episodes, store, runner, _show(advance))
-        page = store.write_page(grids)
+        datums = read_datums(plan.maps)
+        page = store.write_page(grids, datums)
         if kinds:
-            store.write_figures(grids, kinds)
+            store.write_figures(grids, kinds, datums)
         rows = store.rows(NEEDED)
     return MapComparison(
         tuple(map_tables(rows)),

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from jaxplore._files import read_yaml
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.files.packing import read_files
+from jaxplore.maps.files.ros import map_datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.settings.exploration import read_settings
 
@@ -104,6 +106,8 @@ def with_starts(maps: tuple[MapFile, ...], file: str | os.PathLike[str]) -> tupl
 def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
     """Read a ROS map at the resolution of a run; a finer map is resampled, a coarser one is kept.
 
+    It is relative to its datum, as in a run.
+
     Args:
         path: path of the map's YAML file.
         resolution: side of a cell [m].
@@ -111,7 +115,7 @@ def read_grid(path: str | os.PathLike[str], resolution: float) -> OccupancyGrid:
     Raises:
         ValueError: a map that cannot be read.
     """
-    grid = OccupancyGrid.from_ros(path)
+    grid = OccupancyGrid.from_ros(path, datum=map_datum(path))
     # The tolerance keeps a map from resampling when both resolutions differ by rounding only.
     is_finer = grid.resolution < resolution * (1.0 - 1e-6)
     return grid.resample(resolution) if is_finer else grid
@@ -124,6 +128,15 @@ def read_grids(maps: Sequence[MapFile], resolution: float) -> dict[str, Occupanc
         with contextlib.suppress(ValueError):
             grids[each.name] = read_grid(each.path, resolution)
     return grids
+
+
+def read_datums(maps: Sequence[MapFile]) -> dict[str, Datum]:
+    """Read the datums of maps by name, without those of maps that cannot be read."""
+    datums = {}
+    for each in maps:
+        with contextlib.suppress(ValueError):
+            datums[each.name] = map_datum(each.path)
+    return datums
 
 
 def _is_map(path: Path) -> bool:

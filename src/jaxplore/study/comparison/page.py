@@ -6,11 +6,13 @@ import importlib.resources
 import io
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from PIL import Image
 
+from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.drawing.colours import OUTLINE, UNKNOWN, belief_colours
 from jaxplore.report.drawing.figure import figure_bytes
@@ -66,6 +68,7 @@ dialog canvas { max-width: 100%; max-height: 75vh; display: block; margin: auto;
 dialog h3 { margin: 0 0 .5em; font-weight: 600; } dialog form { display: flex; gap: 1em;
   align-items: center; margin-top: .5em; } dialog input { flex: 1; }
 """
+NO_DATUMS: Mapping[str, Datum] = MappingProxyType({})
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """Content security policy: the page loads nothing."""
 DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="map"></canvas>
@@ -74,7 +77,12 @@ DIALOG = """<dialog id="replay"><h3 data-part="title"></h3><canvas data-part="ma
 <span data-part="told"></span><button>Close</button></form></dialog>"""
 
 
-def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) -> str:
+def page(
+    results: Sequence[Row],
+    maps: Mapping[str, OccupancyGrid],
+    title: str,
+    datums: Mapping[str, Datum] = NO_DATUMS,
+) -> str:
     """Make an HTML page with embedded pictures.
 
     For each map it shows the table of `map_tables`, coverage over time (median and quartiles over
@@ -85,7 +93,9 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
         results: rows with the columns `SHOWN`.
         maps: maps by name, as the runs used them; a missing one has no paths.
         title: title of the page.
+        datums: points to which the grids of maps far from the origin are relative, by name.
     """
+    results = _relative(results, datums)
     told = html.escape(title)
     parts = [
         "<!DOCTYPE html>",
@@ -133,14 +143,18 @@ def page(results: Sequence[Row], maps: Mapping[str, OccupancyGrid], title: str) 
 
 
 def page_figures(
-    results: Sequence[Row], maps: Mapping[str, OccupancyGrid]
+    results: Sequence[Row],
+    maps: Mapping[str, OccupancyGrid],
+    datums: Mapping[str, Datum] = NO_DATUMS,
 ) -> Iterator[tuple[str, "Figure"]]:
     """Yield the figures of the page with names: the curves of each map, and each path.
 
     Args:
         results: rows with the columns `SHOWN`.
         maps: maps by name; a missing one has no paths.
+        datums: points to which the grids of maps far from the origin are relative, by name.
     """
+    results = _relative(results, datums)
     for table in map_tables(results):
         runs = _shown(results, table.map)
         yield f"{table.map}-curves", curves_figure(runs)
@@ -158,6 +172,18 @@ def _shown(results: Sequence[Row], name: str) -> list[Row]:
         for row in results
         if row["map"] == name and row["error"] is None and row["curve_time"] is not None
     ]
+
+
+def _relative(results: Sequence[Row], datums: Mapping[str, Datum]) -> list[Row]:
+    """Return rows whose positions are relative to the datums of their maps."""
+    found = []
+    for row in results:
+        datum = datums.get(row["map"], ORIGIN)
+        if datum and row["error"] is None and row["positions_x"] is not None:
+            x, y = (np.asarray(row[f"positions_{axis}"]) for axis in "xy")
+            row = {**row, "positions_x": x - datum.x, "positions_y": y - datum.y}
+        found.append(row)
+    return found
 
 
 def curves_figure(runs: Sequence[Row]) -> "Figure":

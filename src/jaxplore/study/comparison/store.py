@@ -13,6 +13,7 @@ from jaxplore._files import open_regular, parse_json, read_bytes
 from jaxplore._locks import OWN
 from jaxplore._optional import import_optional
 from jaxplore._text import short_repr
+from jaxplore.maps.datum import Datum
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.drawing.figure import write_figure
 from jaxplore.report.folder import in_one_line, write_whole
@@ -25,7 +26,7 @@ from jaxplore.study.comparison.episodes import (
     variant_entries,
 )
 from jaxplore.study.comparison.maps import MapFile
-from jaxplore.study.comparison.page import SHOWN, page, page_figures
+from jaxplore.study.comparison.page import NO_DATUMS, SHOWN, page, page_figures
 from jaxplore.study.comparison.rows import KEYS, Row, StoredRow, is_row, schema
 
 MARK = "comparison.json"
@@ -156,26 +157,35 @@ class Store:
         write_whole(self.results, write, _WHAT)
         return self.results
 
-    def write_page(self, maps: Mapping[str, OccupancyGrid]) -> Path:
+    def write_page(
+        self, maps: Mapping[str, OccupancyGrid], datums: Mapping[str, Datum] = NO_DATUMS
+    ) -> Path:
         """Write the page of all results, completely or not at all, and return its path.
 
         Args:
             maps: maps by name; see `page`.
+            datums: their datums.
 
         Raises:
             ValueError: the folder cannot be written.
         """
-        text = page(self.rows(SHOWN), maps, f"Comparison {self.folder.name}")
+        text = page(self.rows(SHOWN), maps, f"Comparison {self.folder.name}", datums)
         target = self.folder / PAGE
         write_whole(target, lambda file: file.write(text.encode()), _WHAT)
         return target
 
-    def write_figures(self, maps: Mapping[str, OccupancyGrid], kinds: Sequence[str]) -> None:
+    def write_figures(
+        self,
+        maps: Mapping[str, OccupancyGrid],
+        kinds: Sequence[str],
+        datums: Mapping[str, Datum] = NO_DATUMS,
+    ) -> None:
         """Write the figures of the page into the folder `figures`.
 
         Args:
             maps: maps by name; see `page`.
             kinds: formats, of `figure_formats`.
+            datums: datums of the maps by name.
 
         Raises:
             ValueError: the folder cannot be written.
@@ -183,7 +193,7 @@ class Store:
         folder = self.folder / FIGURES
         with in_one_line(_WHAT, folder):
             folder.mkdir(exist_ok=True)
-            for name, figure in page_figures(self.rows(SHOWN), maps):
+            for name, figure in page_figures(self.rows(SHOWN), maps, datums):
                 # A map in a folder has a slash in its name.
                 write_figure(figure, folder, re.sub(r"[^\w.+-]", "_", name), kinds)
 
