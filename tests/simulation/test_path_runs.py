@@ -135,6 +135,26 @@ def test_a_resumed_run_equals_one_that_never_stopped(lap, check_equal) -> None:
         jx.simulate(PASSING.controller, scenario, 3000, resume=finished, **given)
 
 
+def test_a_path_far_away_is_followed_by_the_same_steps_and_recorded_where_it_is(lap) -> None:
+    here, datum = lap[0].recording, jx.maps.Datum(500_000.0, 4_649_776.0)
+    scenario = jx.PathScenario(PASSING.model, RING, laps=2, **SHARED, faults=NO_FAULTS, datum=datum)
+    before = run_chunk._cached._cache_size()
+    key = jax.random.key(0)
+    there = jx.simulate(PASSING.controller, scenario, 25, key=key, num_trajectories=0).recording
+    assert run_chunk._cached._cache_size() == before
+    np.testing.assert_array_equal(there.records.control, here.records.control[:25])
+    for mine, theirs in (
+        (here.positions[:26], there.positions),
+        (here.centre, there.centre),
+        (here.edges, there.edges),
+        (here.frames[0].position, there.frames[0].position),
+        (here.frames[0].corners, there.frames[0].corners),
+    ):
+        np.testing.assert_allclose(theirs, mine + datum.offset, rtol=0.0, atol=1e-8)
+    with pytest.raises(ValueError, match=r"start has a coordinate of 500000 m, .*maps.Datum"):
+        jx.PathScenario(PASSING.model, RING, start=[5e5, 0.0, 0.0])
+
+
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     controller = PASSING.controller.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)

@@ -94,7 +94,7 @@ def _in_world(world: World, settings: Settings) -> RunWorld:
             "hills; accepted: a height map with a ROS map"
         )
     options = arguments(given, Ground)
-    datum = Datum.near(*world.origin)
+    datum = Datum.near(*world.origin, name="origin")
     world = relative_world(world, datum)
     return RunWorld(
         world.truth(),

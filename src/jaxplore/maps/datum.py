@@ -43,7 +43,7 @@ class Datum:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def near(cls, x: float, y: float) -> "Datum":
+    def near(cls, x: float, y: float, *, name: str = "position") -> "Datum":
         """Return the datum for a map or a path that begins at a position.
 
         It is (0, 0) where x and y are at most 1024 m, so that ordinary maps stay as they are, and
@@ -52,15 +52,20 @@ class Datum:
         Args:
             x: x coordinate [m].
             y: y coordinate [m].
+            name: what is there, for the message.
 
         Raises:
             ValueError: a position beyond 1e9 m.
         """
-        if max(abs(x), abs(y)) <= NEAR:
+        farthest = max(abs(x), abs(y))
+        if farthest <= NEAR:
             return cls()
-        # Checked before it is rounded, which an infinite number does not survive.
-        there = cls(x, y)
-        return cls(float(round(there.x)), float(round(there.y)))
+        # The negated comparison also refuses NaN.
+        if not farthest <= FARTHEST:
+            raise ValueError(
+                f"{name} is [{x:.10g}, {y:.10g}]; accepted: coordinates up to {FARTHEST:g} m"
+            )
+        return cls(float(round(x)), float(round(y)))
 
     def __bool__(self) -> bool:
         """Check whether local coordinates differ from those of the map."""

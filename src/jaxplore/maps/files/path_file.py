@@ -101,7 +101,7 @@ def path_datum(path: str | PathLike[str]) -> Datum:
         ValueError: as of `read_path`, and a waypoint beyond 1e9 m.
     """
     x, y = _rows(path)[0, :2].tolist()
-    return Datum.near(x, y)
+    return Datum.near(x, y, name=f"{printable_path(FilePath(path))}, waypoint 1")
 
 
 def _rows(path: str | PathLike[str]) -> np.ndarray:

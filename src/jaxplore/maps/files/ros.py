@@ -95,7 +95,7 @@ def map_datum(path: str | os.PathLike[str]) -> Datum:
         ValueError: as of `read_map`, and an origin beyond 1e9 m.
     """
     x, y, _ = _settings(Path(path)).origin
-    return Datum.near(x, y)
+    return Datum.near(x, y, name=f"{printable_path(Path(path))}: origin")
 
 
 def write_map(
