@@ -115,6 +115,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         folder: folder for the files that some calls read and write.
     """
     (folder / "path.csv").write_text("x,y\n0,0\n2,0\n4,1\n")
+    jx.OccupancyGrid(np.zeros((2, 3)), 0.5).to_ros(folder / "map.yaml")
     robot = jx.DifferentialDrive()
     lidar = jx.Lidar(num_beams=8, max_range=2.0)
     grid = jx.OccupancyGrid(np.pad(np.zeros((10, 10)), 1, constant_values=1.0), 0.5)
@@ -262,6 +263,9 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "generate_map": {"kind": "open"},
         "line_path": {"start": (0.0, 0.0)},
         "read_path": {"path": str(folder / "path.csv")},
+        "path_datum": {"path": str(folder / "path.csv")},
+        "map_datum": {"path": str(folder / "map.yaml")},
+        "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "set_parameters": {"values": {"temperature": 0.2}},
         "step_with_gains": {"state": mppi.init(), "observation": jnp.zeros(5)},
     }

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from jaxplore import OccupancyGrid
+from jaxplore.maps import Datum
 from jaxplore.study.comparison.page import RIM, curves_figure, known_part, page, path_figure
 from jaxplore.study.comparison.replay import NEVER
 from jaxplore.study.comparison.store import Store
@@ -89,6 +90,28 @@ class Reader(HTMLParser):
     def handle_data(self, data) -> None:
         if self.open and self.open[-1] in self.texts:
             self.texts[self.open[-1]][-1] += data
+
+
+def test_runs_on_a_map_far_away_are_drawn_on_their_map() -> None:
+    datum = Datum(500_000.0, 4_649_776.0)
+    far = [
+        each
+        if each["error"] is not None
+        else {
+            **each,
+            "positions_x": [x + datum.x for x in each["positions_x"]],
+            "positions_y": [y + datum.y for y in each["positions_y"]],
+        }
+        for each in ROWS
+    ]
+    shown = [
+        re.search(r'<script type="application/json" id="runs">(.*)</script>', text).group(1)
+        for text in (
+            page(ROWS, {"room": GRID}, "x"),
+            page(far, {"room": GRID}, "x", dict.fromkeys(("room", "a <b>& c"), datum)),
+        )
+    ]
+    assert shown[0] == shown[1]
 
 
 @pytest.fixture(scope="module")

@@ -66,6 +66,15 @@ def test_a_drive_far_from_the_origin_is_the_same_to_within_rounding(explored, dr
     pilot, robot, _, states = drive_once(2.0, offset=offset)
     np.testing.assert_allclose(states, explored[3][: len(states)], atol=2e-2)
     np.testing.assert_allclose(pilot.offset, np.array(offset) + 1.0, atol=0.05)
+    # What is saved is where the odometry is.
+    local, placed = pilot.recording(), pilot.recording(in_odometry=True)
+    exact = {"rtol": 0.0, "atol": 1e-8}
+    np.testing.assert_allclose(placed.positions, local.positions + pilot.offset, **exact)
+    np.testing.assert_allclose(placed.origin[:2], local.origin[:2] + pilot.offset, **exact)
+    np.testing.assert_allclose(
+        placed.frames[-1].scan, local.frames[-1].scan + pilot.offset, **exact
+    )
+    assert abs(placed.positions[-1] - (states[-1, :2] + offset)).max() < 0.1
     assert robot.num_contacts == 0
 
 

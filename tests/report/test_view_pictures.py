@@ -221,6 +221,30 @@ def test_a_finished_run_is_shown_at_every_time(name, request) -> None:
         replay.close()
 
 
+@pytest.mark.parametrize("name", ["recording", "make_straight"])
+def test_a_run_far_away_is_drawn_near_the_origin(name, request) -> None:
+    """Pages draw in single precision."""
+    made = request.getfixturevalue(name)
+    run = made() if callable(made) else made
+    offset = np.array([500_000.0, 4_649_776.0])
+    frames = tuple(each.moved(offset, run.state_names) for each in run.frames)
+    drawn = []
+    for each in (run, dataclasses.replace(run.moved(offset), frames=frames)):
+        replay = Replay(each)
+        try:
+            nodes = replay._display._scene._nodes
+            drawn.append({name: np.array(nodes[name].points) for name in ("plan", "rollouts")})
+            drawn[-1]["robot"] = np.array(nodes["robot"].position)
+        finally:
+            replay.close()
+    start = drawn[0]["robot"][:2] - drawn[1]["robot"][:2]
+    for part in drawn[0]:
+        moved = drawn[0][part] - drawn[1][part]
+        np.testing.assert_allclose(moved[..., :2], np.broadcast_to(start, moved[..., :2].shape),
+                                   atol=1e-5)  # fmt: skip
+    assert np.abs(drawn[1]["plan"]).max() < 100.0
+
+
 def test_a_layer_is_hidden_and_the_information_with_the_next_frame(vehicle) -> None:
     replay = Replay(vehicle)
     try:

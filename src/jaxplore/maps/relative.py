@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxplore import _kinds
 from jaxplore.maps.datum import Datum
 from jaxplore.maps.files.world_entries import Row
 from jaxplore.maps.shapes import Shapes
@@ -18,7 +19,12 @@ def relative_world(world: World, datum: Datum) -> World:
     Args:
         world: the world.
         datum: point of the world's coordinates; `Datum.near(*world.origin)` suits it.
+
+    Raises:
+        ValueError: something else than a world and a datum.
     """
+    _kinds.instance("world", world, World)
+    _kinds.instance("datum", datum, Datum)
     if not datum:
         return world
 

@@ -10,7 +10,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._files import read_yaml, replace_files
 from jaxplore._text import printable_path, short_repr
 from jaxplore.maps.datum import Datum
@@ -94,6 +94,7 @@ def map_datum(path: str | os.PathLike[str]) -> Datum:
     Raises:
         ValueError: as of `read_map`, and an origin beyond 1e9 m.
     """
+    _kinds.instance("path", path, str, os.PathLike)
     x, y, _ = _settings(Path(path)).origin
     return Datum.near(x, y, name=f"{printable_path(Path(path))}: origin")
 
