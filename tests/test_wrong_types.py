@@ -137,6 +137,7 @@ RIGHT = {
     "get_parameters(controller=list)",
     "get_parameters(controller=object)",
     "get_parameters(controller=text)",
+    "map_datum(path=text)",  # refused, as a file that is not there
     "mpcc(comfort_weight=None)",
 }
 """Calls of the walk whose argument is of an accepted type."""
