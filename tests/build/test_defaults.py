@@ -139,11 +139,13 @@ def _reachable_cells_of_a_place_are_computed_once():
     """Where a car gets to takes seconds, and is the same whichever architecture asks."""
     found: dict[Any, np.ndarray] = {}
 
-    def once(world: Any, start: np.ndarray, robot: jx.Dynamics, perception: Any) -> np.ndarray:
+    def once(
+        world: Any, start: np.ndarray, robot: jx.Dynamics, perception: Any, datum: Any
+    ) -> np.ndarray:
         turns = type(perception.locomotion)
         key = world.shape, tuple(start.tolist()), float(robot.radius), turns
         if key not in found:
-            found[key] = drivable_cells(world, start, robot, perception)
+            found[key] = drivable_cells(world, start, robot, perception, datum)
         return found[key]
 
     with pytest.MonkeyPatch.context() as patch:

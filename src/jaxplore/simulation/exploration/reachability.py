@@ -50,8 +50,8 @@ def reachable_cells(
                 )
             )
         )
-        low, high = (datum.shown(each) for each in (corners.min(axis=0), corners.max(axis=0)))
-        x, y = (f"{_number(low[i])} to {_number(high[i])}" for i in (0, 1))
+        ends = datum.shown(np.stack([corners.min(axis=0), corners.max(axis=0)]))
+        x, y = (f"{_number(low)} to {_number(high)}" for low, high in ends.T.tolist())
         raise ValueError(f"{where}, off the map; accepted: free space within x {x}, y {y}")
     if not free[row, column]:
         kind = (
@@ -194,7 +194,7 @@ def open_spot(world: OccupancyGrid, radius: float) -> tuple[float, float]:
 
 def _shown(pose: np.ndarray, datum: Datum) -> str:
     """Return a position or a pose in the coordinates of the map, for a message."""
-    return ", ".join(map(_number, datum.shown(pose)))
+    return ", ".join(map(_number, datum.shown(pose).tolist()))
 
 
 def _number(value: float) -> str:
