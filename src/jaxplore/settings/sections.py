@@ -205,7 +205,7 @@ def read_settings(path: str | os.PathLike[str], *, is_trusted: bool = False) -> 
     where = f"settings file {printable_path(Path(path))}"
     data = read_bytes(Path(path), "a settings YAML", SETTINGS_LIMIT, f"{where} cannot be read: it")
     try:
-        entries = parse_yaml(data, SETTINGS_LIMIT)
+        entries = parse_yaml(data.decode(), SETTINGS_LIMIT)
     except ValueError as error:
         raise ValueError(f"{where} is not YAML: {error}") from None
     if not isinstance(entries, dict):
