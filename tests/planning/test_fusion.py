@@ -33,6 +33,7 @@ from jaxplore.planning import (
     fuse_actions,
     fusion_by_name,
 )
+from jaxplore.planning.portfolio.fusion import select_member
 
 ROBOT = DifferentialDrive(radius=0.25)
 CONTROLS = np.array(
@@ -300,6 +301,32 @@ def test_a_member_whose_cost_is_not_finite_has_no_vote(fusion, value) -> None:
         assert fuse(fusion, of(CONTROLS, costs)).shares[index] == 0.0
     found = fuse(TrustWeighted(), of(CONTROLS, COSTS, uncertainties=[0.1, value, 0.1]))
     np.testing.assert_allclose(found.shares, [0.5, 0.0, 0.5], atol=1e-6)
+
+
+@every
+@bad
+@pytest.mark.parametrize("cost", [1.0, np.nan])
+def test_a_plan_that_is_not_finite_stays_out_of_the_controls(name, value, cost) -> None:
+    for index in range(3):
+        controls, costs = CONTROLS.copy(), COSTS.copy()
+        controls[index, 1, 0], costs[index] = value, cost
+        found = fuse(EVERY[name], of(controls, costs))
+        assert np.isfinite(found.controls).all()
+        assert found.shares[index] == 0.0
+        assert float(found.shares.sum()) == pytest.approx(1.0)
+        others = np.delete(CONTROLS, index, axis=0)
+        assert (found.controls <= others.max(axis=0) + 1e-6).all()
+        assert (found.controls >= others.min(axis=0) - 1e-6).all()
+
+
+def test_a_selected_plan_that_is_not_finite_is_replaced_by_the_cheapest_that_is() -> None:
+    plans = np.stack([*CONTROLS, CONTROLS[0] / 2])
+    plans[2] = np.nan
+    costs = [4.0, 3.0, np.nan, 5.0]
+    found = select_member(of(plans, costs), jnp.int32(2))
+    check(found, CONTROLS[1], [0.0, 1.0, 0.0, 0.0])
+    found = select_member(of(plans, [np.nan] * 4), jnp.int32(2))
+    check(found, CONTROLS[0], [1.0, 0.0, 0.0, 0.0])
 
 
 @bad

@@ -68,6 +68,9 @@ class Fused(NamedTuple):
 class Fusion(eqx.Module):
     """A rule that makes one plan of N.
 
+    A plan that is not finite has no share, whatever its member's cost is (`is_usable`). Without any
+    finite plan the fused one is not finite either.
+
     Except where members have roles by name, a permutation of the members permutes the shares and
     changes nothing else.
     """
@@ -87,22 +90,39 @@ class Fusion(eqx.Module):
         return
 
 
+def is_usable(candidates: Candidates) -> Bool[Array, " N"]:
+    """Return which plans are finite (N,)."""
+    return jnp.all(jnp.isfinite(candidates.controls), axis=(1, 2))
+
+
 def least_finite(costs: Float[Array, " N"]) -> Count:
     """Return the index of the least finite cost; 0 if no cost is finite."""
     return jnp.argmin(jnp.where(jnp.isfinite(costs), costs, jnp.inf)).astype(jnp.int32)
 
 
 def weighted_mean(candidates: Candidates, votes: Float[Array, " N"]) -> Fused:
-    """Average the plans with these votes (N,), or with equal weights if all votes are 0."""
-    # All votes are 0 if no cost is finite. The plans are finite even then, so their mean is safe.
+    """Average the finite plans with these votes (N,), or with equal weights if all votes are 0."""
+    usable = is_usable(candidates)
+    votes = jnp.where(usable, votes, 0.0)
+    # All votes are 0 if no cost is finite. The mean of the plans that are finite even then is safe.
     total = jnp.sum(votes)
-    alike = jnp.full_like(votes, 1.0 / votes.shape[0])
+    alike = jnp.where(usable | ~usable.any(), 1.0, 0.0)
+    alike = alike / jnp.sum(alike)
     shares = jnp.where(total > 0.0, votes / jnp.where(total > 0.0, total, 1.0), alike)
-    controls = jnp.einsum("n,ntu->tu", shares, candidates.controls)
-    return Fused(controls, shares, jnp.array(False))
+    # A plan without a share is left out of the sum: 0 times NaN would be NaN.
+    counted = jnp.where((shares > 0.0)[:, None, None], candidates.controls, 0.0)
+    return Fused(jnp.einsum("n,ntu->tu", shares, counted), shares, jnp.array(False))
 
 
 def select_member(candidates: Candidates, index: Count) -> Fused:
-    """Return the plan of one member as the fused plan."""
+    """Return the plan of one member as the fused plan.
+
+    If it is not finite, it is the plan of least cost among those that are.
+    """
+    usable = is_usable(candidates)
+    another = least_finite(jnp.where(usable, candidates.costs, jnp.inf))
+    # Without a finite cost, any plan that is finite.
+    another = jnp.where(usable[another], another, jnp.argmax(usable))
+    index = jnp.where(usable[index], index, another).astype(jnp.int32)
     shares = jax.nn.one_hot(index, candidates.costs.shape[0])
     return Fused(candidates.controls[index], shares, jnp.array(False))

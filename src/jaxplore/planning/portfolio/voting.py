@@ -59,7 +59,7 @@ class BestOnly(Fusion):
 
 
 class Average(Fusion):
-    """Mean of all plans."""
+    """Mean of all plans that are finite."""
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
@@ -72,15 +72,17 @@ class Median(Fusion):
     """Median over members of each control at each time, robust against a single outlier.
 
     With an even number of members it is the mean of the middle two. The reported shares are equal.
+    Plans that are not finite are left out.
     """
 
     def __call__(
         self, memory: Any, candidates: Candidates, situation: Situation
     ) -> tuple[Fused, Any]:
         """Take the median of the plans."""
-        number = candidates.costs.shape[0]
-        shares = jnp.full(number, 1.0 / number)
-        return Fused(jnp.median(candidates.controls, axis=0), shares, jnp.array(False)), memory
+        alike = weighted_mean(candidates, jnp.ones_like(candidates.costs)).shares
+        # Plans without a share are NaN, which the median leaves out.
+        counted = jnp.where((alike > 0.0)[:, None, None], candidates.controls, jnp.nan)
+        return Fused(jnp.nanmedian(counted, axis=0), alike, jnp.array(False)), memory
 
 
 class TrustWeighted(Fusion):
