@@ -13,6 +13,7 @@ from jax import Array
 from jaxplore._signals import stop_requests
 from jaxplore._types import Count, Flag
 from jaxplore.report.compute import Timing
+from jaxplore.simulation.record_buffer import RecordBuffer
 
 CHUNK_SECONDS = 0.5
 """Longest simulated time of a chunk [s]: progress and Ctrl-C wait for the end of a chunk."""
@@ -25,6 +26,8 @@ MAX_FRAMES = 120
 """Greatest number of frames of a run; beyond it, every second one is dropped."""
 MOST_FRAME_BYTES = 1_000_000_000
 """Greatest memory of the frames of a run, likewise: frames of a large map are few."""
+MAX_TIMED = 10_000
+"""Greatest number of steps that are timed one at a time; beyond it, every second one is dropped."""
 
 
 def loop[S, R](
@@ -69,7 +72,8 @@ class ChunkedRun[S, R, F]:
 
     Args:
         state: last state of the loop.
-        records: records of all steps, in NumPy.
+        records: records of all steps, in NumPy; those of a long run are mapped from a file, see
+            `RecordBuffer`.
         frames: evenly spaced frames, the last one at the end of the run.
         timing: wall-clock times.
         num_steps: number of steps done.
@@ -183,6 +187,8 @@ class _Clock:
     def __init__(self, chunk: int) -> None:
         self._chunk = chunk
         self._steps: list[float] = []
+        # One step in this many is kept, of those that were timed one at a time.
+        self._stride, self._count = 1, 0
         # Seconds and steps in short chunks and in long ones.
         self._timed = {False: (0.0, 0), True: (0.0, 0)}
 
@@ -193,7 +199,11 @@ class _Clock:
         loop's mean, as do the short chunks between dense frames if there are others.
         """
         if is_stepwise:
-            self._steps.append(seconds)
+            if self._count % self._stride == 0:
+                self._steps.append(seconds)
+            self._count += 1
+            if len(self._steps) > MAX_TIMED:
+                self._steps, self._stride = self._steps[::2], self._stride * 2
             return
         is_long = 2 * planned >= self._chunk
         former = self._timed[is_long]
@@ -250,11 +260,12 @@ def run_in_chunks[S, R, F](
     # A call with zero steps compiles the program, so that no timed step includes the compilation.
     state, rows, _, _ = advance(state, 0)
     compile_seconds = time.perf_counter() - began
-    # The empty records of that call stay in the list, so that a run without a step has records too.
-    pieces, clock = [rows], _Clock(chunk)
+    # The empty records of that call give the shapes, so that a run without a step has records too.
+    records, clock = RecordBuffer(rows), _Clock(chunk)
     total, chunks = 0, 0
     if former is not None:
-        pieces, total = [former.records], former.num_steps
+        records.append(former.records)
+        total = former.num_steps
     frames = _Frames(frame, interval, former)
     frames.add_when_due(state, total)
     started = time.perf_counter()
@@ -262,7 +273,7 @@ def run_in_chunks[S, R, F](
     with stop_requests() as stop:
         while total < limit and longest > 0 and not finished and not stop.is_set():
             chunks += 1
-            first = len(pieces)
+            pieces = []
             steps = min(longest, frames.next - total, limit - total)
             stepwise = chunks % STEPWISE_CHUNKS == 0
             for size in [1] * steps if stepwise else [steps]:
@@ -276,14 +287,15 @@ def run_in_chunks[S, R, F](
             # Frames are made at the end of a chunk only: the compiled loop does not return to
             # Python within.
             frames.add_when_due(state, total)
-            rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces[first:])
+            rows = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+            records.append(rows)
             seconds = time.perf_counter() - started
             longest = on_chunk(Chunk(state, rows, total, seconds, stop.is_set))
         is_interrupted = longest == 0 or stop.is_set()
     timing = clock.timing(compile_seconds)
     return ChunkedRun(
         state,
-        jax.tree.map(lambda *parts: np.concatenate(parts), *pieces),
+        records.rows(),
         frames.until_end(state, total),
         timing if former is None else former.timing + timing,
         total,

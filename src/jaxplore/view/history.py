@@ -11,6 +11,7 @@ from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import speeds
 from jaxplore.report.recording import Frame, Recording
+from jaxplore.simulation.record_buffer import RecordBuffer
 
 MOST_POINTS = 2000
 """Greatest number of points of the trail."""
@@ -75,7 +76,7 @@ class History:
 
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
-        self._records: list[Any] = []
+        self._records = RecordBuffer(_none_of(recording.records))
         self._trail = Thinned(2, MOST_POINTS)
         self._curve: Thinned | None = None
         self._terms: Thinned | None = None
@@ -122,7 +123,7 @@ class History:
 
     def catch_up(self, recording: Recording) -> None:
         """Append the steps of the whole run that were not added yet."""
-        done = sum(len(each[0]) for each in self._records)
+        done = self._records.num_rows
         rest = jax.tree.map(lambda rows: rows[done:], recording.records)
         self.add(rest, recording.time[1 + done :])
 
@@ -151,9 +152,7 @@ class History:
 
     def recording_at(self, frame: Frame) -> Recording:
         """Return the recording of the run so far with one frame, for pictures of it."""
-        records = self._records or [_none_of(self.recording.records)]
-        whole = jax.tree.map(lambda *parts: np.concatenate(parts), *records)
-        return dataclasses.replace(self.recording, records=whole, frames=(frame,))
+        return dataclasses.replace(self.recording, records=self._records.rows(), frames=(frame,))
 
 
 def _none_of(records: Any) -> Any:
