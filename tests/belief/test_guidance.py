@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import jax
@@ -12,12 +13,14 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxplore.belief.descent import descent, extend
 from jaxplore.belief.guidance import (
+    TurnsOnTheSpot,
     _relax,
     geodesic,
 )
 from jaxplore.belief.guidance import descent_field as to_go
 from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.belief.tiles import Outline, Tiling, relaxed_by_tiles, relaxed_everywhere
+from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.frame import GridFrame
 
 geodesic_jit = jax.jit(geodesic)
@@ -25,14 +28,23 @@ OUTLINE = Outline((np.inf, np.inf), (1, 1))
 TILING = Tiling()
 
 
-def by_dijkstra(initial: np.ndarray, slowness: np.ndarray, is_open: np.ndarray) -> np.ndarray:
+def by_dijkstra(
+    initial: np.ndarray,
+    slowness: np.ndarray,
+    is_open: np.ndarray,
+    blocked: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the cost-to-go; both cells beside a diagonal step must not be `blocked`."""
     height, width = initial.shape
+    blocked = np.zeros(initial.shape, bool) if blocked is None else blocked
     edges = []
     for row in range(height):
         for column in range(width):
             for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):
                 r, c = row + down, column + right
                 if not (r < height and 0 <= c < width and is_open[row, column] and is_open[r, c]):
+                    continue
+                if blocked[row, c] or blocked[r, column]:
                     continue
                 length = np.hypot(down, right) * (slowness[row, column] + slowness[r, c]) / 2
                 edges.append((row * width + column, r * width + c, length))
@@ -64,6 +76,110 @@ def test_equals_dijkstra(seed: int) -> None:
     initial = np.where(rng.random((17, 13)) < 0.03, rng.uniform(1, 9, (17, 13)), np.inf)
     found = geodesic_jit(initial.astype(np.float32), slowness, is_open)
     np.testing.assert_allclose(found, by_dijkstra(initial, slowness, is_open), rtol=1e-5)
+
+
+SIZE = 20
+
+
+def random_walls(rng: np.random.Generator) -> np.ndarray:
+    """Return blocked cells: diagonal walls one cell thick, with gaps, among single cells."""
+    blocked = rng.random((SIZE, SIZE)) < 0.05
+    for _ in range(rng.integers(1, 5)):
+        row, column, slope = rng.integers(0, SIZE), rng.integers(0, SIZE), rng.choice([-1, 1])
+        for step in range(rng.integers(3, SIZE)):
+            if row + step < SIZE and 0 <= column + slope * step < SIZE and rng.random() < 0.95:
+                blocked[row + step, column + slope * step] = True
+    return blocked
+
+
+@jax.jit
+def around_walls(blocked, required, slowness_factor, source, point):
+    """Return the lattice, the lengths and the field of a robot that turns on the spot."""
+    clearance = clearance_field(blocked, GridFrame(0.5), 3.0)
+    roads = TurnsOnTheSpot().roadmap(clearance, required, 1, jnp.ones_like, slowness_factor)
+    return roads, roads.lengths(source), roads.field(source), roads.sources_at(point)
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.1, 0.25, 0.3, 0.45, 0.7]))
+def test_no_diagonal_step_passes_a_wall(seed: int, required: float) -> None:
+    rng = np.random.default_rng(seed)
+    blocked = random_walls(rng)
+    factor = rng.uniform(0.5, 2.0, blocked.shape).astype(np.float32)
+    source = np.where(rng.random(blocked.shape) < 0.01, rng.uniform(1, 9, blocked.shape), np.inf)
+    point = rng.uniform(0.0, 0.5 * SIZE, 2).astype(np.float32)
+    roads, found, field, at_point = around_walls(
+        blocked, np.float32(required), factor, source.astype(np.float32), point
+    )
+    room = (distance_transform_edt(np.pad(~blocked, 1))[1:-1, 1:-1] - 0.5) * 0.5
+    is_open = room >= required - 1e-4
+    np.testing.assert_array_equal(roads.is_open, is_open)
+    expected = by_dijkstra(source, 0.5 * factor, is_open, blocked)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    # The descent at a node leads to lower nodes to which a step leads.
+    down = np.asarray(field.descent)  # (x, y)
+    for row, column in np.argwhere(np.isfinite(expected)):
+        steps = [
+            (r, c)
+            for r, c in itertools.product((-1, 0, 1), repeat=2)
+            if (r, c) != (0, 0)
+            and 0 <= row + r < SIZE
+            and 0 <= column + c < SIZE
+            and expected[row + r, column + c] < expected[row, column]
+            and not (blocked[row + r, column] or blocked[row, column + c])
+        ]
+        x, y = down[:, row, column]
+        if not steps:
+            assert (x, y) == (0.0, 0.0)
+        else:
+            assert max(r * y + c * x for r, c in steps) >= -1e-5
+    # A point in an open cell has no source on the other side of a wall.
+    column, row = np.floor(point / 0.5).astype(int)
+    if is_open[row, column]:
+        at_cell = np.full(blocked.shape, np.inf)
+        at_cell[row, column] = 1.0
+        reached = by_dijkstra(at_cell, np.ones(blocked.shape), is_open, blocked)
+        sources = np.isfinite(at_point)
+        assert sources[row, column]
+        assert np.isfinite(reached[sources]).all()
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_a_descent_goes_around_a_diagonal_wall(turn: int) -> None:
+    blocked = np.zeros((SIZE, SIZE), bool)
+    blocked[range(SIZE - 4), range(SIZE - 4)] = True
+    ends = np.array([[5.5, 8.5], [8.5, 5.5]])  # row, column, on the two sides of the wall
+    for _ in range(turn):
+        blocked = np.rot90(blocked).copy()
+        ends = np.stack([SIZE - ends[:, 1], ends[:, 0]], axis=1)
+    (row, column), (to_row, to_column) = ends
+    source = np.full(blocked.shape, np.inf, np.float32)
+    source[int(to_row), int(to_column)] = 0.0
+    _, found, field, _ = around_walls(
+        blocked,
+        np.float32(0.25),
+        np.ones(blocked.shape, np.float32),
+        source,
+        np.zeros(2, np.float32),
+    )
+    assert found[int(row), int(column)] > 8.0  # around the end, and not 2.1 m through the wall
+    # Straight through the wall the cost rises first.
+    way = np.linspace((row, column), (to_row, to_column), 41)
+    values = np.asarray(jax.vmap(field)(jnp.asarray(0.5 * way[:, ::-1], jnp.float32)))
+    assert np.diff(values[:21]).max() > 0.1
+    # The steepest descent of the lattice reaches the source, and passes no corner of the wall.
+    place, value = (int(row), int(column)), np.asarray(found)
+    for _ in range(200):
+        steps = [
+            (place[0] + r, place[1] + c)
+            for r, c in itertools.product((-1, 0, 1), repeat=2)
+            if 0 <= place[0] + r < SIZE
+            and 0 <= place[1] + c < SIZE
+            and not (blocked[place[0] + r, place[1]] or blocked[place[0], place[1] + c])
+        ]
+        place = min(steps, key=lambda cell: value[cell])
+        if value[place] == 0.0:
+            break
+    assert place == (int(to_row), int(to_column))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -179,6 +295,40 @@ def test_no_path_jumps_a_wall(
 
     left, right = blocks(fits & (across > 0)), blocks(fits & (across < 0))
     assert not (binary_dilation(left, np.ones((3, 3))) & right).any()
+
+
+@given(
+    st.floats(0, math.pi),
+    st.floats(-1, 1),
+    st.sampled_from([0.05, 0.1, 0.5]),
+    st.floats(0.1, 0.6),
+)
+def test_no_block_is_beside_one_on_the_other_side_of_a_thin_wall(
+    angle: float, offset: float, resolution: float, radius: float
+) -> None:
+    """The same for walls whose cells touch at corners; steps between cells have `clear_corners`."""
+    stride = safe_stride(10 * resolution, resolution, radius)
+    if stride == 1:
+        return
+    size = 48 // stride * stride
+    rows, columns = np.mgrid[:size, :size] - size / 2
+    across = rows * math.sin(angle) + columns * math.cos(angle) - offset
+    # One cell in each row, or in each column: the line of Bresenham.
+    steep = max(abs(math.sin(angle)), abs(math.cos(angle)))
+    wall = np.abs(across) <= 0.5 * steep
+    fits = (distance_transform_edt(~wall) - 0.5) * resolution >= radius - 1e-9
+
+    def blocks(cells: np.ndarray) -> np.ndarray:
+        return cells.reshape(size // stride, stride, size // stride, stride).any(axis=(1, 3))
+
+    left, right = blocks(fits & (across > 0)), blocks(fits & (across < 0))
+    assert not (binary_dilation(left, np.ones((3, 3))) & right).any()
+
+
+def test_a_diagonal_wall_bounds_the_stride() -> None:
+    # Cells (0, 0) and (3, 3) are 1.736 cells from the faces of the wall r + c = 3 between them.
+    assert safe_stride(0.2, 0.1, 0.1736) == 1
+    assert safe_stride(0.2, 0.1, 0.18) == 2
 
 
 @pytest.mark.parametrize(("spacing", "expected"), [(0.05, 1), (0.1, 1), (0.2, 2), (5.0, 2)])

@@ -1,3 +1,4 @@
+import itertools
 import math
 from collections import deque
 
@@ -59,6 +60,33 @@ def test_reachable_cells_are_those_of_a_flood_fill(seed: int) -> None:
     if not around <= seen:
         return
     found = reachable_cells(OccupancyGrid(world, 0.1), np.array([0.85, 0.85]), 0.15)
+    assert set(map(tuple, np.argwhere(found))) == seen
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.98), st.floats(0.02, 0.98))
+def test_no_reachable_cell_is_behind_a_diagonal_wall(seed: int, x: float, y: float) -> None:
+    """Of a robot that needs no more than half a cell: both cells beside a step must be free."""
+    rng = np.random.default_rng(seed)
+    world = (rng.random((16, 18)) < 0.1).astype(np.float32)
+    for _ in range(3):
+        row, column, slope = rng.integers(0, 16), rng.integers(0, 18), rng.choice([-1, 1])
+        for step in range(rng.integers(3, 16)):
+            if row + step < 16 and 0 <= column + slope * step < 18:
+                world[row + step, column + slope * step] = 1.0
+    start = (int(rng.integers(0, 16)), int(rng.integers(0, 18)))
+    world[start] = 0.0
+    seen, queue = {start}, deque([start])
+    while queue:
+        row, column = queue.popleft()
+        for i, j in itertools.product((-1, 0, 1), repeat=2):
+            cell = (row + i, column + j)
+            passed = (cell, (row + i, column), (row, column + j))
+            is_free = all(0 <= r < 16 and 0 <= c < 18 and world[r, c] == 0.0 for r, c in passed)
+            if is_free and cell not in seen:
+                seen.add(cell)
+                queue.append(cell)
+    pose = np.array([start[1] + x, start[0] + y]) * 0.5
+    found = reachable_cells(OccupancyGrid(world, 0.5), pose, 0.005)
     assert set(map(tuple, np.argwhere(found))) == seen
 
 

@@ -13,7 +13,13 @@ from jaxtyping import Bool, Float
 from jaxplore._types import Pose, Position, Scalar
 from jaxplore.belief.car_motions import motion_table, rests
 from jaxplore.belief.car_paths import DescentTree, driven
-from jaxplore.belief.guidance import LAYERS, GuidanceField, Roadmap, descent_field
+from jaxplore.belief.guidance import (
+    LAYERS,
+    GuidanceField,
+    Roadmap,
+    descent_field,
+    nearest_open,
+)
 from jaxplore.belief.tiles import Part, Tiling, relaxed
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.field import gather, stencil
@@ -202,11 +208,10 @@ class CarRoadmap(Roadmap):
         offset = centres - pose[:2]
         turn = jnp.asarray(HEADINGS, jnp.float32) - (pose[2] - frame.origin[2])
         turn = jnp.abs(jnp.mod(turn + math.pi, math.tau) - math.pi)
-        away = jnp.sqrt((offset * offset).sum(axis=-1)) + (
-            self.radius * spacing * turn[:, None, None]
-        )
-        away = jnp.where(self.is_open_at, away, jnp.inf)
-        return jnp.where(away <= away.min() + spacing, away, jnp.inf)
+        away = jnp.sqrt((offset * offset).sum(axis=-1))
+        cost = away + self.radius * spacing * turn[:, None, None]
+        cost = jnp.where(self.is_open_at, cost, jnp.inf)
+        return nearest_open(cost, jnp.where(self.is_open, away, jnp.inf), spacing, self.corners)
 
     def field(self, source: Float[Array, "H W"]) -> "CarGuidance":
         """Return the cost-to-go as a field over positions and headings."""
@@ -223,7 +228,7 @@ class CarRoadmap(Roadmap):
         """Return the field, and the cost-to-go that it extends into closed poses."""
         at_nodes, costs = self._costs(self._at_all_headings(source), is_between=True)
         step = jnp.asarray(3.0 * self.frame.resolution)
-        planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS)
+        planar = descent_field(costs.min(axis=(0, 1)), self.frame, LAYERS, self.corners)
         return with_headings(planar, _extended(costs, step), self, at_nodes), costs
 
     def _at_all_headings(self, source: Float[Array, "H W"]) -> Float[Array, "N H W"]:

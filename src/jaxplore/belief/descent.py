@@ -5,7 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplore._types import Scalar
 
@@ -13,7 +13,45 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -
 """Steps (row, column) to the neighbours: the straight ones first, then the diagonal ones."""
 
 
-def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[Array, "H W"]:
+def corner_of(step: tuple[int, int]) -> tuple[int, int]:
+    """Return where the corner that a diagonal step passes is in a mask of corners, from its start.
+
+    Entry (r, c) of such a mask is the corner between the nodes (r, c) and (r + 1, c + 1).
+
+    Args:
+        step: rows and columns of the step, each 1 or -1.
+    """
+    return min(step[0], 0), min(step[1], 0)
+
+
+def stepped(
+    mask: Bool[Array, "H W"], step: tuple[int, int], corners: Bool[Array, "H W"]
+) -> Bool[Array, "H W"]:
+    """Return the nodes from which a step leads to a node of a mask.
+
+    Args:
+        mask: the nodes (H, W).
+        step: rows and columns of the step.
+        corners: mask (H, W) of the corners that a diagonal step may pass.
+    """
+    there = _shifted(mask, step)
+    return there & _shifted(corners, corner_of(step)) if all(step) else there
+
+
+def _shifted(values: Array, step: tuple[int, int]) -> Array:
+    """Return the value of the neighbour of each node by a step; 0 off the map."""
+    height, width = values.shape
+    padded = jnp.pad(values, 1)
+    down, right = step
+    return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
+
+
+def extend(
+    value: Float[Array, "H W"],
+    num_layers: int,
+    step: Scalar,
+    corners: Bool[Array, "H W"] | None = None,
+) -> Float[Array, "H W"]:
     """Fill infinite nodes from their neighbours, so that interpolation stays finite.
 
     Each of `num_layers` layers gets the greatest finite value around it plus `step`. So an obstacle
@@ -29,6 +67,7 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
         value: cost-to-go (H, W), infinite at closed nodes.
         num_layers: number of layers of closed nodes that are filled from their neighbours.
         step: rise of the cost per layer.
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
     """
     height, width = value.shape
     greatest = jnp.max(jnp.where(jnp.isfinite(value), value, -jnp.inf))
@@ -43,12 +82,12 @@ def extend(value: Float[Array, "H W"], num_layers: int, step: Scalar) -> Float[A
         ridge = jnp.where(jnp.isfinite(around), around + step, jnp.inf)
         return jnp.where(jnp.isfinite(current), current, ridge)
 
-    filled = jnp.minimum(jax.lax.fori_loop(0, num_layers, layer, value), _saddles(value))
+    filled = jnp.minimum(jax.lax.fori_loop(0, num_layers, layer, value), _saddles(value, corners))
     beyond = jnp.where(jnp.isfinite(greatest), greatest + num_layers * step, 0.0)
     return jnp.where(jnp.isfinite(filled), filled, beyond)
 
 
-def _saddles(value: Float[Array, "H W"]) -> Float[Array, "H W"]:
+def _saddles(value: Float[Array, "H W"], corners: Bool[Array, "H W"] | None) -> Float[Array, "H W"]:
     """Return the cost at the closed nodes beside diagonal steps between two closed nodes.
 
     It is the smallest mean of the two ends of such a step, and infinite at all other nodes.
@@ -64,11 +103,15 @@ def _saddles(value: Float[Array, "H W"]) -> Float[Array, "H W"]:
         for right in (-1, 1):
             mean = 0.5 * (shifted(down, 0) + shifted(0, right))
             is_between = jnp.isinf(value) & jnp.isinf(shifted(down, right))
+            if corners is not None:
+                is_between &= _shifted(corners, corner_of((down, right)))
             least = jnp.minimum(least, jnp.where(is_between, mean, jnp.inf))
     return least
 
 
-def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"]:
+def descent(
+    value: Float[Array, "H W"], num_layers: int, corners: Bool[Array, "H W"] | None = None
+) -> Float[Array, "2 H W"]:
     """Return the unit vectors (row, column) along which a cost-to-go falls; 0 at its minima.
 
     At an open node the vector is the sum of the slopes towards its lower neighbours. Closed nodes,
@@ -78,6 +121,7 @@ def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"
     Args:
         value: cost-to-go (H, W), infinite at closed nodes.
         num_layers: number of layers of closed nodes that are filled from their neighbours.
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
     """
     height, width = value.shape
 
@@ -91,6 +135,9 @@ def descent(value: Float[Array, "H W"], num_layers: int) -> Float[Array, "2 H W"
         # Differences with closed neighbours are infinite or NaN, and count as no slope.
         fall = value - shifted(around, down, right)
         fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
+        if corners is not None and down and right:
+            # A node on the other side of a wall may be lower.
+            fall = jnp.where(_shifted(corners, corner_of((down, right))), fall, 0.0)
         unit = jnp.asarray([down / length, right / length])
         vector = vector + fall * unit[:, None, None]
 

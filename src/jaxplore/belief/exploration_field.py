@@ -5,7 +5,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore._types import Flag, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, Locomotion, Roadmap, point_sources
+from jaxplore.belief.guidance import GuidanceField, Locomotion, Roadmap
 from jaxplore.maps.field import ScalarField
 
 LEFTOVER_DETOUR = 1e3
@@ -89,5 +89,5 @@ def leads_to_goal(field: GuidanceField, position: Position) -> Flag:
 
 def _with_goal(source: Array, roads: Roadmap, goal: Position, is_explored: Flag) -> Array:
     """Add the open nodes nearest to the goal to the sources; drop all others once explored."""
-    at_goal = point_sources(goal, roads.frame, roads.is_open) + GOAL_DETOUR
+    at_goal = roads.sources_at(goal) + GOAL_DETOUR
     return jnp.minimum(jnp.where(is_explored, jnp.inf, source), at_goal)

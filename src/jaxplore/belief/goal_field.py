@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from jaxplore._types import GridMask, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, Locomotion, point_sources
+from jaxplore.belief.guidance import GuidanceField, Locomotion
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
@@ -61,4 +61,4 @@ def goal_field(
         lambda tightness: 1.0 + TIGHT * tightness**4,
         1.0 + unknown_factor * share,
     )
-    return roads.field(point_sources(goal, roads.frame, roads.is_open))
+    return roads.field(roads.sources_at(goal))

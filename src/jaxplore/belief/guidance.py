@@ -11,7 +11,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.descent import NEIGHBOURS, descent, extend
+from jaxplore.belief.descent import NEIGHBOURS, corner_of, descent, extend, stepped
 from jaxplore.belief.tiles import Part, relaxed
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
@@ -107,11 +107,14 @@ class Roadmap(eqx.Module):
         frame: pose and node spacing of the lattice.
         slowness: cost (H, W) of a step of one node spacing [m].
         is_open: mask (H, W) of the nodes at which the robot fits.
+        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`;
+            None for all.
     """
 
     frame: GridFrame
     slowness: Float[Array, "H W"]
     is_open: Bool[Array, "H W"]
+    corners: Bool[Array, "H W"] | None
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
@@ -119,23 +122,27 @@ class Roadmap(eqx.Module):
         Args:
             source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
         """
-        return geodesic(source, self.slowness, self.is_open)
+        return geodesic(source, self.slowness, self.is_open, self.corners)
 
     def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
         """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
-        return self.lengths(point_sources(pose[:2], self.frame, self.is_open))
+        return self.lengths(self.sources_at(pose[:2]))
+
+    def sources_at(self, point: Position) -> Float[Array, "H W"]:
+        """Return the sources (H, W) of paths that end at a point, see `point_sources` [m]."""
+        return point_sources(point, self.frame, self.is_open, self.corners)
 
     def field(self, source: Float[Array, "H W"]) -> GuidanceField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
-        return descent_field(self.lengths(source), self.frame, LAYERS)
+        return descent_field(self.lengths(source), self.frame, LAYERS, self.corners)
 
     def field_and_cost(
         self, source: Float[Array, "H W"], pose: Pose
     ) -> tuple[GuidanceField, Scalar]:
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         lengths = self.lengths(source)
-        start = point_sources(pose[:2], self.frame, self.is_open)
-        return descent_field(lengths, self.frame, LAYERS), (start + lengths).min()
+        start = self.sources_at(pose[:2])
+        return descent_field(lengths, self.frame, LAYERS, self.corners), (start + lengths).min()
 
 
 Price = Callable[[Array], Array]
@@ -202,7 +209,8 @@ class TurnsOnTheSpot(Locomotion):
         frame = clearance.frame.coarsen(stride, stride / 2.0)
         is_open, tightness = fit(block_maximum(clearance.values, stride), required)
         slowness = frame.resolution * price(tightness)
-        return Roadmap(frame, slowness if factor is None else slowness * factor, is_open)
+        slowness = slowness if factor is None else slowness * factor
+        return Roadmap(frame, slowness, is_open, clear_corners(clearance, stride))
 
 
 def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "rows columns"]:
@@ -225,8 +233,35 @@ def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], 
     return room >= required - 1e-4, jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
 
 
+def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | None:
+    """Return the mask (H, W) of the corners that a diagonal step may pass; None for all.
+
+    Entry (r, c) is the corner between the nodes (r, c), (r, c + 1), (r + 1, c) and (r + 1, c + 1).
+    It is clear if none of these cells is blocked. Two cells on the two sides of a wall that touch
+    at a corner of it are both free, and where the robot needs no more room than half a cell they
+    are open nodes as well: only the cells beside the step show the wall.
+
+    Blocks of several cells need no mask: `safe_stride` takes them only for a robot so wide that no
+    two open blocks on two sides of a wall touch.
+
+    Args:
+        clearance: distance to the nearest blocked cell, 0 in blocked cells [m].
+        stride: number of cells on a side of a block; static.
+    """
+    if stride > 1:
+        return None
+    height, width = clearance.values.shape
+    # Off the map everything is blocked.
+    is_clear = jnp.pad(clearance.values > 0.0, ((0, 1), (0, 1)))
+    parts = [is_clear[i : i + height, j : j + width] for i in (0, 1) for j in (0, 1)]
+    return functools.reduce(jnp.logical_and, parts)
+
+
 def descent_field(
-    distance: Float[Array, "H W"], frame: GridFrame, num_layers: int
+    distance: Float[Array, "H W"],
+    frame: GridFrame,
+    num_layers: int,
+    corners: Bool[Array, "H W"] | None = None,
 ) -> GuidanceField:
     """Return a cost-to-go on a lattice as a field, extended into closed nodes.
 
@@ -234,13 +269,15 @@ def descent_field(
         distance: cost-to-go (H, W) from `geodesic` [m], infinite at closed nodes.
         frame: pose and node spacing of the lattice.
         num_layers: number of layers of closed nodes into which the field is extended; static.
+        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`; all
+            when absent.
     """
     # Rotate the descent from the axes of the lattice to those of the world.
-    along_row, along_column = descent(distance, num_layers)
+    along_row, along_column = descent(distance, num_layers, corners)
     cos, sin = jnp.cos(frame.origin[2]), jnp.sin(frame.origin[2])
     direction = [cos * along_column - sin * along_row, sin * along_column + cos * along_row]
     return GuidanceField(
-        values=extend(distance, num_layers, jnp.asarray(3.0 * frame.resolution)),
+        values=extend(distance, num_layers, jnp.asarray(3.0 * frame.resolution), corners),
         descent=jnp.stack(direction),
         frame=frame,
         # Costlier than any place on the map, leftovers a kilometre away included.
@@ -249,33 +286,71 @@ def descent_field(
 
 
 def point_sources(
-    point: Position, frame: GridFrame, is_open: Bool[Array, "H W"]
+    point: Position,
+    frame: GridFrame,
+    is_open: Bool[Array, "H W"],
+    corners: Bool[Array, "H W"] | None = None,
 ) -> Float[Array, "H W"]:
     """Return the sources of `geodesic` for paths that end at a point.
 
     These are the open nodes nearest to the point, within a node spacing, with their distance to the
-    point [m]. All other nodes are infinite.
+    point [m]. All other nodes are infinite. Nodes on the other side of a wall do not count, see
+    `nearest_open`.
 
     Args:
         point: position (x, y) at which paths end [m].
         frame: pose and node spacing of the lattice.
         is_open: mask (H, W) of the nodes that paths may use.
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
     """
     rows, columns = is_open.shape
     centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
     offset = centres - point
     distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+    return nearest_open(distance, distance, frame.resolution, corners)
+
+
+def nearest_open(
+    cost: Float[Array, "*N H W"],
+    distance: Float[Array, "H W"],
+    spacing: float,
+    corners: Bool[Array, "H W"] | None,
+) -> Float[Array, "*N H W"]:
+    """Return the costs within a node spacing of the least one; all others infinite.
+
+    With a mask of corners, and where the point is in the cell of an open node, only nodes count to
+    which at most two steps lead from that node. A node on the other side of a wall may be as near
+    as one on this side.
+
+    Args:
+        cost: cost (..., H, W) of the way from a point to the nodes [m]; infinite at closed ones.
+        distance: distance (H, W) of the nodes from the point [m]; infinite at closed ones.
+        spacing: distance between nodes [m].
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    """
+    if corners is not None:
+        is_reached = distance <= distance.min()
+        for _ in range(2):
+            around = [stepped(is_reached, step, corners) for step in NEIGHBOURS]
+            around.append(is_reached)
+            is_reached = jnp.isfinite(distance) & functools.reduce(jnp.logical_or, around)
+        # Farther than half the diagonal of a cell the point itself is in a closed place.
+        is_reached = is_reached | (distance.min() > 0.75 * spacing)
+        cost = jnp.where(is_reached, cost, jnp.inf)
     # With the nearest node alone, paths from other sides would pass the point and come back.
-    is_nearest = distance <= distance.min() + frame.resolution
-    return jnp.where(is_nearest, distance, jnp.inf)
+    return jnp.where(cost <= cost.min() + spacing, cost, jnp.inf)
 
 
 def geodesic(
-    initial: Float[Array, "H W"], slowness: Float[Array, "H W"], is_open: Bool[Array, "H W"]
+    initial: Float[Array, "H W"],
+    slowness: Float[Array, "H W"],
+    is_open: Bool[Array, "H W"],
+    corners: Bool[Array, "H W"] | None = None,
 ) -> Float[Array, "H W"]:
     """Return the cost-to-go `min over s of initial(s) + cost of the shortest path from s`.
 
-    Paths connect each open node with its 8 neighbours. A step of length l, in node spacings, costs
+    Paths connect each open node with its 8 neighbours, with the diagonal ones only past a clear
+    corner. A step of length l, in node spacings, costs
     `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
     by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
     of shifted arrays.
@@ -284,15 +359,26 @@ def geodesic(
         initial: cost (H, W) at the sources; infinite elsewhere.
         slowness: cost (H, W) per node spacing, > 0.
         is_open: mask (H, W) of the nodes that paths may use.
+        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`; all
+            when absent.
     """
     # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
     half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
     start = jnp.where(is_open, initial, jnp.inf)
-    return relaxed(start, [Part(half, jnp.inf, 1)], _relax, 1)
+    parts = [Part(half, jnp.inf, 1)]
+    if corners is not None:
+        parts.append(Part(jnp.where(corners, 0.0, jnp.inf), jnp.inf, 1))
+    return relaxed(start, parts, _relax, 1)
 
 
-def _relax(value: Array, half: Array) -> Array:
-    """Return the least cost-to-go by a step to a neighbour."""
+def _relax(value: Array, half: Array, detour: Array | None = None) -> Array:
+    """Return the least cost-to-go by a step to a neighbour.
+
+    Args:
+        value: cost-to-go with a margin of 1.
+        half: half the cost of a step of one node spacing, likewise.
+        detour: what a diagonal step past each corner costs more, likewise; 0 when absent.
+    """
     height, width = value.shape[0] - 2, value.shape[1] - 2
 
     def shifted(values: Array, down: int, right: int) -> Array:
@@ -303,7 +389,11 @@ def _relax(value: Array, half: Array) -> Array:
     # which saves an addition per neighbour.
     leaving, leaving_diagonally = value + half, value + DIAGONAL * half
     along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
-    across = [shifted(leaving_diagonally, *step) for step in NEIGHBOURS[4:]]
+    across = [
+        shifted(leaving_diagonally, *step)
+        + (0.0 if detour is None else shifted(detour, *corner_of(step)))
+        for step in NEIGHBOURS[4:]
+    ]
     return jnp.minimum(
         functools.reduce(jnp.minimum, along) + own,
         functools.reduce(jnp.minimum, across) + DIAGONAL * own,

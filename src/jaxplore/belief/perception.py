@@ -156,16 +156,16 @@ class Perception(eqx.Module):
         if _checks.positive_int("num_directions", num_directions, at_most=MOST_DIRECTIONS) < 4:
             raise ValueError(f"num_directions is {num_directions}; accepted: a whole number >= 4")
         spacing = _checks.number("node_spacing", node_spacing, above=0.0)
+        margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)
         self.field_sensor = FieldSensor(
             self.sensors[0],
             resolution,
             num_directions,
-            safe_stride(spacing, resolution, float(radius)),
+            safe_stride(spacing, resolution, float(radius), float(self.required_clearance)),
         )
         nodes = self.field_sensor.stride * self.resolution
         self.locomotion = TurnsOnTheSpot() if car is None else car.lattice(nodes)
-        margin = _checks.scalar("margin", margin, at_least=0.0)
-        self.required_clearance = computed(lambda _, *each: each[0] + each[1], radius, margin)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
         # metres, because the bound is static: robots of similar radius share a compiled program.
         self.max_clearance = max(

@@ -77,19 +77,31 @@ def as_scans(scans: Scan | Sequence[Scan], number: int) -> Sequence[Scan]:
     return scans
 
 
-def safe_stride(node_spacing: float, resolution: float, radius: float) -> int:
-    """Return the largest stride <= node_spacing / resolution at which no path can jump a wall.
+def safe_stride(
+    node_spacing: float, resolution: float, radius: float, required: float | None = None
+) -> int:
+    """Return the largest stride s <= node_spacing / resolution at which no path can jump a wall.
 
     A node of the guidance field is open if the robot fits at any cell of its block. Two such cells
-    in adjacent blocks are at most `sqrt(2) (2 s - 1)` cells apart. On two sides of a wall one cell
-    thick they are at least `2 radius` plus a cell apart.
+    in adjacent blocks are at most `sqrt(2) (2 s - 1)` cells apart. On two sides of a wall whose
+    cells share faces they are at least `2 radius` plus a cell apart. The line between them crosses
+    the line between two cells of the wall, which are at most `sqrt(2)` cells apart where they touch
+    at a corner. Both are at least R = `required` plus half a cell from both, so they are at least
+    `2 sqrt(R^2 - 1/2)` cells apart.
+
+    With a stride of 1 a diagonal step may pass a wall, which `clear_corners` forbids.
 
     Args:
         node_spacing: wanted distance between nodes [m].
         resolution: side of a map cell [m].
         radius: radius of the robot's disc [m].
+        required: clearance that paths keep [m]; the radius when absent.
     """
     stride = max(1, round(node_spacing / resolution))
-    while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) * resolution >= 2 * radius + resolution:
+    nearest = (radius if required is None else required) / resolution + 0.5
+    # The tolerance counts equal lengths as a path that jumps.
+    apart = 2.0 * math.sqrt(max(0.0, nearest**2 - 0.5)) - 1e-6
+    apart = min(2.0 * radius / resolution + 1.0, apart)
+    while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) >= apart:
         stride -= 1
     return stride

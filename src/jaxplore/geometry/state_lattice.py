@@ -159,6 +159,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         before = (right * other_sin - down * other_cos) / determinant
         before -= radius * math.tan(0.5 * abs(turn))
     nearest: dict[tuple[int, int, int], list[float]] = {}
+    former: list[set[int]] = []
     pieces = math.ceil(length / _SAMPLING)
     for index in range(pieces + 1):
         at = length * index / pieces
@@ -172,11 +173,19 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
             rest = at - before - arc
             x, y = x + rest * math.cos(heading), y + rest * math.sin(heading)
         # Half-way between two nodes or headings both count, as they do for the reversed motion.
-        for state in itertools.product(
+        here = [
             {round(y - _TIE), round(y + _TIE)},
             {round(x - _TIE), round(x + _TIE)},
             {_nearest_heading(heading - _TIE), _nearest_heading(heading + _TIE)},
-        ):
+        ]
+        states = set(itertools.product(*here))
+        if former and not (here[0] & former[0] or here[1] & former[1]):
+            # Past a corner, both nodes beside it count: two walls may touch there.
+            headings = here[2] | former[2]
+            states |= set(itertools.product(here[0], former[1], headings))
+            states |= set(itertools.product(former[0], here[1], headings))
+        former = here
+        for state in states:
             nearest.setdefault(state, []).append(length - at)
     for each in ((0, 0, start), (down, right, end)):
         nearest.pop(each, None)

@@ -1,6 +1,7 @@
 """Cells of the true world that the robot can reach."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,8 @@ def reachable_cells(
     """Compute the cells (H, W) that the centre of a disc can reach from a start.
 
     Free cells whose centres are at least `radius` from the nearest solid cell's face (centre
-    distance less half a cell), 8-connected to the start.
+    distance less half a cell), 8-connected to the start. A diagonal step passes a corner, and none
+    of the cells that touch it may be solid, as on the lattice of the fields (`clear_corners`).
 
     Args:
         world: true map; cells that are not known to be free are solid, as is everything off the
@@ -36,8 +38,6 @@ def reachable_cells(
     Raises:
         ValueError: a start where the disc cannot stand.
     """
-    import scipy.ndimage  # slow to import, and few need it
-
     free = _free_cells(world)
     place = np.asarray(to_grid(world.frame, np.asarray(start[:2], np.float32)))
     row, column = (int(index) for index in np.floor(place))
@@ -65,10 +65,17 @@ def reachable_cells(
     distance = _face_distance(free, world.resolution)
     # The tolerance is for rounding: a passage that is exactly wide enough must stay open.
     room = free & (distance >= radius - 1e-6)
-    # The start is between cell centres, so the cells around it are seeds as well.
+    # The start is between cell centres, so the cells around it are seeds as well: those to which a
+    # step leads from its own cell.
     near = np.zeros_like(free)
-    near[max(0, row - 1) : row + 2, max(0, column - 1) : column + 2] = True
-    labels, _ = scipy.ndimage.label(room, structure=np.ones((3, 3), int))
+    for down, right in itertools.product((-1, 0, 1), repeat=2):
+        corner = free[
+            max(0, row + min(down, 0)) : row + max(down, 0) + 1,
+            max(0, column + min(right, 0)) : column + max(right, 0) + 1,
+        ]
+        if corner.all() and row + down < free.shape[0] and column + right < free.shape[1]:
+            near[max(0, row + down), max(0, column + right)] = True
+    labels = _connected(room, free)
     beginnings = np.unique(labels[near & room])
     # Seeds are cell centres, so the start between them may still touch something. Only the cells
     # around it are passed on, so that maps of all sizes share a program.
@@ -153,6 +160,34 @@ def _car_lengths(
 
 to_grid = jax.jit(GridFrame.to_grid)
 _clearance = functools.partial(jax.jit, static_argnames=("resolution", "reach"))(disc_clearance)
+
+
+def _connected(room: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Label the cells (H, W) of `room` that steps connect, from 1; 0 elsewhere.
+
+    Args:
+        room: cells that steps may lead to.
+        free: cells that touch the corner of a diagonal step.
+    """
+    import scipy.ndimage  # slow to import, and few need it
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    labels, count = scipy.ndimage.label(room)
+    is_clear = free[:-1, :-1] & free[:-1, 1:] & free[1:, :-1] & free[1:, 1:]
+    pairs = []
+    for one, other in (
+        ((slice(-1), slice(-1)), (slice(1, None), slice(1, None))),
+        ((slice(-1), slice(1, None)), (slice(1, None), slice(-1))),
+    ):
+        is_step = is_clear & room[one] & room[other]
+        pairs.append(np.stack([labels[one][is_step], labels[other][is_step]]))
+    first, second = np.unique(np.concatenate(pairs, axis=1), axis=1)
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count + 1, count + 1))
+    _, merged = connected_components(graph, directed=False)
+    # No step leads to or from label 0, what is not in `room`, so it stays apart.
+    joined: np.ndarray = np.where(room, merged[labels] + 1, 0)
+    return joined
 
 
 def _free_cells(world: OccupancyGrid) -> np.ndarray:
