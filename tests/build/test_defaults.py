@@ -89,13 +89,20 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
     """Return the controller as Python makes it, with what is the scenario's own."""
     robot, goal = ROBOTS[place](), GOALS.get(place)
     own = read_settings(scenario_path(place)) if place in SCENARIOS else {}
+    has_moving = MISSIONS.get(place, jx.Mission()).has_moving_obstacles
     if architecture == "explorer":
-        return jx.explorer(robot)
+        return jx.explorer(robot, has_moving_obstacles=has_moving)
     if architecture == "portfolio":
         numbers = own.get("portfolio", {})
         return jx.ground_portfolio(ROBOTS[place](jx.Euler()), MISSIONS.get(place), **numbers)
     if architecture in BASELINES:
-        return target_explorer(robot, architecture, scenario.perception, scenario.world)
+        return target_explorer(
+            robot,
+            architecture,
+            scenario.perception,
+            scenario.world,
+            has_moving_obstacles=has_moving,
+        )
     flight, fields = jx.Flight(), jx.FieldNumbers()
     if place in SCENARIOS:
         flight = jx.Flight(max_speed=robot.max_speed)

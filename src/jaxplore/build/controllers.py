@@ -49,7 +49,11 @@ def build_controller(
     """
     robot, perception = scenario.robot, scenario.perception
     if settings.architecture == "explorer":
-        return explorer(robot, **arguments(settings.controller, explorer))
+        return explorer(
+            robot,
+            has_moving_obstacles=bool(world.movers),
+            **arguments(settings.controller, explorer),
+        )
     if settings.architecture == "portfolio":
         return _portfolio(settings, world)
     own = own_rule(settings.architecture) if is_own(settings.architecture) else None
@@ -61,6 +65,7 @@ def build_controller(
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
+            has_moving_obstacles=bool(world.movers),
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):

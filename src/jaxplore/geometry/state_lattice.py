@@ -158,7 +158,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         determinant = cos * other_sin - sin * other_cos
         before = (right * other_sin - down * other_cos) / determinant
         before -= radius * math.tan(0.5 * abs(turn))
-    nearest: dict[tuple[int, int, int], list[float]] = {}
+    nearest: dict[tuple[int, ...], list[float]] = {}
     former: list[set[int]] = []
     pieces = math.ceil(length / _SAMPLING)
     for index in range(pieces + 1):
@@ -178,7 +178,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
             {round(x - _TIE), round(x + _TIE)},
             {_nearest_heading(heading - _TIE), _nearest_heading(heading + _TIE)},
         ]
-        states = set(itertools.product(*here))
+        states: set[tuple[int, ...]] = set(itertools.product(*here))
         if former and not (here[0] & former[0] or here[1] & former[1]):
             # Past a corner, both nodes beside it count: two walls may touch there.
             headings = here[2] | former[2]

@@ -12,6 +12,7 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import ToGoalCost
+from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.planning.presets.sampling import sampling
@@ -34,13 +35,14 @@ def explorer(
     information_weight: ArrayLike = 2.0,
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
+    has_moving_obstacles: bool = False,
 ) -> MPPI:
     """Build MPPI that explores, with weights that work on any map.
 
     Guidance is a distance to go in metres, summed over the horizon. Of two rollouts, the one that
     is 1 cm nearer on average over 40 steps costs 0.4 less, and at the temperature 0.3 its weight is
     four times as high. Information, in nats per beam, decides between paths of similar guidance.
-    Being 5 cm too close to an obstacle costs 100 per step.
+    Being 5 cm too close to an obstacle costs 100 per step, and to a moving one as well.
 
     How far the costs of the rollouts spread depends on the robot: a speed that is a control acts at
     once, an acceleration over the horizon. So the temperature is raised where fewer than
@@ -70,14 +72,21 @@ def explorer(
         information_weight: weight of `InformationCost`.
         guidance_weight: weight of `GuidanceCost`.
         control_weight: weight of `ControlCost`.
+        has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
+            times a `MovingObstacleCost` applies; without it the robot sees them as parts of the map
+            only, where they were.
 
     Raises:
         ValueError: a value that a part does not accept.
     """
     _kinds.instance("robot", robot, Dynamics)
+    weight = _checks.scalar("obstacle_weight", obstacle_weight)
+    obstacles: Cost = weight * ObstacleCost(clearance)
+    if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
+        obstacles = obstacles + weight * MovingObstacleCost()
     return _ground_mppi(
         robot,
-        _checks.scalar("obstacle_weight", obstacle_weight) * ObstacleCost(clearance)
+        obstacles
         + _checks.scalar("information_weight", information_weight) * InformationCost()
         + _checks.scalar("guidance_weight", guidance_weight) * GuidanceCost()
         + _checks.scalar("control_weight", control_weight) * ControlCost(),
