@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from jaxplore.control import InjectedProposal as InjectedProposal
     from jaxplore.control import Knots as Knots
     from jaxplore.control import LatencyCompensation as LatencyCompensation
+    from jaxplore.control import MotionGuard as MotionGuard
     from jaxplore.control import RBFKernel as RBFKernel
     from jaxplore.control import Smooth as Smooth
     from jaxplore.control import Softmax as Softmax
@@ -141,6 +142,7 @@ _PACKAGES = {
         "InjectedProposal",
         "Knots",
         "LatencyCompensation",
+        "MotionGuard",
         "RBFKernel",
         "Smooth",
         "Softmax",

@@ -192,6 +192,26 @@ def test_a_pose_that_jumps_brakes_the_robot_for_a_second(drive_once) -> None:
     assert commands[-1].mode is Mode.DRIVING
 
 
+def test_scans_that_do_not_fit_the_map_brake_the_robot_until_they_do(drive_once) -> None:
+    def misplace(now, measured):
+        if not 1.2 <= now < 2.2 or measured.scan is None:
+            return measured
+        # Something that is half a metre away in all directions, and was not there before.
+        ranges = np.asarray(measured.scan.ranges)
+        near = np.full_like(ranges, 0.6) + 1e-3 * np.sin(10.0 * now)
+        return measured._replace(scan=Scan(near.astype(np.float32), np.ones(len(ranges), bool)))
+
+    _, robot, commands, _ = drive_once(3.2, misplace)
+    reasons = [each.reason for each in commands]
+    times = robot.period * np.arange(len(commands))
+    says_so = np.array([each.startswith("the scan does not fit") for each in reasons])
+    assert 1.2 <= times[np.argmax(says_so)] <= 1.5
+    assert says_so[(times > 1.5) & (times < 2.2)].all()
+    assert not says_so[times > 2.5].any()
+    assert commands[-1].mode is Mode.DRIVING
+    assert robot.num_contacts == 0
+
+
 def test_measurements_that_are_not_finite_never_reach_the_robot(drive_once) -> None:
     def poison(now, measured):
         if 0.8 <= now < 1.4:

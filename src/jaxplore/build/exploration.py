@@ -20,6 +20,7 @@ from jaxplore.build.parts import (
     with_latency,
 )
 from jaxplore.build.world import RunWorld, build_world, is_ros_map
+from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
 from jaxplore.parameters import set_parameters
@@ -79,7 +80,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
     sensors = build_sensors(settings)
     perception = _perception(settings, robot, world, sensors)
     ground = world.ground
-    return ExplorationScenario(
+    scenario = ExplorationScenario(
         world.grid if ground is None else TerrainMap(world.grid, ground),
         robot,
         sensors,
@@ -98,6 +99,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     ).varied(build_variation(settings.variation))
+    return scenario.guarded(MotionGuard() if settings.guard else None)
 
 
 def _perception(

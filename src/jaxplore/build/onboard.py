@@ -28,7 +28,7 @@ from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (
     *("map", "world", "start", "goal", "office", "terrain", "camera", "watch", "altitude"),
-    *("faults", "variation", "latency"),
+    *("faults", "variation", "latency", "guard"),
 )
 """Settings of a simulated world, and of parts that a pilot does not have or has of its own."""
 
@@ -46,7 +46,8 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
     run, node = part_node(entries)
     given = {name: value for name, value in run.items() if name not in NO_PART}
     # The office stands in for the map: a robot finds its own.
-    settings = make_exploration_settings({**given, "map": OFFICE})
+    # The guard is that of a simulated robot: a pilot has its own checks.
+    settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
     return settings, node
 
 

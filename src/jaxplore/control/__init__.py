@@ -20,6 +20,7 @@ from jaxplore.control.disturbance import UncertainObstacles as UncertainObstacle
 from jaxplore.control.feedback import FeedbackMPPI as FeedbackMPPI
 from jaxplore.control.feedback import FeedbackState as FeedbackState
 from jaxplore.control.gains import step_with_gains as step_with_gains
+from jaxplore.control.guard import MotionGuard as MotionGuard
 from jaxplore.control.interpolation import CubicSpline as CubicSpline
 from jaxplore.control.interpolation import Interpolation as Interpolation
 from jaxplore.control.interpolation import LinearInterpolation as LinearInterpolation

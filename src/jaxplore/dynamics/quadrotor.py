@@ -11,7 +11,11 @@ from jaxplore._xla import computed
 from jaxplore.dynamics._bounds import positive, radius_of_robot
 from jaxplore.dynamics.base import ContinuousDynamics, as_state
 from jaxplore.dynamics.integrators import RK4, Integrator
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import TINY, angle, length
+
+BRAKING_SECONDS = 0.3
+"""Time constant of the speed of a robot that brakes [s]."""
 
 
 class Quadrotor(ContinuousDynamics):
@@ -144,6 +148,46 @@ class Quadrotor(ContinuousDynamics):
                 *(wx, wy, wz),
             ]
         )
+
+    def stopping_control(
+        self, state: StateVector, dt: Scalar, turn: ArrayLike = 0.0
+    ) -> ControlVector:
+        """Return the control (4,) that brakes hardest, and then hovers.
+
+        The wanted acceleration is `-v / T` with T = 0.3 s, at most 0.8 gravity horizontally and
+        0.4 gravity vertically. The body rates turn the thrust axis to it, and the thrust is its
+        share along the present axis. It needs velocity, attitude and rates, and no position. A
+        `turn` of 1 turns the horizontal acceleration by 45 degrees from x (north) towards y (east),
+        so that the robot evades to a side while it brakes; below 1 m/s by less.
+        """
+        _, _, _, vx, vy, vz, qw, qx, qy, qz, _, _, _ = state
+        # A step longer than the time constants must not overshoot.
+        pace = 1.0 / jnp.maximum(BRAKING_SECONDS, 2.0 * dt)
+        speed = jnp.sqrt(vx * vx + vy * vy + TINY)
+        # Close to rest the robot brakes straight, or it would circle.
+        sin, cos = sin_cos(turn * math.radians(45.0) * jnp.minimum(speed, 1.0))
+        strength = jnp.minimum(pace, 0.8 * self.gravity / speed)
+        north, east = -strength * (cos * vx - sin * vy), -strength * (sin * vx + cos * vy)
+        down = jnp.clip(-pace * vz, -0.4 * self.gravity, 0.4 * self.gravity)
+        # The thrust accelerates along -z of the body, so that axis must point along this vector.
+        axis = jnp.stack([-north, -east, self.gravity - down])
+        present = jnp.stack(
+            [
+                2.0 * (qx * qz + qw * qy),
+                2.0 * (qy * qz - qw * qx),
+                qw * qw - qx * qx - qy * qy + qz * qz,
+            ]
+        )
+        thrust = self.mass * jnp.dot(axis, present)
+        error = jnp.cross(present, axis / jnp.sqrt(jnp.dot(axis, axis)))
+        # Turn the error into the frame of the body: the inverse rotation by the quaternion.
+        vector = jnp.stack([qx, qy, qz])
+        twice = 2.0 * jnp.cross(error, vector)
+        body = error + qw * twice + jnp.cross(twice, vector)
+        gain = 1.0 / jnp.maximum(2.5 * self.rate_time_constant, 2.0 * dt)
+        rates = gain * body
+        control = jnp.stack([thrust, rates[0], rates[1], jnp.zeros_like(thrust)])
+        return jnp.clip(control, self.control_min, self.control_max)
 
     def heading(self, state: StateVector) -> Scalar:
         """Return the yaw of the quaternion [rad], from x (north) towards y (east).

@@ -4,15 +4,13 @@ import math
 
 import numpy as np
 
+from jaxplore.control.guard import FROZEN, REASONS
+from jaxplore.control.plausibility import JUMP_SECONDS, RETRY_SECONDS, is_moving
 from jaxplore.onboard.odometry import PoseHistory
 from jaxplore.onboard.options import PilotOptions
 
-JUMP_SECONDS = 1.0
-"""Time of poses that fit each other after which a robot goes on after a jump [s]."""
-RETRY_SECONDS = 2.0
-"""Time after which a robot whose pose did not change tries to move again [s]."""
 _FROZEN = {
-    "pose": "the pose does not change although the robot was told to move",
+    "pose": REASONS[FROZEN],
     "scan": "the scan does not change although the robot moves",
 }
 
@@ -82,12 +80,12 @@ class DataCheck:
                 return _FROZEN[name]
             self._frozen, self._still_at = None, now
         # A robot that stands may measure the same again and again.
-        if not (abs(twist[2]) > 0.2 or math.hypot(*twist[:2]) > 0.1):
+        if not is_moving(twist):
             self._still_at = now
         # A command has no effect before the latency.
         moving_since = self._still_at + self._options.latency
-        is_moving = abs(last.twist[2]) > 0.1 or math.hypot(*last.twist[:2]) > 0.05
-        for name, is_suspect in (("pose", True), ("scan", is_moving)):
+        has_moved = bool(is_moving(last.twist, 0.5))
+        for name, is_suspect in (("pose", True), ("scan", has_moved)):
             if is_suspect and now - max(changed[name], moving_since) > limit:
                 self._frozen = (now, name)
                 return _FROZEN[name]

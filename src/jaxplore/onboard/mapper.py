@@ -10,6 +10,7 @@ import numpy as np
 from jaxplore._xla import on_device
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
+from jaxplore.control.plausibility import RETRY_SECONDS
 from jaxplore.onboard import steps
 from jaxplore.onboard.log import DriveLog
 from jaxplore.sensing.beams import Scan
@@ -34,6 +35,9 @@ class Mapper:
     Args:
         scenario: sensor and rates.
         log: log of the drive, which notes when cells became known.
+
+    Attributes:
+        is_misfit: whether the newest scan contradicted the map.
     """
 
     def __init__(self, scenario: ExplorationScenario, log: DriveLog) -> None:
@@ -44,7 +48,8 @@ class Mapper:
         self._log = log
         self.state: ExplorationState = steps.initial(scenario)
         self._due: _Due | None = None
-        self._taken_at = self._mapped_at = self._derived_at = -math.inf
+        self._taken_at = self._mapped_at = self._derived_at = self._fit_at = -math.inf
+        self.is_misfit = False
 
     @property
     def belief(self) -> Belief:
@@ -56,7 +61,8 @@ class Mapper:
         number = self._sensor.num_beams
         scan = Scan(jnp.zeros(number), jnp.zeros(number, bool))
         pose, second = jnp.zeros(3), jnp.ones(())
-        belief = steps.observe(perception, self.belief, scan, pose, second).belief
+        never = jnp.array(False)
+        belief = steps.observe(perception, self.belief, scan, pose, second, never).belief
         jax.block_until_ready(steps.derive(perception, belief, pose, second))  # type: ignore[no-untyped-call]
 
     def add(self, time: float, scan: Scan, pose: np.ndarray, now: float) -> None:
@@ -72,7 +78,10 @@ class Mapper:
             self._taken_at, self._due = time, _Due(time, scan, pose, now)
 
     def map_scan(self, perception: Perception) -> None:
-        """Map the newest scan that is due."""
+        """Map the newest scan that is due, if it fits the map.
+
+        After `RETRY_SECONDS` of scans that do not fit, the world has changed, and they are mapped.
+        """
         due, self._due = self._due, None
         if due is None:
             return
@@ -84,8 +93,12 @@ class Mapper:
             due.scan,
             on_device(due.pose.astype(np.float32)),
             jnp.asarray(elapsed, jnp.float32),
+            jnp.asarray(self.is_misfit and due.time - self._fit_at > RETRY_SECONDS),
         )
         self.state = self.state._replace(belief=mapped.belief)
+        self.is_misfit = bool(mapped.is_misfit)
+        if not self.is_misfit:
+            self._fit_at = due.time
         self._log.add_known(due.now, np.asarray(mapped.is_free))
         self._mapped_at = due.time
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 
+from jaxplore.control.plausibility import MAX_JUMP, MAX_TURN, is_jump, pose_error
 from jaxplore.dynamics.base import Dynamics
 
 KEPT_SECONDS = 2.0
@@ -36,7 +37,7 @@ class PoseHistory:
         max_turn: greatest difference of the yaw from the expected one [rad].
     """
 
-    def __init__(self, max_jump: float = 0.5, max_turn: float = 0.8) -> None:
+    def __init__(self, max_jump: float = MAX_JUMP, max_turn: float = MAX_TURN) -> None:
         self._max_jump, self._max_turn = max_jump, max_turn
         self._places: collections.deque[Placed] = collections.deque()
         self._moved_at = -math.inf
@@ -103,11 +104,9 @@ class PoseHistory:
 
     def _jump(self, last: Placed, time: float, pose: np.ndarray) -> str | None:
         expected = moved(last.pose, last.twist, min(time - last.time, KEPT_SECONDS))
-        away = math.hypot(*(pose[:2] - expected[:2]))
-        turn = abs(wrapped(pose[2] - expected[2]))
-        # NaN fails both comparisons.
-        if away <= self._max_jump and turn <= self._max_turn:
+        if not is_jump(expected, np.asarray(pose), self._max_jump, self._max_turn):
             return None
+        away, turn = pose_error(expected, np.asarray(pose))
         return f"the pose jumped by {away:.2f} m and {turn:.2f} rad"
 
     def _estimated(self, time: float, pose: np.ndarray) -> np.ndarray:

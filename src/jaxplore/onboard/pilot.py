@@ -12,6 +12,7 @@ from jaxplore import _kinds
 from jaxplore._types import Key
 from jaxplore._xla import on_device
 from jaxplore.control.base import Controller
+from jaxplore.control.guard import MISFIT, REASONS
 from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
@@ -50,7 +51,8 @@ class Pilot:
 
     The state is predicted to the time when the command takes effect, from the commands on their
     way. Every command is checked against the newest scan (`StopCheck`). Without fresh data, after
-    an impossible pose, or without a finite plan, the command is a ramp to zero, and says why.
+    an impossible pose, while scans do not fit the map, or without a finite plan, the command is a
+    ramp to zero, and says why.
 
     Positions are in double precision in the frame of the odometry. Everything compiled is relative
     to the first position.
@@ -187,6 +189,9 @@ class Pilot:
         self._command_at = now
         problem = self._data.problem(now, self._twist)
         scan_time = None if problem else self._take_scan(now)
+        # Scans are taken while they do not fit the map, so that the robot sees when they do again.
+        if problem is None and self._mapper.is_misfit:
+            problem = REASONS[MISFIT]
         if self._finished:
             return self._stopping(now, elapsed, Mode.DONE, self._finished)
         if not self.is_started:

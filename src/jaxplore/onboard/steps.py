@@ -12,6 +12,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.control.base import Controller
 from jaxplore.control.latency import predicted_state
+from jaxplore.control.plausibility import MAX_MISFIT, scan_misfit
 from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.sensing.beams import Scan
@@ -60,10 +61,12 @@ class Mapped(NamedTuple):
     Args:
         belief: the belief.
         is_free: (H, W) cells that are known to be free.
+        is_misfit: whether the scan contradicted the map.
     """
 
     belief: Belief
     is_free: GridMask
+    is_misfit: Flag
 
 
 @eqx.filter_jit
@@ -74,11 +77,30 @@ def initial(scenario: ExplorationScenario, key: Key | None = None) -> Exploratio
 
 @eqx.filter_jit
 def observe(
-    perception: Perception, belief: Belief, scan: Scan, pose: Pose, elapsed: Scalar
+    perception: Perception,
+    belief: Belief,
+    scan: Scan,
+    pose: Pose,
+    elapsed: Scalar,
+    is_changed: Flag,
 ) -> Mapped:
-    """Update the map by a scan; see `Perception.observe`."""
-    belief = perception.observe(belief, scan, pose, elapsed)
-    return Mapped(belief, belief.grid.is_free)
+    """Update the map by a scan that fits it; see `Perception.observe`.
+
+    Args:
+        perception: perception of the task.
+        belief: the belief before the scan.
+        scan: the scan.
+        pose: pose of the lidar (x, y, yaw) [m, m, rad].
+        elapsed: time since the last mapped scan [s].
+        is_changed: whether the world has changed, so that a scan that does not fit is mapped.
+    """
+    is_misfit = scan_misfit(belief, perception.sensors[0], scan, pose) > MAX_MISFIT
+    belief = jax.lax.cond(
+        is_misfit & ~is_changed,
+        lambda: belief,
+        lambda: perception.observe(belief, scan, pose, elapsed),
+    )
+    return Mapped(belief, belief.grid.is_free, is_misfit)
 
 
 @eqx.filter_jit

@@ -331,6 +331,8 @@ class Settings(RunSettings):
         portfolio: settings of the architecture `portfolio`.
         informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
+        guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
+            `jaxplore.MotionGuard`.
     """
 
     map: str
@@ -358,6 +360,7 @@ class Settings(RunSettings):
     portfolio: PortfolioSettings = PortfolioSettings()
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
+    guard: bool = True
 
 
 def scenario_path(name: str) -> Path:

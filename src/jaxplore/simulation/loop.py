@@ -3,6 +3,7 @@
 Steps do not return to Python; only chunks of steps do, see `jaxplore.simulation.chunks`.
 """
 
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -11,6 +12,8 @@ import jax.numpy as jnp
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
+from jaxplore.control.guard import GOOD, GuardState, MotionGuard
+from jaxplore.control.latency import LatencyCompensation
 from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.scenario import LoopState, Moment, Scenario
 
@@ -41,9 +44,28 @@ def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
         step_key = jax.random.fold_in(key, state.step)
         truth = scenario.variation.observe(scenario.robot, truth, state.drawn, step_key)
     if faults is None:
-        return Moment(state.step, time, truth, jnp.array(False), jnp.array(False))
-    observed = faults.observe(truth, state.observed, time, period)
-    return Moment(state.step, time, observed, faults.is_blind(time), faults.is_active(time))
+        moment = Moment(state.step, time, truth, jnp.array(False), jnp.array(False))
+    else:
+        observed = faults.observe(truth, state.observed, time, period)
+        moment = Moment(state.step, time, observed, faults.is_blind(time), faults.is_active(time))
+    return _judged(scenario, state, moment)
+
+
+def _judged(scenario: Scenario, state: LoopState, moment: Moment) -> Moment:
+    """Return the moment with the judgement of the guard: a state that it does not trust is NaN."""
+    if scenario.guard is None or state.guard is None:
+        return moment
+    misfit = scenario.scan_points(state.task).misfit
+    judged = scenario.guard.judge(
+        scenario.robot,
+        state.guard,
+        moment.observed,
+        state.observed,
+        misfit,
+        scenario.control_period,
+    )
+    observed = jnp.where(judged.stop == GOOD, moment.observed, jnp.nan)
+    return moment._replace(observed=observed, measured=moment.observed, guard=judged)
 
 
 def initial_loop_state(
@@ -79,6 +101,7 @@ def _initial_task(scenario: Scenario, key: Key | None) -> LoopState:
         observed=scenario.start,
         pending=jnp.broadcast_to(robot.default_control, (delay, robot.control_size)),
         drawn=None if variation is None else variation.draw(key, robot),
+        guard=None if scenario.guard is None else scenario.guard.init(robot, scenario.start),
     )
 
 
@@ -111,9 +134,18 @@ def control_step(
         key: key of the whole run.
     """
     _, control_key = step_keys(key, state.step)
-    control, memory, info = controller.step(
-        state.controller, moment.observed, belief, key=control_key
-    )
+    guard, watch = scenario.guard, moment.guard
+    start = moment.observed
+    if guard is not None and watch is not None:
+        start = _start_of_plan(controller, scenario, guard, watch)
+    control, memory, info = controller.step(state.controller, start, belief, key=control_key)
+    if guard is not None and watch is not None:
+        # A command that is not finite is none: the robot's base then brakes.
+        is_stopped = watch.stop != GOOD
+        control = jnp.where(is_stopped, jnp.nan, control)
+        # The controller starts anew from rest: its plan was not executed.
+        memory = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), memory)
+        watch = guard.sent(scenario.robot, watch, control)
     pending, plant, drawn = state.pending, scenario, state.drawn
     if scenario.variation is not None and drawn is not None:
         pending, control = scenario.variation.delay(pending, control, drawn)
@@ -123,11 +155,35 @@ def control_step(
         plant = eqx.tree_at(lambda each: each.robot, scenario, robot)
     elif scenario.faults is not None:
         pending, control = scenario.faults.delay(pending, control)
+    if guard is not None and watch is not None:
+        robot, period = scenario.robot, scenario.control_period
+        points, braked = scenario.scan_points(state.task), watch
+        # A loop of one iteration or none. Under vmap a branch would be taken in every step of every
+        # run, while a loop is skipped if no run brakes.
+        control = jax.lax.fori_loop(
+            0,
+            jnp.where(jnp.isfinite(control).all(), 0, 1),
+            lambda *_: guard.braking(robot, braked, state.task.robot, points, period),
+            control,
+        )
+        watch = guard.moved(robot, watch, state.task.robot, control, period)
     task, record = plant.advance(state.task, control, moment, info)
     # The last finite observation is kept: a frozen odometry repeats it, even after a loss.
-    is_placed = jnp.isfinite(moment.observed).all()
-    observed = jnp.where(is_placed, moment.observed, state.observed)
-    return LoopState(task, memory, state.step + 1, observed, pending, drawn), record
+    measured = moment.observed if moment.measured is None else moment.measured
+    observed = jnp.where(jnp.isfinite(measured).all(), measured, state.observed)
+    return LoopState(task, memory, state.step + 1, observed, pending, drawn, watch), record
+
+
+def _start_of_plan(
+    controller: Controller, scenario: Scenario, guard: MotionGuard, watch: GuardState
+) -> StateVector:
+    """Return the state from which the controller plans; NaN where the robot is stopped."""
+    period = scenario.control_period
+    # A controller that compensates for a latency itself needs no prediction for it.
+    latency = controller.latency if isinstance(controller, LatencyCompensation) else 0.0 * period
+    known = jnp.round(latency / period).astype(jnp.int32)
+    ahead = guard.ahead(scenario.robot, watch, known, period)
+    return jnp.where(watch.stop == GOOD, ahead, jnp.nan)
 
 
 @eqx.filter_jit

@@ -17,6 +17,7 @@ from jaxplore._describe import describe_fields
 from jaxplore._trees import HostOnly
 from jaxplore._types import ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.control.base import Controller, Info, Members, SampledPlan
+from jaxplore.control.guard import GuardState, MotionGuard, ScanPoints
 from jaxplore.dynamics.base import ContinuousDynamics, Dynamics
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.report.compute import Timing
@@ -39,6 +40,9 @@ class Moment(NamedTuple):
         observed: (nx,) state that the controller observes.
         is_blind: whether a dropout of measurements is active.
         is_faulty: whether a fault of measurements or odometry is active.
+        measured: (nx,) state that was measured, also where the guard does not trust it and the
+            observed state is NaN; None without a guard.
+        guard: judgement of the guard; None without one.
     """
 
     step: Count
@@ -46,6 +50,14 @@ class Moment(NamedTuple):
     observed: StateVector
     is_blind: Flag
     is_faulty: Flag
+    measured: StateVector | None = None
+    guard: GuardState | None = None
+
+    @property
+    def stop(self) -> Count | None:
+        """Why the guard stops the robot, an index into `control.guard.REASONS`; None without a
+        guard."""
+        return None if self.guard is None else self.guard.stop
 
 
 class LoopState(NamedTuple):
@@ -58,6 +70,7 @@ class LoopState(NamedTuple):
         observed: (nx,) state that the controller observed last.
         pending: (D, nu) commands that have not taken effect yet, oldest first.
         drawn: variation of the episode; None if the robot does not vary.
+        guard: state of the guard; None without one.
     """
 
     task: Any
@@ -66,6 +79,7 @@ class LoopState(NamedTuple):
     observed: StateVector
     pending: Float[Array, "D nu"]
     drawn: Drawn | None = None
+    guard: GuardState | None = None
 
 
 class Scenario(eqx.Module):
@@ -91,6 +105,8 @@ class Scenario(eqx.Module):
     """Variation of the robot from episode to episode; None without any. See `varied`."""
     placed: HostOnly[Datum] = eqx.field(static=True, default=HostOnly(ORIGIN), kw_only=True)
     """Holder of `datum`."""
+    guard: MotionGuard | None = dataclasses.field(default=None, kw_only=True)
+    """Guard that stops the robot while its pose cannot be true; None without one. See `guarded`."""
 
     frame_type: ClassVar[type[Frame]] = Frame
     """Class of the frames; `frame` returns its fields."""
@@ -123,6 +139,26 @@ class Scenario(eqx.Module):
         # that no function of Equinox could replace it.
         object.__setattr__(varied, "variation", variation)
         return varied
+
+    def guarded[S: "Scenario"](self: S, guard: MotionGuard | None) -> S:
+        """Return the scenario with a guard that stops the robot while its pose cannot be true.
+
+        Args:
+            guard: the guard; None for none.
+        """
+        _kinds.instance("guard", guard, MotionGuard, may_be_none=True)
+        guarded = copy.copy(self)
+        # As in `varied`.
+        object.__setattr__(guarded, "guard", guard)
+        return guarded
+
+    def scan_points(self, state: Any) -> ScanPoints:
+        """Return the newest scan for the guard, by which a stopped robot brakes; by default none.
+
+        Args:
+            state: the task's state, as `perceive` returned it.
+        """
+        return ScanPoints.blank(1)
 
     @property
     def datum(self) -> Datum:
@@ -239,8 +275,15 @@ class Scenario(eqx.Module):
             jnp.array(False),
             members,
         )
+        guard = None if self.guard is None else self.guard.init(self.robot, self.start)
         moment = Moment(
-            jnp.zeros((), jnp.int32), nothing, self.start, info.is_finite, info.is_finite
+            jnp.zeros((), jnp.int32),
+            nothing,
+            self.start,
+            info.is_finite,
+            info.is_finite,
+            None if guard is None else self.start,
+            guard,
         )
         # Only the shapes are needed, so a constant control and blank diagnostics stand in for the
         # controller, which would be slow to trace.

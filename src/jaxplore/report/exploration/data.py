@@ -44,6 +44,8 @@ class ExplorationRecord(NamedTuple):
             the start [s]; 0 without an idleness map.
         worst_idleness: the greatest of these times [s].
         members: diagnostics of the members of a controller that holds several.
+        stop: why the guard stopped the robot in the step, an index into `control.guard.REASONS`; 0
+            if it did not, None without a guard.
     """
 
     state: StateVector
@@ -62,6 +64,7 @@ class ExplorationRecord(NamedTuple):
     mean_idleness: Scalar
     worst_idleness: Scalar
     members: Members | None
+    stop: Count | None = None
 
 
 class AnomalyData(NamedTuple):

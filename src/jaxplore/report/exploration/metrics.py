@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from jaxplore.control.guard import REASONS
 from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.exploration.anomalies import anomaly_metrics, report_texts
 from jaxplore.report.exploration.data import ExplorationData
@@ -45,6 +46,8 @@ class ExplorationMetrics(Metrics):
             commands, `(u_{t+1} - 2 u_t + u_{t-1}) / period^2`, in halves of the range between
             their bounds [1/s^2].
         fault_steps: steps during which a fault of the scenario was active.
+        stops: number of times that the guard stopped the robot, by reason; empty if it never did.
+        stopped_steps: number of steps in which it was stopped.
         collisions: contacts; successive steps in contact are one.
         collision_steps: number of steps that would have led to a collision.
         minimum_clearance: least distance from the robot's edge to the nearest solid cell [m], up to
@@ -103,6 +106,8 @@ class ExplorationMetrics(Metrics):
     goal_distance: float | None
     command_jerk: float | None
     fault_steps: int
+    stops: dict[str, int] = dataclasses.field(default_factory=dict)
+    stopped_steps: int = 0
     collisions: int
     collision_steps: int
     minimum_clearance: float | None
@@ -196,6 +201,7 @@ class ExplorationMetrics(Metrics):
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
         Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
+        Column.total("stopped_steps", "stopped [steps]", applies=lambda total: total > 0),
         Column.least("minimum_clearance", "clearance [m]"),
         Column.quartiles("command_jerk", "jerk [1/s²]", digits=0),
         Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
@@ -238,6 +244,8 @@ class ExplorationMetrics(Metrics):
             *numbers("sample size", "{:.1f} effective, {:.1f} at least", *sizes),
             ("non-finite", f"{self.non_finite_steps} steps"),
             *([("faults", f"{self.fault_steps} steps")] if self.fault_steps else []),
+            *([("stopped", f"{self.stopped_steps} steps")] if self.stops else []),
+            *((f"  {reason}", f"{number} times") for reason, number in self.stops.items()),
             *self._member_rows(),
             *self.closing_rows(),
         ]
@@ -319,6 +327,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
     # The coverage is float32, so the level is rounded in the same way before the comparison.
     reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
     in_contact = np.asarray(records.is_collision, bool)
+    stops, stopped_steps = _stops(records.stop)
     sample_size = np.asarray(records.effective_sample_size, np.float64)
     sample_size = sample_size[np.isfinite(sample_size)]
     unknown = at_instants(records.unknown, recording.initial_unknown)
@@ -355,6 +364,8 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
             records.control, recording.control_half_range, recording.control_period
         ),
         fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
+        stops=stops,
+        stopped_steps=stopped_steps,
         collisions=episodes(in_contact),
         collision_steps=int(in_contact.sum()),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
@@ -376,6 +387,15 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         longest_stall=longest_stall(recording.positions, coverage) * period,
         coverage_curve=sampled_series(curve, period),
     )
+
+
+def _stops(stop: Any) -> tuple[dict[str, int], int]:
+    """Return the number of stops of the guard by reason, and the number of steps of all."""
+    if stop is None:
+        return {}, 0
+    codes = np.asarray(stop)
+    numbers = {reason: episodes(codes == code) for code, reason in enumerate(REASONS) if code > 0}
+    return {reason: number for reason, number in numbers.items() if number}, int((codes > 0).sum())
 
 
 def _finished_at(recording: ExplorationData, coverage: float) -> float | None:

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from jaxplore._types import ControlVector, Flag, Scalar
+from jaxplore._types import ControlVector, Count, Flag, Scalar
 from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.report.exploration.data import ExplorationRecord
@@ -20,6 +20,7 @@ def move(
     reach: int,
     info: Info,
     is_faulty: Flag,
+    stop: Count | None,
 ) -> ExplorationRecord:
     """Move the robot, unless it would touch something solid, and return the record of the step.
 
@@ -32,6 +33,7 @@ def move(
         reach: number of cells that are examined in each direction, see `clearance_reach`.
         info: diagnostics of the controller.
         is_faulty: whether a fault is active.
+        stop: why the guard stops the robot; None without a guard.
     """
     moved = robot.step(state.robot, control, period)
     stopped, is_collision = truth.stopped(robot, state.robot, moved, reach)
@@ -47,4 +49,5 @@ def move(
         is_faulty=is_faulty,
         members=info.members,
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
+        stop=stop,
     )

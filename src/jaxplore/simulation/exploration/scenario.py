@@ -31,6 +31,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.perception_checks import as_sensors
 from jaxplore.control.base import Controller, Info
+from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -279,7 +280,15 @@ class ExplorationScenario(Scenario):
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
         reachable, number = self.map_arrays.reachable, self.num_targets
-        state = initial_state(self.start, belief, reachable, number, moving, self.sensors)
+        state = initial_state(
+            self.start,
+            belief,
+            reachable,
+            number,
+            moving,
+            self.sensors,
+            is_guarded=self.guard is not None,
+        )
         return state, state.belief
 
     def perceive(
@@ -301,6 +310,10 @@ class ExplorationScenario(Scenario):
         known = senses.perceive(state, self.true_world(state, moment), moment, key)
         return known, known.belief
 
+    def scan_points(self, state: ExplorationState) -> ScanPoints:
+        """Return the newest scan for the guard."""
+        return ScanPoints.blank(1) if state.points is None else state.points
+
     def advance(
         self, state: ExplorationState, control: ControlVector, moment: Moment, info: Info
     ) -> tuple[ExplorationState, ExplorationRecord]:
@@ -320,6 +333,7 @@ class ExplorationScenario(Scenario):
             reach=self.clearance_reach,
             info=info,
             is_faulty=moment.is_faulty,
+            stop=moment.stop,
         )
         state = state._replace(robot=record.state)
         is_over = self.is_finished(state) | (state.finished > 0)

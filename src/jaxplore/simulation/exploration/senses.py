@@ -1,6 +1,7 @@
 """What the robot learns at a control period: scans at one rate, fields at another."""
 
 import dataclasses
+import itertools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -9,11 +10,15 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import Count, GridMask, Key, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
+from jaxplore.control.guard import MISFIT, ScanPoints
+from jaxplore.control.plausibility import MAX_MISFIT, RETRY_SECONDS
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
+from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.clock import when_due
 from jaxplore.simulation.exploration.progress import map_progress
+from jaxplore.simulation.exploration.scan_points import scan_points
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
 from jaxplore.simulation.exploration.true_world import TrueWorld
@@ -64,12 +69,13 @@ class Senses(NamedTuple):
         # faults distort the map.
         pose = self.robot.pose(moment.observed)
         is_placed = jnp.isfinite(pose).all()
+        is_due, guard = step % self.steps_per_scan == 0, moment.guard
+        at = self.robot.pose(state.robot)
 
         def sense(
             belief: Belief, _: MapProgress, is_seen: Array, __: Array
         ) -> tuple[Belief, MapProgress, Array, Array]:
-            at = self.robot.pose(state.robot)
-            scans = truth.scans(self.sensors, at, key)
+            scans = truth.scans(self.sensors, at, key) if guard is None else taken()
             since = period * self.steps_per_scan.astype(jnp.float32)
             belief = perception.observe(belief, scans, pose, since, moment.time)
             belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
@@ -78,13 +84,49 @@ class Senses(NamedTuple):
             ranges = jnp.concatenate([scan.ranges for scan in scans])
             return belief, map_progress(belief, self.reachable, moment.time), is_seen, ranges
 
+        def examine(
+            _: ScanPoints, __: Array, ___: Array
+        ) -> tuple[ScanPoints, Float[Array, " B"], Bool[Array, " B"]]:
+            assert guard is not None
+            assert moment.measured is not None
+            scans = truth.scans(self.sensors, at, key)
+            measured, expected = (
+                self.robot.pose(each) for each in (moment.measured, guard.expected)
+            )
+            points = scan_points(state.belief, self.sensors, scans, measured, expected)
+            ranges, is_return = (jnp.concatenate(each) for each in zip(*scans, strict=True))
+            return points, ranges, is_return
+
+        ranges, is_return = state.ranges, state.ranges > 0.0
+
+        def taken() -> tuple[Scan, ...]:
+            """Return the scans that were examined."""
+            ends = list(itertools.accumulate(sensor.num_beams for sensor in self.sensors))
+            split = (jnp.split(each, ends[:-1]) for each in (ranges, is_return))
+            return tuple(itertools.starmap(Scan, zip(*split, strict=True)))
+
+        points, is_fit = state.points, jnp.array(True)
+        if guard is not None and state.points is not None:
+            # A stopped robot brakes by its scans, which need no place in the map.
+            found, ranges, is_return = when_due(
+                is_due, ~moment.is_blind, examine, (state.points, ranges, is_return)
+            )
+            points = found
+            # A scan that does not fit is not mapped. If only the scan speaks against a pose at
+            # which the robot has stood for a while, it is the world that has changed.
+            is_changed = (guard.stop == MISFIT) & (guard.since > RETRY_SECONDS)
+            is_fit = (found.misfit <= MAX_MISFIT) | is_changed
+            assert moment.measured is not None
+            pose = jnp.where(is_changed, self.robot.pose(moment.measured), pose)
+            is_placed = jnp.isfinite(pose).all()
+
         belief = state.belief
         # The tracker predicts the obstacles at every control period, also between scans.
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        belief, progress, is_seen, ranges = when_due(
-            step % self.steps_per_scan == 0,
-            ~moment.is_blind & is_placed,
+        belief, progress, is_seen, mapped = when_due(
+            is_due,
+            ~moment.is_blind & is_placed & is_fit,
             sense,
             (belief, state.progress, state.is_seen, state.ranges),
         )
@@ -98,7 +140,13 @@ class Senses(NamedTuple):
 
         is_due = (step % every == every - 1) | (step == 0)
         (belief,) = when_due(is_due, is_placed, derive, (belief,))
-        return state._replace(belief=belief, progress=progress, is_seen=is_seen, ranges=ranges)
+        return state._replace(
+            belief=belief,
+            progress=progress,
+            is_seen=is_seen,
+            ranges=mapped if guard is None else ranges,
+            points=points,
+        )
 
     def _looked(
         self,

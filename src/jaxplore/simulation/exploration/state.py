@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplore._types import Count, GridMask, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.obstacles import Obstacles
+from jaxplore.control.guard import ScanPoints
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
@@ -28,6 +29,7 @@ class ExplorationState(NamedTuple):
         is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
+        points: end points of the last scan, for the guard; None without one.
     """
 
     robot: StateVector
@@ -37,6 +39,7 @@ class ExplorationState(NamedTuple):
     is_seen: Bool[Array, " M"]
     moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
+    points: ScanPoints | None = None
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:
@@ -53,6 +56,8 @@ def initial_state(
     num_targets: int,
     moving: MovingObstacles | None,
     sensors: Sequence[Sensor],
+    *,
+    is_guarded: bool = False,
 ) -> ExplorationState:
     """Return the state at the start.
 
@@ -63,7 +68,9 @@ def initial_state(
         num_targets: number of targets.
         moving: moving obstacles; None without any.
         sensors: the sensors.
+        is_guarded: whether a guard needs the end points of scans.
     """
+    number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
     return ExplorationState(
@@ -74,4 +81,5 @@ def initial_state(
         is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
+        points=ScanPoints.blank(number) if is_guarded else None,
     )

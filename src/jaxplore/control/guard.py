@@ -1,0 +1,313 @@
+"""Stop a robot whose pose, scan or motion cannot be true, and estimate the delay of commands."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, ControlVector, Count, Scalar, StateVector, Twist
+from jaxplore.control.latency import predicted_state
+from jaxplore.control.plausibility import (
+    JUMP_SECONDS,
+    MAX_MISFIT,
+    RETRY_SECONDS,
+    is_jump,
+    is_moving,
+)
+from jaxplore.control.validation import StopCheck
+from jaxplore.dynamics.base import Dynamics
+
+GOOD, LOST, FROZEN, JUMPED, MISFIT = range(5)
+REASONS = (
+    "",
+    "the pose is lost",
+    "the pose does not change although the robot was told to move",
+    "the pose jumped",
+    "the scan does not fit the map",
+)
+"""Why a robot is stopped, by code; code 0 is none."""
+MEMORY_SECONDS = 0.3
+"""Time constant with which errors of predictions are forgotten [s]."""
+BETTER = 0.25
+"""Share of the error of the known delay below which another delay is taken to be the true one."""
+NOISE = 1e-6
+"""Squared relative error of a prediction that is rounding."""
+_POSE = ("x", "y", "z", "yaw")
+
+
+class ScanPoints(NamedTuple):
+    """The newest scan, as a `MotionGuard` needs it.
+
+    Args:
+        points: (P, 2) end points of the beams, placed by the expected pose [m].
+        is_point: (P,) beams that ended at something.
+        misfit: share of the returns that contradict the map, see `plausibility.scan_misfit`.
+    """
+
+    points: Float[Array, "P 2"]
+    is_point: Bool[Array, " P"]
+    misfit: Scalar
+
+    @classmethod
+    def blank(cls, number: int) -> "ScanPoints":
+        """Return `number` points that do not count."""
+        return cls(jnp.zeros((number, 2)), jnp.zeros(number, bool), jnp.zeros(()))
+
+
+class GuardState(NamedTuple):
+    """State of a `MotionGuard`.
+
+    Args:
+        expected: (nx,) state that the model expects now; the observed one where it is trusted.
+        velocity: (3,) rates of x, y and yaw that the model expects [m/s, m/s, rad/s].
+        commands: (N, nu) commands that were sent, the newest last; the default control where the
+            robot was told to brake.
+        errors: (N,) recent squared errors of the predicted speeds if commands take effect after
+            0, 1, ..., N - 1 control periods.
+        still: time for which the pose has been the same although the robot should move [s].
+        stop: why the robot is stopped, an index into `REASONS`; 0 if it is not.
+        since: time for which it has been stopped for that reason [s].
+    """
+
+    expected: StateVector
+    velocity: Twist
+    commands: Float[Array, "N nu"]
+    errors: Float[Array, " N"]
+    still: Scalar
+    stop: Count
+    since: Scalar
+
+
+class MotionGuard(eqx.Module):
+    """Decides in each control period whether the observed pose can be true, and stops the robot if
+    not.
+
+    The robot is stopped while
+
+    - the observed state is not finite;
+    - the pose is the same for longer than `max_frozen` while the commands should move the robot;
+    - the pose is too far from where the commands lead (`plausibility.is_jump`), and 1 s after that;
+    - more than half of the returns of the newest scan contradict the map
+      (`plausibility.scan_misfit`).
+
+    A stopped robot brakes along the trajectory that keeps the greatest distance from the points of
+    the newest scan (`StopCheck`). It brakes by its own measurement of speed and attitude, that of
+    its wheels, or of the inertial unit and the optical flow of a quadrotor, which then hovers. It
+    needs no pose for that. It goes on as soon as the pose is finite, changes and fits. A robot that
+    stands has the same pose for ever, so after 2 s it tries to move again if its scan fits the map
+    there. After 2 s in which only the scans speak against the pose, the world has changed: the
+    scans are mapped, until they fit.
+
+    The delay of the commands is estimated. One model step from the last state under each of the
+    last N commands predicts the present speeds, and the delay with the least error, averaged over
+    0.3 s, is taken if it explains the motion four times better than the known one does. The
+    controller then plans from the state in which its command takes effect, `predicted_state`.
+
+    Args:
+        max_frozen: time for which the pose may be the same while the robot should move [s].
+        max_delay: longest delay of commands that is recognised [control periods]; static.
+        check: braking trajectories; a `StopCheck` with its defaults when absent.
+
+    Raises:
+        ValueError: a time that is not positive, a delay that is not a whole number >= 0.
+    """
+
+    max_frozen: Scalar
+    check: StopCheck
+    max_delay: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        max_frozen: ArrayLike = 0.05,
+        max_delay: int = 15,
+        check: StopCheck | None = None,
+    ) -> None:
+        _kinds.instance("check", check, StopCheck, may_be_none=True)
+        self.max_frozen = _checks.scalar("max_frozen", max_frozen, above=0.0)
+        self.max_delay = _checks.whole_number("max_delay", max_delay, at_least=0)
+        self.check = StopCheck() if check is None else check
+
+    def init(self, robot: Dynamics, state: StateVector) -> GuardState:
+        """Return the state of the guard of a robot at rest.
+
+        Args:
+            robot: model of the robot.
+            state: (nx,) state of the robot.
+        """
+        number = 1 + self.max_delay
+        nothing = jnp.zeros(())
+        return GuardState(
+            state,
+            jnp.zeros(3),
+            jnp.broadcast_to(robot.default_control, (number, robot.control_size)),
+            jnp.zeros(number),
+            nothing,
+            jnp.zeros((), jnp.int32),
+            nothing,
+        )
+
+    def judge(
+        self,
+        robot: Dynamics,
+        state: GuardState,
+        observed: StateVector,
+        last: StateVector,
+        misfit: Scalar,
+        period: Scalar,
+    ) -> GuardState:
+        """Judge an observed state.
+
+        Args:
+            robot: model of the robot.
+            state: the guard's state.
+            observed: (nx,) observed state.
+            last: (nx,) the last one that was finite.
+            misfit: share of the returns of the newest scan that contradict the map.
+            period: control period [s].
+        """
+        pose = robot.pose(observed)
+        is_same = (pose == robot.pose(last)).all()
+        still = jnp.where(is_same & is_moving(state.velocity), state.still + period, 0.0)
+        is_lost = ~jnp.isfinite(observed).all()
+        before, since = state.stop, state.since + period
+        # A robot that stands has the same pose for ever, so it tries again where its scan fits.
+        is_waiting = (since < RETRY_SECONDS) | (misfit > MAX_MISFIT)
+        is_stuck = is_same & (before == FROZEN) & is_waiting
+        is_frozen = (still > self.max_frozen) | is_stuck
+        is_new = is_jump(robot.pose(state.expected), pose)
+        jumped = is_new | ((before == JUMPED) & (since < JUMP_SECONDS))
+        stop = jnp.select(
+            [is_lost, is_frozen, jumped, misfit > MAX_MISFIT],
+            [jnp.asarray(code, jnp.int32) for code in (LOST, FROZEN, JUMPED, MISFIT)],
+            jnp.zeros((), jnp.int32),
+        )
+        # A pose that jumps again must fit for a second again.
+        is_continued = (stop == before) & ~((stop == JUMPED) & is_new)
+        errors = self._errors(robot, state, observed, last, period)
+        is_whole = (stop == GOOD) & (before == GOOD) & ~is_same
+        return state._replace(
+            expected=jnp.where((stop == GOOD) | (stop == JUMPED), observed, state.expected),
+            errors=jnp.where(is_whole, errors, state.errors),
+            still=still,
+            stop=stop,
+            since=jnp.where(is_continued, since, 0.0),
+        )
+
+    def delay(self, state: GuardState, known: Count) -> Count:
+        """Return the estimated delay of the commands [control periods].
+
+        Args:
+            state: the guard's state.
+            known: delay that the controller knows of [control periods].
+        """
+        at_known = state.errors[jnp.minimum(known, state.errors.shape[0] - 1)]
+        best = jnp.argmin(state.errors).astype(jnp.int32)
+        is_better = state.errors[best] < BETTER * (at_known - NOISE)
+        return jnp.where(is_better & (best > known), best, known)
+
+    def ahead(
+        self, robot: Dynamics, state: GuardState, known: Count, period: Scalar
+    ) -> StateVector:
+        """Return the state (nx,) from which the controller plans: that in which its command takes
+        effect, less the delay that it knows of.
+
+        Args:
+            robot: model of the robot.
+            state: the guard's state.
+            known: delay that the controller knows of [control periods].
+            period: control period [s].
+        """
+        number = state.commands.shape[0]
+        age = number - jnp.arange(number)
+        is_due = (age <= self.delay(state, known)) & (age > known)
+        durations = jnp.where(is_due, period, 0.0)
+        return predicted_state(robot, state.expected, state.commands, durations, period)
+
+    def sent(self, robot: Dynamics, state: GuardState, control: ControlVector) -> GuardState:
+        """Note a command that was sent; NaN where the robot was told to brake."""
+        # The next plan is made when the robot is at rest, where the default control keeps it.
+        control = jnp.where(jnp.isfinite(control), control, robot.default_control)
+        return state._replace(commands=jnp.concatenate([state.commands[1:], control[None]]))
+
+    def braking(
+        self,
+        robot: Dynamics,
+        state: GuardState,
+        measured: StateVector,
+        scan: ScanPoints,
+        period: Scalar,
+    ) -> ControlVector:
+        """Return the control (nu,) with which the robot's base brakes.
+
+        Args:
+            robot: model of the robot.
+            state: the guard's state.
+            measured: (nx,) true state, of which the base measures all but the pose.
+            scan: the newest scan.
+            period: control period [s].
+        """
+        there = self._placed(robot, state, measured)
+        nothing = jnp.full(robot.control_size, jnp.nan)
+        return self.check(robot, there, nothing, period, scan.points, scan.is_point).control
+
+    def moved(
+        self,
+        robot: Dynamics,
+        state: GuardState,
+        measured: StateVector,
+        control: ControlVector,
+        period: Scalar,
+    ) -> GuardState:
+        """Return the guard's state after a control period: where the robot is expected then.
+
+        Args:
+            robot: model of the robot.
+            state: the guard's state.
+            measured: (nx,) true state before the period, of which the base measures all but the
+                pose.
+            control: (nu,) control of the period while the robot is stopped.
+            period: control period [s].
+        """
+        is_good = state.stop == GOOD
+        delay = self.delay(state, jnp.zeros((), jnp.int32))
+        due = state.commands[state.commands.shape[0] - 1 - delay]
+        begin = jnp.where(is_good, state.expected, self._placed(robot, state, measured))
+        after = robot.step(begin, jnp.where(is_good, due, control), period)
+        moved = robot.pose(after) - robot.pose(begin)
+        turn = jnp.arctan2(jnp.sin(moved[2]), jnp.cos(moved[2]))
+        velocity = moved.at[2].set(turn) / period
+        return state._replace(expected=after, velocity=velocity)
+
+    def _placed(self, robot: Dynamics, state: GuardState, measured: StateVector) -> StateVector:
+        """Return the expected pose with the speeds and the attitude that the base measures."""
+        is_pose = jnp.asarray([name in _POSE for name in robot.state_names])
+        return jnp.where(is_pose, state.expected, measured)
+
+    def _errors(
+        self,
+        robot: Dynamics,
+        state: GuardState,
+        observed: StateVector,
+        last: StateVector,
+        period: Scalar,
+    ) -> Float[Array, " N"]:
+        """Return the squared errors of the predictions under each delay, in shares of what the
+        controls can change in a control period."""
+        bounds = jnp.stack([robot.control_max, robot.control_min])
+        tried = jnp.concatenate([state.commands[::-1], bounds])
+        after = jax.vmap(lambda control: robot.step(last, control, period))(tried)
+        reach = jnp.abs(after[-2] - after[-1])
+        # The pose is measured with noise; where the state has speeds, they tell more.
+        names = robot.state_names
+        is_used = jnp.asarray([name not in _POSE for name in names])
+        if all(name in _POSE for name in names):
+            is_used = ~is_used
+        is_used = is_used & (reach > 1e-6)
+        away = (after[:-2] - observed) / jnp.where(is_used, reach, 1.0)
+        error = jnp.sum(jnp.where(is_used, away * away, 0.0), axis=-1)
+        kept = jnp.exp(-period / MEMORY_SECONDS)
+        mixed = kept * state.errors + (1.0 - kept) * error
+        return jnp.where(jnp.isfinite(mixed), mixed, state.errors)

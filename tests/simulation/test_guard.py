@@ -1,0 +1,206 @@
+"""The guard in the closed loop: 4 s at 20 Hz, with a controller that drives until it is told that
+the wall is near. All guarded runs are one compiled program."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplore import (
+    DifferentialDrive,
+    ExplorationScenario,
+    Faults,
+    InverseSensorModel,
+    Lidar,
+    MotionGuard,
+    OccupancyGrid,
+    Perception,
+    Variation,
+)
+from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.guard import FROZEN, GOOD, LOST, MISFIT, REASONS
+from jaxplore.simulation.loop import initial_loop_state, run_chunk
+
+STEPS, PERIOD = 80, 0.05
+WORLD = np.zeros((30, 40), np.float32)
+WORLD[0], WORLD[-1], WORLD[:, 0], WORLD[:, -1] = 1.0, 1.0, 1.0, 1.0
+ROBOT = DifferentialDrive(max_speed=1.0)
+LIDAR = Lidar(72, 2.0, range_noise=0.0)
+BRAKE_AT = 2.9
+"""Position at which the controller brakes [m]; the wall is at 3.9 m, the robot's radius 0.2 m."""
+
+
+NO_WALLS = {"walls": np.zeros(WORLD.shape, bool), "walls_from": 100.0}
+RING = np.zeros(WORLD.shape, bool)
+RING[5:26, 4:26] = True
+RING[6:25, 5:25] = False  # closed walls around the robot
+
+
+class ToTheWall(Controller):
+    """Drives ahead in slight curves, brakes near the wall, and remembers what it was told."""
+
+    def init(self):
+        return jnp.zeros((), jnp.int32), jnp.zeros((STEPS, 5))
+
+    def step(self, state, observation, belief=None, *, key):
+        count, told = state
+        _, _, yaw, _, turn = observation
+        # The command differs in every step, as those of MPPI do.
+        noise = jax.random.uniform(key, (2,), minval=-0.3, maxval=0.3)
+        ahead = jnp.where(observation[0] < BRAKE_AT, 0.7, -1.0)
+        command = jnp.clip(
+            jnp.stack([ahead, -2.0 * yaw - 2.0 * turn]) + noise,
+            ROBOT.control_min,
+            ROBOT.control_max,
+        )
+        one = jnp.ones(())
+        info = Info(command[None], one[None], one[None], one, jnp.array(True))
+        return command, (count + 1, told.at[count].set(observation)), info
+
+    def inspect(self, state, observation, belief=None, *, key, num_trajectories=50) -> SampledPlan:
+        raise NotImplementedError
+
+    def at_period(self, control_period):
+        return self
+
+
+class Watched(NamedTuple):
+    """A run: records, true states (N + 1, 5), what the controller was told, its delay."""
+
+    records: object
+    robots: np.ndarray
+    told: np.ndarray
+    delay: int
+
+
+def scenario(
+    faults: Faults | None = None, variation: Variation | None = None, *, is_guarded: bool = True
+) -> ExplorationScenario:
+    perception = Perception(
+        LIDAR, 0.1, 0.2, sensor_model=InverseSensorModel.line_of_sight(), num_directions=4
+    )
+    made = ExplorationScenario(
+        OccupancyGrid(WORLD, 0.1),
+        ROBOT,
+        LIDAR,
+        (0.6, 1.5, 0.0),
+        perception=perception,
+        target_coverage=None,
+        faults=Faults(**NO_WALLS) if faults is None else faults,
+        control_rate=20.0,
+        sensing_rate=10.0,
+        field_rate=5.0,
+    ).varied(Variation(control_delay=(0, 4)) if variation is None else variation)
+    return made.guarded(MotionGuard() if is_guarded else None)
+
+
+def drive(task: ExplorationScenario, seed: int = 0, delay: int = 0) -> Watched:
+    controller, key = ToTheWall(), jax.random.key(seed)
+    state = initial_loop_state(controller, task, key)
+    state = eqx.tree_at(lambda at: at.drawn.control_delay, state, jnp.asarray(delay, jnp.int32))
+    first = np.asarray(state.task.robot)[None]
+    state, records, done = run_chunk(
+        controller, task, state, key, jnp.asarray(STEPS, jnp.int32), STEPS
+    )
+    records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
+    told = np.asarray(state.controller[1])
+    return Watched(records, np.concatenate([first, records.state]), told, delay)
+
+
+@pytest.fixture(scope="module")
+def free() -> Watched:
+    return drive(scenario())
+
+
+def test_without_a_fault_it_stops_nothing(free) -> None:
+    assert not free.records.stop.any()
+    assert not free.records.is_collision.any()
+    np.testing.assert_allclose(free.told, free.robots[:-1], atol=1e-6)
+    assert free.robots[-1, 0] > BRAKE_AT
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "within"),
+    [("frozen_odometry", FROZEN, 0.3), ("lost_odometry", LOST, 1e-3)],
+)
+@pytest.mark.parametrize("begin", [1.5, 2.0])
+def test_without_a_pose_it_brakes_to_rest_and_says_why(free, fault, code, within, begin) -> None:
+    found = drive(scenario(Faults(**{fault: (begin, 10.0)}, **NO_WALLS)))
+    stops = found.records.stop
+    first = int(np.flatnonzero(stops)[0])
+    assert begin - 1e-3 <= first * PERIOD <= begin + within
+    # A robot that stands tries again after two seconds if its scan fits, and is stopped again.
+    assert (stops[first : first + 38] == code).all()
+    assert REASONS[code]
+    assert not found.records.is_collision.any()
+    # It brakes as hard as it can: at 1 m/s^2 and by the drag.
+    speed = found.robots[:, 3]
+    assert (np.diff(speed[first : first + 5]) < -0.9 * PERIOD).all()
+    np.testing.assert_allclose(found.robots[first + 38, 3:], 0.0, atol=1e-3)
+    # The map is that of before: nothing is mapped without a pose.
+    coverage = found.records.coverage[first : first + 38]
+    np.testing.assert_array_equal(coverage, coverage[0])
+
+
+def test_without_a_guard_it_runs_into_the_wall() -> None:
+    task = scenario(Faults(frozen_odometry=(1.5, 10.0), **NO_WALLS), is_guarded=False)
+    assert drive(task).records.is_collision.any()
+
+
+def test_it_goes_on_when_the_pose_is_back() -> None:
+    for fault in ("frozen_odometry", "lost_odometry"):
+        found = drive(scenario(Faults(**{fault: (0.8, 1.6)}, **NO_WALLS)))
+        after = np.arange(STEPS) * PERIOD > 1.75
+        assert found.records.stop.any()
+        assert not found.records.stop[after].any()
+        assert found.robots[-1, 0] > found.robots[36, 0] + 0.3
+        assert not found.records.is_collision.any()
+
+
+def test_scans_that_do_not_fit_stop_it_until_they_are_taken_for_a_changed_world() -> None:
+    found = drive(scenario(Faults(walls=RING, walls_from=0.9)))
+    stops = found.records.stop
+    first, last = np.flatnonzero(stops)[[0, -1]]
+    assert 0.9 <= first * PERIOD <= 1.2
+    assert (stops[first : last + 1] == MISFIT).all()
+    assert 2.0 <= (last - first) * PERIOD <= 2.5
+    assert not found.records.is_collision[: last + 1].any()
+    np.testing.assert_allclose(found.robots[last, 3:], 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("delay", [0, 2, 4])
+def test_it_finds_the_delay_and_plans_from_where_the_command_takes_effect(delay) -> None:
+    found = drive(scenario(), seed=delay, delay=delay)
+    assert not found.records.stop.any()
+    assert not found.records.is_collision.any()
+    # From the third of a second on: the state that the controller is told is the later one.
+    steps = np.arange(20, STEPS - delay)
+    np.testing.assert_allclose(found.told[steps], found.robots[steps + delay], atol=1e-4)
+
+
+def test_ordinary_errors_are_no_fault() -> None:
+    """Slip, gains, noise of commands and of the pose, and the delays of the other tests."""
+    errors = Variation(
+        gain=(0.8, 1.2),
+        slip=(0.0, 0.2),
+        turn_slip=(0.0, 0.2),
+        control_noise=(0.0, 0.1),
+        position_noise=(0.0, 0.02),
+        heading_noise=(0.0, 0.02),
+        control_delay=(0, 4),
+    )
+    for seed in range(8):
+        found = drive(scenario(variation=errors), seed=seed, delay=seed % 3)
+        np.testing.assert_array_equal(found.records.stop, GOOD)
+
+
+def test_nothing_compiles_again() -> None:
+    drive(scenario())
+    before = run_chunk._cached._cache_size()
+    drive(scenario(Faults(lost_odometry=(0.1, 0.2), **NO_WALLS)), seed=7, delay=1)
+    task = scenario().guarded(MotionGuard(max_frozen=0.2))
+    drive(task)
+    assert run_chunk._cached._cache_size() == before
