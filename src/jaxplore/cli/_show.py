@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import click
+
 from jaxplore._exit import INTERRUPTED
 from jaxplore._signals import is_ending
 from jaxplore.cli._pictures import Pictures
