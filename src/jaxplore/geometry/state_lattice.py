@@ -158,8 +158,8 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         determinant = cos * other_sin - sin * other_cos
         before = (right * other_sin - down * other_cos) / determinant
         before -= radius * math.tan(0.5 * abs(turn))
-    nearest: dict[tuple[int, ...], list[float]] = {}
-    former: list[set[int]] = []
+    nearest: dict[tuple[int, int, int], list[float]] = {}
+    former: tuple[set[int], set[int], set[int]] | None = None
     pieces = math.ceil(length / _SAMPLING)
     for index in range(pieces + 1):
         at = length * index / pieces
@@ -173,13 +173,13 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
             rest = at - before - arc
             x, y = x + rest * math.cos(heading), y + rest * math.sin(heading)
         # Half-way between two nodes or headings both count, as they do for the reversed motion.
-        here = [
+        here = (
             {round(y - _TIE), round(y + _TIE)},
             {round(x - _TIE), round(x + _TIE)},
             {_nearest_heading(heading - _TIE), _nearest_heading(heading + _TIE)},
-        ]
-        states: set[tuple[int, ...]] = set(itertools.product(*here))
-        if former and not (here[0] & former[0] or here[1] & former[1]):
+        )
+        states = set(itertools.product(*here))
+        if former is not None and not (here[0] & former[0] or here[1] & former[1]):
             # Past a corner, both nodes beside it count: two walls may touch there.
             headings = here[2] | former[2]
             states |= set(itertools.product(here[0], former[1], headings))
