@@ -51,7 +51,7 @@ def test_ordinary_maps_stay_as_they_are(x, y) -> None:
 @given(st.floats(1e-3, 10.0), st.floats(0.0, 1e9))
 def test_an_origin_that_single_precision_does_not_resolve_is_refused(resolution, x) -> None:
     gap = float(np.spacing(np.float32(x)))
-    if gap > resolution / 100.0:
+    if gap > resolution / 50.0:
         with pytest.raises(ValueError, match=r"^origin has a coordinate of .*; accepted: less"):
             GridFrame(resolution, (0.0, -x, 0.0))
     else:
@@ -61,7 +61,7 @@ def test_an_origin_that_single_precision_does_not_resolve_is_refused(resolution,
 def test_the_map_of_a_city_needs_a_datum_and_keeps_its_origin(tmp_path) -> None:
     origin, values = (*UTM, 0.3), np.zeros((4, 5), np.float32)
     message = "origin has a coordinate of 4649776 m, where single precision resolves 0.5 m"
-    with pytest.raises(ValueError, match=f"{message}; accepted: less than 8192 m, .*maps.Datum"):
+    with pytest.raises(ValueError, match=f"{message}; accepted: less than 16384 m, .*maps.Datum"):
         OccupancyGrid(values, 0.05, origin)
     datum, file = Datum.near(*UTM), tmp_path / "map.yaml"
     OccupancyGrid(values, 0.05, (0.0, 0.0, 0.3)).to_ros(file, datum=datum)

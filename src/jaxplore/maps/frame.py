@@ -10,7 +10,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Pose, Vector
 from jaxplore._xla import on_device
 
-PRECISION = 0.01
+PRECISION = 0.02
 """Greatest distance between neighbouring numbers in single precision at the origin of a grid, as a
 share of a cell."""
 
@@ -33,8 +33,8 @@ class GridFrame(eqx.Module):
 
     Raises:
         ValueError: a resolution that is not a positive number; an origin that is not three finite
-            numbers, or so far away that single precision does not resolve a hundredth of a cell:
-            beyond 8 km for cells of 0.05 m. `jaxplore.maps.Datum` is for such maps.
+            numbers, or so far away that single precision does not resolve a fiftieth of a cell:
+            beyond 16 km for cells of 0.05 m. `jaxplore.maps.Datum` is for such maps.
     """
 
     origin: Pose
