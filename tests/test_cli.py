@@ -235,6 +235,8 @@ def test_version_help_and_settings(capsys) -> None:
         assert word in text
     main(["settings"])
     assert yaml.safe_load(capsys.readouterr().out)["controller"]["num_samples"] == 1000
+    main([])
+    assert "  tune " in capsys.readouterr().out
 
 
 def test_a_real_map(ros_maps: Path) -> None:

@@ -350,6 +350,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")
         if sys.stdout is not None:
             sys.stdout.flush()
+    except click.exceptions.NoArgsIsHelpError as error:
+        # Without arguments the help is what was asked for, and no error in one line.
+        say(error.format_message())
     except click.ClickException as error:
         _fail(error.format_message())
     except (ValueError, OSError) as error:
