@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 JOBS ?= 2
 PEERS := benchmarks/.peers
 
-.PHONY: demo test coverage bench docs clean
+.PHONY: demo test coverage bench campaign docs clean
 
 # A document or a file of tests is given to one worker, which compiles what its tests share once.
 PYTEST := $(BIN)/pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder
@@ -42,6 +42,10 @@ export SHARES
 
 bench: $(READY) $(PEERS)/.ready $(PEERS)/torch/.ready $(PEERS)/faran/.ready
 	$(BIN)/python -m benchmarks
+
+# Bad input, kills and full disks. It takes hours; `make test` runs a part of it.
+campaign: $(READY)
+	$(BIN)/python -m tests.campaign
 
 # jax_mppi's own environment. Building it needs CUDA, its JAX part does not: the sources do.
 $(PEERS)/.ready: $(READY)
