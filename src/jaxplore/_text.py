@@ -9,7 +9,7 @@ import reprlib
 from pathlib import Path
 
 _SHORT = reprlib.Repr(maxlevel=2, maxstring=80, maxother=80, maxlong=80)
-_LONGEST_WORD, _LONGEST_LINE = 300, 1000
+_LONGEST_WORD, _LONGEST_LINE = 300, 500
 """Longest word and longest line of an error [characters]."""
 
 
@@ -43,9 +43,10 @@ def _escaped(character: str) -> str:
 
 def one_line(text: str) -> str:
     """Return a message in one printable line, in which long words and a long middle are cut."""
-    line = " ".join(text.split())
+    # What is escaped is longer, so that comes first.
+    line = printable(" ".join(text.split()))
     line = re.sub(rf"\S{{{_LONGEST_WORD + 1},}}", lambda word: _cut(word[0], _LONGEST_WORD), line)
-    return printable(_cut(line, _LONGEST_LINE))
+    return _cut(line, _LONGEST_LINE)
 
 
 def _cut(text: str, longest: int) -> str:
