@@ -180,7 +180,6 @@ HUGE = {
     "node --set": ("node.latency=1e30", "node.max_age=1e30", "node.done_after=1e30"),
     "compare office": (
         "--vary controller.temperature=" + ",".join(["1"] * 3000),
-        "--vary controller.temperature=" + ",".join(map(str, range(1, 3000))),
         "--architectures " + ",".join(["explorer"] * 2000),
     ),
     "compare --maps {base}/maps": ("--resolution 1e9", "--radius 1e9", "--max-speed 1e30"),
