@@ -35,6 +35,8 @@ ROLLOUT_COLOUR = "rollout_colour"
 """ROS parameter that says what colours the published rollouts, see `DrivePublisher`."""
 MOST_STATE = 10_000
 """Greatest length of the state of another node that is read."""
+MOST_BRAKING = 5.0
+"""Longest time that a node drives on after it was told to stop [s]."""
 LEAST_SHARE = 0.25
 """Share of the control period that is the least time between two commands."""
 ORDERS = ("start", "pause", "return", "stop")
@@ -243,7 +245,7 @@ class ControlNode:
         """Send commands until the robot stands at the end; return the last one."""
         period = self.pilot.period
         due = time.monotonic()
-        last, arrived = due - period, None
+        last, arrived, ends_by = due - period, None, math.inf
         while True:
             # A scan that came right after a command waits for a part of the period, not for all.
             begin = due if arrived is None else min(due, last + LEAST_SHARE * period)
@@ -257,13 +259,16 @@ class ControlNode:
             last, due = now, now + period
             if is_stopped.is_set():
                 self.pilot.finish("stopped")
+                ends_by = min(ends_by, now + MOST_BRAKING)
             command = self._next_command(now + self.settings.deadline * period)
             self._publish_command(command)
             if arrived is not None and command.scan_time is not None:
                 self.latencies.scan_ms.add(1e3 * (time.monotonic() - arrived))
             arrived = None
             self._submit_between(command)
-            if command.mode is Mode.DONE and not command.twist.any():
+            is_at_rest = command.mode is Mode.DONE and not command.twist.any()
+            # Without odometry nobody sees that the robot has come to rest.
+            if is_at_rest or now >= ends_by:
                 return command
 
     def _submit_between(self, command: Command) -> None:
