@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import FrameType
@@ -90,6 +91,8 @@ def call(
     bounds = _Bounds(most_seconds)
     with (
         contextlib.chdir(folder),
+        # Warnings are told, as in the program, and are no errors, as in tests.
+        warnings.catch_warnings(action="default"),
         accepting(),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),

@@ -30,7 +30,7 @@ READERS: dict[str, list[list[str]]] = {
 """Commands that continue or show a folder of each kind."""
 FILES = {
     "run": ["metrics.json", "state.npz", "settings.yaml"],
-    "study": ["study.db", "settings.yaml", "record.yaml", ".lock"],
+    "study": ["study.db", "settings.yaml", "record.yaml"],
     "comparison": ["comparison.json", "results.parquet", "runs/*.parquet"],
     "bag": ["metadata.yaml", "bag.db3"],
 }

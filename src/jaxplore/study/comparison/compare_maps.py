@@ -134,10 +134,11 @@ def compare_maps(
     kinds = [kind for kind in figure_formats(figures) if kind != PNG]
     plan = dataclasses.replace(plan, settings=with_protocol(plan.settings))
     episodes = plan.episodes()
+    # Before the folder is made: a start or a map may be refused.
+    episodes, grids = _with_shapes(episodes, plan.maps)
     # A second comparison would run the same runs, and `overwrite` would remove those of the first.
     with locked_folder(Path(os.path.realpath(folder)), "comparison folder"):
         store = open_store(folder, plan, overwrite=overwrite)
-        episodes, grids = _with_shapes(episodes, plan.maps)
         with progress_bar("exploring", enabled=progress) as advance:
             advance(0.0, f"{len(episodes)} runs")
             counts = run_episodes(episodes, store, runner, _show(advance))
