@@ -35,7 +35,7 @@ LOWEST_RATE = 1e-4
 
 MOST_SAMPLES = 1_000_000
 """Greatest number of rollouts of a controller, K."""
-MOST_STEPS_AHEAD = 10_000
+MOST_STEPS_AHEAD = 100_000
 """Greatest number of steps of a horizon or a reference, T."""
 MOST_OUTCOMES = 1_000
 """Greatest number of outcomes of each control sequence."""
@@ -43,7 +43,7 @@ MOST_BEAMS = 100_000
 """Greatest number of beams of a scan, B."""
 MOST_DIRECTIONS = 1_000
 """Greatest number of directions or headings of an information field, D."""
-MOST_DISCS = 100
+MOST_DISCS = 1_000
 """Greatest number of discs that cover a robot."""
 MOST_LOOKS = 100_000
 """Greatest number of scans of a second look."""

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from jaxplore._types import Count, Key, StateVector
 from jaxplore.control.base import Controller
-from jaxplore.control.guard import GOOD, GuardState, MotionGuard
+from jaxplore.control.guard import GOOD, LOST, GuardState, MotionGuard
 from jaxplore.control.latency import LatencyCompensation
 from jaxplore.simulation.chunks import loop
 from jaxplore.simulation.scenario import LoopState, Moment, Scenario
@@ -146,6 +146,8 @@ def control_step(
         # The controller starts anew from rest: its plan was not executed.
         memory = jax.tree.map(functools.partial(jnp.where, is_stopped), controller.init(), memory)
         watch = guard.sent(scenario.robot, watch, control)
+        # A plan that was not asked for is no failure of the controller.
+        info = info._replace(is_finite=info.is_finite | (is_stopped & (watch.stop != LOST)))
     pending, plant, drawn = state.pending, scenario, state.drawn
     if scenario.variation is not None and drawn is not None:
         pending, control = scenario.variation.delay(pending, control, drawn)

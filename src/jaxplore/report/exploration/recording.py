@@ -86,16 +86,16 @@ class ExplorationRecording(ExplorationData, Recording):
         and `reachable` (H, W); `origin` [m, m, rad], `resolution` [m], `control_period` [s],
         `start` and `state_names`.
 
-        Where they exist: each field of `Members` as `members_NAME`, one row per step, with
-        `member_names`; `targets` (M, 2) [m]; `idleness` (H, W) [s], infinite where nothing was
-        seen; `elevation` (H, W) [m] and `traversable` (H, W) of the ground; `mover_radii` (M,) [m];
-        `footprint` (4, 2) corners of a rectangular robot [m]; `objects` (N, 2) [m] with their true
-        `object_labels` (N,), `class_names` (C,), and at the end `object_classes` (N, C), the
-        probability of each class.
+        Where they exist: `stop` of a robot with a guard; each field of `Members` as
+        `members_NAME`, one row per step, with `member_names`; `targets` (M, 2) [m]; `idleness`
+        (H, W) [s], infinite where nothing was seen; `elevation` (H, W) [m] and `traversable` (H, W)
+        of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a rectangular robot
+        [m]; `objects` (N, 2) [m] with their true `object_labels` (N,), `class_names` (C,), and at
+        the end `object_classes` (N, C), the probability of each class.
         """
         time, *_ = progress(self)
-        steps = self.records._asdict()
-        members = steps.pop("members")
+        steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
+        members = steps.pop("members", None)
         if members is not None:
             steps |= {f"members_{name}": rows for name, rows in members._asdict().items()}
             steps["member_names"] = np.asarray(self.member_names, np.str_)

@@ -97,13 +97,11 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        # Incomplete files have hidden names and are skipped.
-        files = sorted(path for path in (folder / RUNS).glob("*.parquet") if path.name[0] != ".")
-        self._state = {
-            row["id"]: (row["map"], row["error"])
-            for path, row in _read(files, None)
-            if is_row(row, path.stem)
-        }
+        self._damaged: frozenset[Path] = frozenset()
+        files = self._files()
+        found = {path: row for path, row in _read(files, None) if is_row(row, path.stem)}
+        self._state = {row["id"]: (row["map"], row["error"]) for row in found.values()}
+        self._damaged = frozenset(files) - frozenset(found)
 
     @property
     def results(self) -> Path:
@@ -123,6 +121,7 @@ class Store:
             ValueError: the folder cannot be written.
         """
         write_whole(self._file(row.id), lambda file: file.write(row.data), _WHAT)
+        self._damaged -= {self._file(row.id)}
         self._state[row.id] = (row.map, row.error)
 
     def rows(self, columns: Sequence[str] | None = None) -> list[Row]:
@@ -211,7 +210,10 @@ class Store:
         return self.folder / RUNS / f"{id_}.parquet"
 
     def _files(self) -> list[Path]:
-        return sorted(map(self._file, self._state))
+        """Return the files of rows, those of other stores of the folder included."""
+        # Incomplete files have hidden names and are skipped.
+        files = (path for path in (self.folder / RUNS).glob("*.parquet") if path.name[0] != ".")
+        return sorted(set(files) - self._damaged)
 
 
 def open_store(
