@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from jaxplore import _signals
+from jaxplore import _signals, cli
 from jaxplore._signals import (
     ENDING,
     STOPPING,
@@ -146,3 +146,33 @@ program.main()
 def test_ctrl_c_during_the_import_is_one_line() -> None:
     run = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (130, "", "jaxplore: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [RuntimeError("CpuCallback error: KeyboardInterrupt: <string>"), "a cause", None],
+)
+def test_an_interruption_in_a_library_is_an_interruption(
+    error: RuntimeError | str | None,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        if isinstance(error, RuntimeError):
+            raise error
+        if error is None:
+            raise RuntimeError("something else")
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            raise RuntimeError(error)  # noqa: B904
+
+    monkeypatch.setattr(cli.cli, "main", fail)
+    if error is None:
+        with pytest.raises(RuntimeError, match="something else"):
+            cli.main([])
+        return
+    with pytest.raises(SystemExit) as stop:
+        cli.main([])
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == "jaxplore: interrupted\n"

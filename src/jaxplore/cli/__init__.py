@@ -358,8 +358,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         _fail(str(error))
     except (click.Abort, KeyboardInterrupt):
-        say("jaxplore: interrupted", err=True)
-        sys.exit(INTERRUPTED)
+        _end_interrupted()
+    except Exception as error:
+        if not _is_interruption(error):
+            raise
+        _end_interrupted()
+
+
+def _is_interruption(error: BaseException) -> bool:
+    """Check whether an error stands for Ctrl-C.
+
+    An interruption that comes up while a compiled library calls Python becomes an error of that
+    library, with the interruption as its cause or in its text.
+    """
+    each: BaseException | None = error
+    while each is not None:
+        if isinstance(each, KeyboardInterrupt) or KeyboardInterrupt.__name__ in str(each):
+            return True
+        each = each.__cause__ or each.__context__
+    return False
+
+
+def _end_interrupted() -> None:
+    say("jaxplore: interrupted", err=True)
+    sys.exit(INTERRUPTED)
 
 
 def _fail(message: str) -> None:
