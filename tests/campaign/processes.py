@@ -6,7 +6,6 @@ import resource
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -38,7 +37,7 @@ def started(
         arguments: command-line arguments.
         folder: working directory.
         environment: variables that differ from this process's; None removes one.
-        stdout: file descriptor for standard output; a file that is read when absent.
+        stdout: file descriptor for standard output; a pipe that is read when absent.
         prepare: called in the new process before it runs the command.
     """
     ready, say = os.pipe()
@@ -47,38 +46,44 @@ def started(
         variables.pop(name, None)
         if value is not None:
             variables[name] = value
-    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
-        before, began = files(folder), time.perf_counter()
-        process = subprocess.Popen(
-            [sys.executable, "-c", _PROGRAM, *arguments],
-            cwd=folder,
-            env=variables,
-            stdin=subprocess.DEVNULL,
-            stdout=out if stdout is None else stdout,
-            stderr=err,
-            pass_fds=[say],
-            preexec_fn=prepare,
-            start_new_session=True,
-        )
-        os.close(say)
-        os.read(ready, 1)
-        os.close(ready)
+    before, began = files(folder), time.perf_counter()
+    # Pipes and no files: what lets no file grow lets messages through.
+    process = subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, *arguments],
+        cwd=folder,
+        env=variables,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE if stdout is None else stdout,
+        stderr=subprocess.PIPE,
+        pass_fds=[say],
+        preexec_fn=prepare,
+        start_new_session=True,
+    )
+    os.close(say)
+    os.read(ready, 1)
+    os.close(ready)
 
-        def finish(most_seconds: float) -> Call:
-            code: int | None = None
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                code = process.wait(most_seconds)
-            seconds = time.perf_counter() - began
-            end(process)
-            for file in (out, err):
-                file.seek(0)
-            texts = [file.read().decode("utf-8", "backslashreplace") for file in (out, err)]
-            return Call(code, texts[0], texts[1], seconds, 0, files(folder) != before)
-
+    def finish(most_seconds: float) -> Call:
+        code: int | None = None
         try:
-            yield process, finish
-        finally:
+            both = process.communicate(timeout=most_seconds)
+            code = process.returncode
+        except subprocess.TimeoutExpired:
             end(process)
+            both = process.communicate()
+        seconds = time.perf_counter() - began
+        out, err = (
+            "" if each is None else each.decode("utf-8", "backslashreplace") for each in both
+        )
+        return Call(code, out, err, seconds, 0, files(folder) != before)
+
+    try:
+        yield process, finish
+    finally:
+        end(process)
+        for pipe in (process.stdout, process.stderr):
+            if pipe is not None:
+                pipe.close()
 
 
 def end(process: subprocess.Popen[bytes]) -> None:
