@@ -16,7 +16,7 @@ LARGEST_RADIUS = TURNS[1]
 """Largest turning radius of a lattice [node spacings]."""
 RADIUS_STEP = 0.25
 """Step to which a turning radius is rounded up [node spacings]: similar cars share a program."""
-_SAMPLING = 0.2
+SAMPLING = 0.2
 """Distance between the points of a motion whose nodes it passes [node spacings]."""
 _TIE = 1e-6
 
@@ -159,8 +159,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
         before = (right * other_sin - down * other_cos) / determinant
         before -= radius * math.tan(0.5 * abs(turn))
     nearest: dict[tuple[int, int, int], list[float]] = {}
-    former: tuple[set[int], set[int], set[int]] | None = None
-    pieces = math.ceil(length / _SAMPLING)
+    pieces = math.ceil(length / SAMPLING)
     for index in range(pieces + 1):
         at = length * index / pieces
         x, y, heading = at * cos, at * sin, HEADINGS[start]
@@ -178,14 +177,7 @@ def _motion(start: int, end: int, down: int, right: int, length: float, radius: 
             {round(x - _TIE), round(x + _TIE)},
             {_nearest_heading(heading - _TIE), _nearest_heading(heading + _TIE)},
         )
-        states = set(itertools.product(*here))
-        if former is not None and not (here[0] & former[0] or here[1] & former[1]):
-            # Past a corner, both nodes beside it count: two walls may touch there.
-            headings = here[2] | former[2]
-            states |= set(itertools.product(here[0], former[1], headings))
-            states |= set(itertools.product(former[0], here[1], headings))
-        former = here
-        for state in states:
+        for state in itertools.product(*here):
             nearest.setdefault(state, []).append(length - at)
     for each in ((0, 0, start), (down, right, end)):
         nearest.pop(each, None)

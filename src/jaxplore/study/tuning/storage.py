@@ -51,9 +51,10 @@ def open_study(search: Search, episodes: Episodes, folder: Path | None = None) -
             # A second search would mix its candidates into the study, so it is refused at once.
             stack.enter_context(locked_folder(folder, "study folder"))
             former = _checked(optuna, folder, search, asked)
+            # A full disk may fail it already where the tables are made.
+            stack.enter_context(_in_one_line(optuna, folder))
             storage = storage_at(optuna, folder / STUDY)
             stack.callback(close_storage, storage)
-            stack.enter_context(_in_one_line(optuna, folder))
         # The first generation is evaluated completely, so that there is a median to compare with.
         pruner = (
             optuna.pruners.MedianPruner(n_startup_trials=search.population)
