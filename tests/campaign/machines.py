@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from . import places
+from .kills import state_of_recording
 from .outcomes import Call, Judged, Outcome, judge
 from .processes import file_limit, hidden, started
 
@@ -88,8 +89,13 @@ def _judge_full(ended: Call, folder: Path) -> Judged:
     if judged.is_good and left:
         return Judged(Outcome.LEFTOVER, ", ".join(left)[:200])
     if judged.outcome == Outcome.REFUSED:
-        # Studies and comparisons keep what is finished. All others leave nothing.
-        files = [path.name for path in folder.iterdir() if path.name not in ("study", "comparison")]
+        # Studies and comparisons keep what is finished, and a recording that is complete stays:
+        # it is written before the folder of its run. All others leave nothing.
+        try:
+            whole = {"study", "comparison", *state_of_recording(folder)}
+        except Exception as error:
+            return Judged(Outcome.LOST, f"{type(error).__name__}: {error}"[:200])
+        files = [path.name for path in folder.iterdir() if path.name not in whole]
         if files:
             return Judged(Outcome.CHANGED, f"{files}: {judged.reason}")
     return judged

@@ -56,7 +56,7 @@ def started(
         stdout=subprocess.PIPE if stdout is None else stdout,
         stderr=subprocess.PIPE,
         pass_fds=[say],
-        preexec_fn=prepare,
+        preexec_fn=lambda: _prepare(prepare),
         start_new_session=True,
     )
     os.close(say)
@@ -84,6 +84,16 @@ def started(
         for pipe in (process.stdout, process.stderr):
             if pipe is not None:
                 pipe.close()
+
+
+def _prepare(further: Callable[[], None] | None) -> None:
+    """Prepare a new process before it runs a command."""
+    # What a script starts in the background ignores Ctrl-C, under `nohup` also SIGHUP, and so would
+    # the command.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
+    if further is not None:
+        further()
 
 
 def end(process: subprocess.Popen[bytes]) -> None:

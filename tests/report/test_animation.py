@@ -232,7 +232,9 @@ def test_a_known_map_shows_idleness_targets_or_distance_and_not_coverage(vehicle
 
     assert headline(vehicle) == ["99.0 %", "covered"]
     covered = np.ones_like(vehicle.records.coverage)
-    known = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    seen_at_once = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    assert headline(seen_at_once) == ["100.0 %", "covered"]
+    known = dataclasses.replace(seen_at_once, initial_unknown=0.0)
     assert headline(known) == ["3", "targets found"]
     nothing = np.zeros((0, 2), np.float32)
     frames = tuple(dataclasses.replace(each, is_found=np.zeros(0, bool)) for each in known.frames)

@@ -230,6 +230,7 @@ def test_a_run_is_reported_by_what_it_is_judged_by(recording, vehicle, no_step) 
     patrol = dataclasses.replace(
         vehicle,
         initial_coverage=1.0,
+        initial_unknown=0.0,
         records=vehicle.records._replace(coverage=np.ones_like(vehicle.records.coverage)),
         targets=np.zeros((0, 2)),
         target_coverage=None,

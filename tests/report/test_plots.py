@@ -141,7 +141,9 @@ def test_the_scale_bar_is_as_long_as_it_says(make_recording, width, length):
 
 def test_a_known_map_has_no_coverage_in_its_title(vehicle):
     covered = np.ones_like(vehicle.records.coverage)
-    known = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    seen_at_once = dataclasses.replace(vehicle, records=vehicle.records._replace(coverage=covered))
+    assert "covered" in map_figure(seen_at_once).get_suptitle()
+    known = dataclasses.replace(seen_at_once, initial_unknown=0.0)
     assert "covered" in map_figure(vehicle).get_suptitle()
     assert map_figure(known).get_suptitle() == "5.0 s, 2.0 m, targets 3 of 3"
 

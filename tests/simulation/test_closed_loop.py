@@ -23,6 +23,7 @@ from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.animation import frame_image
 from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.simulation.exploration.finish import Gain, default_give_up_after
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
@@ -385,7 +386,8 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
         worst_idleness=nothing,
     )
     state = ExplorationState(
-        robot, None, progress, jnp.zeros((), int), jnp.zeros(0, bool), None, jnp.zeros(0)
+        *(robot, None, progress, Gain(progress.coverage, nothing), jnp.zeros((), int)),
+        *(jnp.zeros(0, bool), None, jnp.zeros(0)),
     )
     found = bool(scenario.is_finished(state))
     assert found == (is_there and (is_known or is_covered))
@@ -482,3 +484,48 @@ def test_the_end_waits_for_the_map_and_the_map_for_the_goal() -> None:
 def test_at_the_goal_with_all_known_one_step_is_the_run() -> None:
     recording = drive(hall_scenario(x=2.5))
     assert (recording.num_steps, recording.finished_step) == (1, 1)
+
+
+def test_an_exploration_that_learns_nothing_is_given_up_and_says_what_is_left() -> None:
+    # The robot drives to the wall and stands there; corners behind it stay unseen.
+    scenario = hall_scenario(None, goal=None, target_coverage=1.0, give_up_after=0.6)
+    recording = drive(scenario, 200)
+    best, since, expected = recording.initial_coverage, 0.0, None
+    for step, coverage in enumerate(recording.records.coverage, start=1):
+        is_more = coverage >= np.float32(best) + np.float32(1e-3)
+        best, since = (coverage, 0.0) if is_more else (best, since + 0.05)
+        if since >= 0.6 - 1e-4:
+            expected = step
+            break
+    assert expected is not None
+    assert recording.num_steps == recording.given_up_step == expected < 200
+    assert recording.finished_step is None
+    metrics = recording.metrics(seed=0)
+    assert not metrics.is_finished
+    assert metrics.given_up_at == pytest.approx(0.05 * expected)
+    rows = dict(metrics.rows())
+    left = f"{100.0 * (1.0 - metrics.coverage):.1f} %"
+    assert rows["given up"] == f"nothing new to see; {left} unreachable or hidden"
+    assert rows["coverage"].endswith("given up")
+    # With more patience the same run goes on.
+    patient = hall_scenario(None, goal=None, target_coverage=1.0, give_up_after=100.0)
+    longer = drive(patient, expected + 5)
+    assert (longer.num_steps, longer.given_up_step) == (expected + 5, None)
+    np.testing.assert_array_equal(longer.records.state[:expected], recording.records.state)
+
+
+@pytest.mark.parametrize("kept", [{"goal": GOAL}, {"target_coverage": None, "goal": None}])
+def test_only_an_exploration_that_coverage_ends_is_given_up(kept) -> None:
+    scenario = hall_scenario(give_up_after=0.6, **kept)
+    state = initial_loop_state(AHEAD, scenario).task
+    state = state._replace(gain=state.gain._replace(since=jnp.asarray(1e6)))
+    assert not bool(scenario.is_given_up(state))
+
+
+def test_the_patience_of_an_exploration_grows_with_the_map_and_falls_with_the_speed() -> None:
+    for speed in (0.5, 2.0):
+        robot = DifferentialDrive(max_speed=speed)
+        world = OccupancyGrid(np.zeros((300, 400), np.float32), 0.1)
+        assert default_give_up_after(world, robot) == pytest.approx(60.0 + 2.0 * 50.0 / speed)
+    with pytest.raises(ValueError, match="give_up_after"):
+        hall_scenario(goal=None, give_up_after=0.0)

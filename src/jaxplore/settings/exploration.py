@@ -346,6 +346,7 @@ class Settings(RunSettings):
     resolution: Spacing = setting(office, "resolution")
     time_limit: Duration = 900.0
     target_coverage: Share | None = setting(ExplorationScenario, "target_coverage")
+    give_up_after: Duration | None = setting(ExplorationScenario, "give_up_after")
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
     lidar: LidarSettings = LidarSettings()

@@ -175,6 +175,7 @@ class ExplorationData(RunData):
         goal: (2,) goal position [m]; None if there is no goal.
         finished_step: number of steps until the scenario was finished; None if it was not, or was
             finished before the first step.
+        given_up_step: number of steps until it was given up; None if it was not.
         control_half_range: (nu,) half the range between the bounds of each control.
         state_names: names of the components of the robot's state.
         robot_radius: radius of the robot [m].
@@ -220,6 +221,7 @@ class ExplorationData(RunData):
     member_names: tuple[str, ...]
     anomalies: AnomalyData | None = None
     objects: ObjectData | None = None
+    given_up_step: int | None = None
 
     def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""

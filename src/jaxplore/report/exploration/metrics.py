@@ -29,6 +29,8 @@ class ExplorationMetrics(Metrics):
     Args:
         coverage: share of the reachable cells that are known to be free at the end.
         target_coverage: coverage at which exploration is finished; None if it never is.
+        given_up_at: time at which it was given up, because nothing new was seen [s]; None if it was
+            not.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never. The record of step k holds the coverage measured at the
             beginning of that step, so the time is k control periods.
@@ -106,6 +108,7 @@ class ExplorationMetrics(Metrics):
     goal_distance: float | None
     command_jerk: float | None
     fault_steps: int
+    given_up_at: float | None = None
     stops: dict[str, int] = dataclasses.field(default_factory=dict)
     stopped_steps: int = 0
     collisions: int
@@ -218,6 +221,8 @@ class ExplorationMetrics(Metrics):
             self.target_coverage is not None or self.num_targets or self.goal_distance is not None
         )
         end = ", finished" if self.is_finished else ", not finished" if ends else ""
+        if self.given_up_at is not None:
+            end = ", given up"
         rows = [
             *self._coverage_rows(end),
             ("duration", f"{self.duration:.2f} s, {self.num_steps} steps"),
@@ -227,6 +232,9 @@ class ExplorationMetrics(Metrics):
             rows.append(("finished", f"after {self.finished_at:.2f} s"))
         if self.goal_distance is not None:
             rows.append(("goal", f"{self.goal_distance:.2f} m away"))
+        if self.given_up_at is not None:
+            left = percent(1.0 - self.coverage)
+            rows.append(("given up", f"nothing new to see; {left} unreachable or hidden"))
         if self.is_interrupted:
             rows.append(("interrupted", "by the user"))
         rows += [*self._level_rows(), *self._mission_rows(), *self._map_rows()]
@@ -253,8 +261,8 @@ class ExplorationMetrics(Metrics):
 
     @property
     def is_map_known(self) -> bool:
-        """Whether the map was known at the start, so that coverage does not judge the run."""
-        return self.time_to[str(LEVELS[-1])] == 0.0
+        """Whether the map was known in advance, so that coverage does not judge the run."""
+        return self.initial_unknown <= 1.0 - LEVELS[-1] / 100
 
     def _coverage_rows(self, end: str) -> list[tuple[str, str]]:
         if self.is_map_known:
@@ -342,11 +350,12 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         curve["targets"] = at_instants(records.targets_seen, 0.0)
     if recording.idleness is not None:
         curve["idleness"] = at_instants(records.mean_idleness, 0.0)
-    finished_at = _finished_at(recording, float(coverage[-1]))
+    finished_at, given_up = _finished_at(recording, float(coverage[-1])), recording.given_up_step
     mean_idleness, worst_idleness = idleness(recording)
     diversity, replaced = fusion_means(recording)
     return ExplorationMetrics(
         **recording.common_metrics(finished_at=finished_at, seed=seed),
+        given_up_at=None if given_up is None else given_up * period,
         coverage=float(coverage[-1]),
         target_coverage=recording.target_coverage,
         time_to={name: None if k is None else k * period for name, k in reached.items()},

@@ -1,19 +1,65 @@
-"""When an exploration is finished, and what counts then."""
+"""When an exploration is finished or given up, and what counts then."""
+
+import math
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from jaxplore._types import Flag, Position, Scalar
+from jaxplore.dynamics._bounds import bound_of_speed
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.report.exploration.data import MapProgress
 
+LEAST_GAIN = 1e-3
+"""Rise of the coverage that counts as progress: noise at walls makes smaller ones for ever."""
+PATIENCE = 60.0
+"""Time without progress beyond that of a drive across the map and back [s]."""
 
-def has_coverage_target(target_coverage: Scalar) -> bool:
+
+class Gain(NamedTuple):
+    """The last progress of an exploration.
+
+    Args:
+        coverage: coverage at that time.
+        since: time since then [s].
+    """
+
+    coverage: Scalar
+    since: Scalar
+
+    def after(self, coverage: Scalar, period: Scalar) -> "Gain":
+        """Return the last progress one period [s] later, with the coverage of that time."""
+        is_more = coverage >= self.coverage + LEAST_GAIN
+        return Gain(
+            jnp.where(is_more, coverage, self.coverage),
+            jnp.where(is_more, 0.0, self.since + period),
+        )
+
+
+def default_give_up_after(world: OccupancyGrid, robot: Dynamics) -> float:
+    """Return the time without progress after which an exploration is given up [s].
+
+    It is `PATIENCE + 2 L / v`: the robot may drive the diagonal L of the map twice at its greatest
+    speed v before it sees something new. A model without a greatest speed counts as 1 m/s.
+
+    Args:
+        world: the true map.
+        robot: model of the robot.
+    """
+    bound = bound_of_speed(robot)
+    speed = 1.0 if bound is None else float(bound)
+    return PATIENCE + 2.0 * world.resolution * math.hypot(*world.shape) / speed
+
+
+def has_coverage_target(target_coverage: Scalar) -> Flag:
     """Check whether there is a target coverage: one above 1, which none reaches, stands for none.
 
     Args:
         target_coverage: share of the reachable cells that must be known.
     """
-    return float(target_coverage) <= 1.0
+    return target_coverage <= 1.0
 
 
 def is_finished(

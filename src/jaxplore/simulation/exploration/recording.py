@@ -39,6 +39,8 @@ def make_recording(
     planted: PlantedAnomalies | None = None,
     objects: TrueObjects | None = None,
     recognition: Recognition | None = None,
+    *,
+    is_given_up: bool = False,
 ) -> ExplorationRecording:
     """Make the recording of a run.
 
@@ -56,6 +58,7 @@ def make_recording(
         planted: what differs from the prior map; none when absent.
         objects: the true objects; none when absent.
         recognition: how the robot recognises them.
+        is_given_up: whether the exploration was given up at the end.
     """
     after: ExplorationState = run.state.task
     world, ground = arrays.world, arrays.ground
@@ -65,6 +68,7 @@ def make_recording(
         **robot_fields(robot, start),
         # `finished` counts from the step that ended the task, that step included.
         finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
+        given_up_step=run.num_steps if is_given_up else None,
         target_coverage=float(target_coverage) if has_coverage_target(target_coverage) else None,
         targets=np.asarray(targets),
         member_names=member_names,

@@ -48,7 +48,12 @@ from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration import checks
 from jaxplore.simulation.exploration.agent_view import ExplorationView
 from jaxplore.simulation.exploration.clock import whole_steps
-from jaxplore.simulation.exploration.finish import default_objective, is_finished
+from jaxplore.simulation.exploration.finish import (
+    default_give_up_after,
+    default_objective,
+    has_coverage_target,
+    is_finished,
+)
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
@@ -77,6 +82,10 @@ class ExplorationScenario(Scenario):
       perception has a `Recognition`.
     - Without target coverage, goal and targets, as on a patrol: never before the time limit.
 
+    If only the coverage counts, the exploration is given up when the coverage has not risen by 0.1
+    % for `give_up_after`: what is left cannot be seen from where the robot fits, or is not worth a
+    drive. The run then ends without being finished.
+
     Cells that the world does not know to be free are solid. *Reachable* are the free cells that the
     centre of the robot's disc can reach from the start. Coverage is the share of them that the
     robot's map knows to be free.
@@ -97,6 +106,9 @@ class ExplorationScenario(Scenario):
             period.
         target_coverage: share of the reachable cells at which exploration is finished; None for
             never.
+        give_up_after: time without a rise of the coverage after which the exploration is given up
+            [s]; when absent a minute and the time of a drive along the diagonal of the map and
+            back.
         prior: map that the robot knows in advance, with the cells of the world; nothing when
             absent.
         goal: goal position (x, y) [m]; none when absent.
@@ -137,6 +149,7 @@ class ExplorationScenario(Scenario):
     steps_per_scan: Count
     steps_per_field: Count
     target_coverage: Scalar
+    give_up_after: Scalar
     goal: Position | None
     goal_radius: Scalar
     max_unknown: Scalar
@@ -161,6 +174,7 @@ class ExplorationScenario(Scenario):
         sensing_rate: float = 10.0,
         field_rate: float = 5.0,
         target_coverage: ArrayLike | None = 0.99,
+        give_up_after: ArrayLike | None = None,
         prior: OccupancyGrid | None = None,
         goal: Vector | None = None,
         goal_radius: ArrayLike | None = None,
@@ -216,6 +230,9 @@ class ExplorationScenario(Scenario):
         hover = _checks.number("hover_time", hover_time, at_least=0.0)
         self.hover_steps = on_device(np.asarray(round(hover * rate), np.int32))
         self.target_coverage = checks.checked_coverage(target_coverage)
+        if give_up_after is None:
+            give_up_after = default_give_up_after(world, robot)
+        self.give_up_after = _checks.scalar("give_up_after", give_up_after, above=0.0)
         self.map_arrays = MapArrays(world, known, reachable, ground).padded()
         if ground is not None:
             perception = eqx.tree_at(lambda each: each.ground, perception, self.map_arrays.ground)
@@ -340,11 +357,12 @@ class ExplorationScenario(Scenario):
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
-        """Check whether the loop continues: until the task is finished, plus the hover time.
+        """Check whether the loop continues: until the task is given up or finished, plus the hover
+        time.
 
         A scenario without a goal that is finished at the start takes no step.
         """
-        is_over = state.finished > self.hover_steps
+        is_over = (state.finished > self.hover_steps) | self.is_given_up(state)
         if self.goal is None and self.num_targets == 0:
             is_over = is_over | (self.is_finished(state) & (self.hover_steps == 0))
         return ~is_over
@@ -358,6 +376,17 @@ class ExplorationScenario(Scenario):
         position = self.robot.position(state.robot)
         end = (self.target_coverage, self.goal, self.goal_radius, self.max_unknown)
         return is_finished(position, state.progress, state.is_seen, *end)
+
+    def is_given_up(self, state: ExplorationState) -> Flag:
+        """Check whether the exploration is given up, as the class says.
+
+        Args:
+            state: the task's state.
+        """
+        if self.goal is not None or self.num_targets > 0:
+            return jnp.array(False)
+        is_judged = has_coverage_target(self.target_coverage) & (state.finished == 0)
+        return is_judged & (state.gain.since >= self.give_up_after)
 
     def progress(self, state: ExplorationState) -> tuple[float, str]:
         """Return a share of 0, because the time left is unknown, and the coverage in words."""
@@ -409,7 +438,11 @@ class ExplorationScenario(Scenario):
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
         end = (self.goal, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
-        local = make_recording(before, run, *parts, *end, names, planted, self.objects, how)
+        is_given_up = bool(self.is_given_up(run.state.task))
+        local = make_recording(
+            *(before, run, *parts, *end, names, planted, self.objects, how),
+            is_given_up=is_given_up,
+        )
         return local.moved(self.datum.offset)
 
     def true_world(self, state: ExplorationState, moment: Moment) -> TrueWorld:

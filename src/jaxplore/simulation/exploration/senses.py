@@ -143,6 +143,7 @@ class Senses(NamedTuple):
         return state._replace(
             belief=belief,
             progress=progress,
+            gain=state.gain.after(progress.coverage, period),
             is_seen=is_seen,
             ranges=mapped if guard is None else ranges,
             points=points,

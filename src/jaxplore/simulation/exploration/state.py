@@ -14,6 +14,7 @@ from jaxplore.belief.obstacles import Obstacles
 from jaxplore.control.guard import ScanPoints
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
+from jaxplore.simulation.exploration.finish import Gain
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import map_progress
 
@@ -25,6 +26,7 @@ class ExplorationState(NamedTuple):
         robot: (nx,) true state of the robot.
         belief: the robot's belief.
         progress: statistics of the known map, as of the last map update.
+        gain: the last rise of the coverage.
         finished: number of steps since the task was finished; 0 before.
         is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
         moving_obstacles: moving obstacles with their drawn starts; None without any.
@@ -35,6 +37,7 @@ class ExplorationState(NamedTuple):
     robot: StateVector
     belief: Belief
     progress: MapProgress
+    gain: Gain
     finished: Count
     is_seen: Bool[Array, " M"]
     moving_obstacles: MovingObstacles | None
@@ -73,10 +76,12 @@ def initial_state(
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
+    progress = map_progress(belief, reachable, jnp.zeros(()))
     return ExplorationState(
         robot=start,
         belief=belief,
-        progress=map_progress(belief, reachable, jnp.zeros(())),
+        progress=progress,
+        gain=Gain(progress.coverage, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),
         is_seen=jnp.zeros(num_targets, bool),
         moving_obstacles=moving,
