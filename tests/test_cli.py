@@ -157,6 +157,10 @@ def test_one_file_describes_a_run_and_a_drive(fails) -> None:
         (["run", "office", "--robot", "submarine"], "robot.model is 'submarine'; accepted: 'diff"),
         (["run", "office", "--set", "robot.wings=2"], "unknown setting robot.wings; accepted here"),
         (
+            ["run", "office", "--set", "a\udcffb=1"],
+            "a setting is named 'a\\udcffb'; accepted: text",
+        ),
+        (
             ["run", "office", "--set", "wings=2"],
             "unknown setting wings; accepted here: start, time_limit, seed, parameters, latency",
         ),

@@ -247,6 +247,15 @@ def test_other_folders_are_refused_and_left_alone(
     )
 
 
+@pytest.mark.parametrize("name", ["results.parquet", "results.html"])
+def test_a_folder_in_place_of_a_file_is_refused_before_the_runs(
+    store: Store, plan: Plan, name: str
+) -> None:
+    (store.folder / name).mkdir()
+    with pytest.raises(ValueError, match=f"its {name} is a folder; accepted: a file"):
+        open_store(store.folder, plan)
+
+
 def test_reading_needs_a_comparison(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"holds no comparison\.json; accepted: the folder of a"):
         open_store(tmp_path / "gone")

@@ -73,6 +73,7 @@ DAMAGE = {
     "names": sql("UPDATE study_system_attributes SET value_json = '[1, 2]'"),
     "two values": sql("UPDATE trial_values SET objective = 1"),
     "no state": sql("UPDATE trials SET state = 'DONE'"),
+    "equal numbers": sql("UPDATE trials SET number = 0"),
     "no verdict": sql("DELETE FROM trial_user_attributes WHERE key = 'verdict'"),
     "a list": sql(EPISODE.format("[]")),
     "a text": sql(EPISODE.format('{"metrics": {"cost": "x"}, "error": null, "is_cut": false}')),
@@ -136,3 +137,13 @@ def test_a_study_that_cannot_be_written_any_more_is_one_line(tmp_path: Path) -> 
     text = r"study\.db' cannot be read or written: .*; accepted: a folder"
     with pytest.raises(ValueError, match=text):
         search()
+
+
+@pytest.mark.parametrize("name", ["{}", "{0}", "%41", "a?b=c#d", "a b"])
+def test_a_folder_may_have_any_name(name: str, tmp_path: Path) -> None:
+    for budget in (1, 2):
+        with open_study(SEARCH, EPISODES, tmp_path / name) as study:
+            study.run(budget)
+    assert [each.name for each in tmp_path.iterdir()] == [name]
+    with closing(sqlite3.connect(tmp_path / name / "study.db")) as database:
+        assert database.execute("SELECT COUNT(*) FROM trials").fetchone() == (2,)

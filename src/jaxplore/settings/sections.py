@@ -240,6 +240,11 @@ def _one_line(
     value: object,
     message: str,
 ) -> str:
+    if not where:
+        # A name that is no text, or no mapping at all.
+        names = value if isinstance(value, dict) else {}
+        wrong = next((each for each in names if not _is_text(each)), value)
+        return f"a setting is named {short_repr(wrong)}; accepted: text in UTF-8"
     if where[0] == "parameters" and len(where) > 2:
         # Behind the path of a parameter there is the type that was tried, one of two.
         where, message = where[:2], "a number or a list of numbers"
@@ -259,6 +264,17 @@ def _one_line(
         message = f"at most {most[1]} entries" if most else message
     accepted = message.removeprefix("Input should be ")
     return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
+
+
+def _is_text(name: object) -> bool:
+    """Check whether a name is text that can be encoded."""
+    if not isinstance(name, str):
+        return False
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def section_class(annotation: Any) -> type[BaseModel] | None:

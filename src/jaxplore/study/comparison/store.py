@@ -252,6 +252,10 @@ def open_store(
     # The folder is made here, because `put` writes into an existing one.
     with in_one_line(_WHAT, target):
         (target / RUNS).mkdir(parents=True, exist_ok=True)
+    # A file that cannot be replaced is said before the runs, not after them.
+    for name in (RESULTS, PAGE, MARK):
+        if (target / name).is_dir():
+            raise ValueError(f"{where}: its {name} is a folder; accepted: a file")
     store = Store(target)
     if former is not None:
         document = _together(former, document, store, where)

@@ -1,5 +1,6 @@
 """Check a former study before Optuna opens it, which may write into any database."""
 
+import functools
 import math
 import shutil
 import sqlite3
@@ -63,16 +64,23 @@ def former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
             # Without a study, only the versions of the tables may be there.
             if not names and any(held[each] for each in held.keys() - _VERSIONS):
                 raise ValueError("it holds the rest of a study")
-            yield optuna.load_study(study_name=name, storage=storage) if names else None
+            study = optuna.load_study(study_name=name, storage=storage) if names else None
+            # Optuna takes trials of equal numbers for one.
+            if study is not None and len(study.get_trials(deepcopy=False)) != _num_trials(copy):
+                raise ValueError("numbers of its trials are equal")
+            yield study
         finally:
             close_storage(storage)
 
 
 def storage_at(optuna: Any, path: Path) -> Any:
     """Open Optuna's storage in a file."""
-    # One connection per transaction, so that no file stays open in between.
-    options = {"poolclass": import_optional("sqlalchemy.pool", "tuning").NullPool}
-    return optuna.storages.RDBStorage(f"sqlite:///{path.absolute()}", engine_kwargs=options)
+    # One connection per transaction, so that no file stays open in between. In a URL, names with
+    # braces, a question mark or a percent sign would mean something else than a path.
+    connect = functools.partial(sqlite3.connect, path.absolute(), check_same_thread=False)
+    pool = import_optional("sqlalchemy.pool", "tuning").NullPool
+    options = {"poolclass": pool, "creator": connect}
+    return optuna.storages.RDBStorage("sqlite:///study.db", engine_kwargs=options)
 
 
 def close_storage(storage: Any) -> None:
@@ -107,6 +115,12 @@ def _filled_tables(path: Path) -> dict[str, bool]:
             name: database.execute(f'SELECT 1 FROM "{name}" LIMIT 1').fetchone() is not None
             for (name,) in names
         }
+
+
+def _num_trials(path: Path) -> int:
+    """Return the number of trials in a database."""
+    with closing(sqlite3.connect(path)) as database:
+        return int(database.execute("SELECT COUNT(*) FROM trials").fetchone()[0])
 
 
 def check_content(study: Any, search: Search) -> None:
