@@ -12,13 +12,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore.belief.descent import descent, extend
+from jaxplore.belief.geodesic import _relax, geodesic
 from jaxplore.belief.guidance import (
+    NARROW_PRICE,
     TurnsOnTheSpot,
-    _relax,
-    geodesic,
 )
 from jaxplore.belief.guidance import descent_field as to_go
-from jaxplore.belief.perception_checks import safe_stride
+from jaxplore.belief.perception_checks import narrowest, safe_stride
 from jaxplore.belief.tiles import Outline, Tiling, relaxed_by_tiles, relaxed_everywhere
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.frame import GridFrame
@@ -33,8 +33,12 @@ def by_dijkstra(
     slowness: np.ndarray,
     is_open: np.ndarray,
     blocked: np.ndarray | None = None,
+    corners: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the cost-to-go; both cells beside a diagonal step must not be `blocked`."""
+    """Return the cost-to-go; both cells beside a diagonal step must not be `blocked`.
+
+    `corners` are the corners after each node that a diagonal step may pass.
+    """
     height, width = initial.shape
     blocked = np.zeros(initial.shape, bool) if blocked is None else blocked
     edges = []
@@ -45,6 +49,8 @@ def by_dijkstra(
                 if not (r < height and 0 <= c < width and is_open[row, column] and is_open[r, c]):
                     continue
                 if blocked[row, c] or blocked[r, column]:
+                    continue
+                if corners is not None and down and right and not corners[row, min(column, c)]:
                     continue
                 length = np.hypot(down, right) * (slowness[row, column] + slowness[r, c]) / 2
                 edges.append((row * width + column, r * width + c, length))
@@ -323,6 +329,106 @@ def test_no_block_is_beside_one_on_the_other_side_of_a_thin_wall(
 
     left, right = blocks(fits & (across > 0)), blocks(fits & (across < 0))
     assert not (binary_dilation(left, np.ones((3, 3))) & right).any()
+
+
+@given(
+    st.one_of(st.sampled_from([math.pi / 4, 3 * math.pi / 4]), st.floats(0, math.pi)),
+    st.one_of(st.sampled_from([0.0, math.sqrt(0.125), math.sqrt(0.5)]), st.floats(-4, 4)),
+    st.integers(2, 6),
+    st.booleans(),
+    st.floats(0.0, 1.0),
+)
+def test_no_narrow_block_is_beside_one_on_the_other_side_of_a_wall(
+    angle: float, offset: float, stride: int, is_thick: bool, more: float
+) -> None:
+    """With free cells at the corner of a diagonal step, a smaller clearance is safe."""
+    size = 8 * stride
+    rows, columns = np.mgrid[:size, :size] + 0.5 - size / 2
+    across = rows * math.sin(angle) + columns * math.cos(angle) - offset
+    steep = max(abs(math.sin(angle)), abs(math.cos(angle)))
+    wall = np.abs(across) <= (0.75 if is_thick else 0.5 * steep + 1e-9)
+    fits = distance_transform_edt(~wall) - 0.5 >= narrowest(stride, 1.0) + more - 1e-4
+
+    def blocks(cells: np.ndarray) -> np.ndarray:
+        return cells.reshape(8, stride, 8, stride).any(axis=(1, 3))
+
+    left, right = blocks(fits & (across > 0)), blocks(fits & (across < 0))
+    for row, column in np.argwhere(left):
+        for down, over in itertools.product((-1, 0, 1), repeat=2):
+            r, c = row + down, column + over
+            if 0 <= r < 8 and 0 <= c < 8 and right[r, c]:
+                # Only a diagonal step may lead there, and a cell at its corner is in the wall.
+                assert down
+                assert over
+                y, x = max(row, r) * stride, max(column, c) * stride
+                assert wall[y - 1 : y + 1, x - 1 : x + 1].any()
+
+
+@jax.jit
+def narrow_roads(blocked, source):
+    """Return the lattice of a robot that takes narrow passages, its lengths and its fields."""
+    clearance = clearance_field(blocked, GridFrame(0.1), 2.0)
+    required = jnp.float32(WIDE)
+    roads = TurnsOnTheSpot(jnp.float32(NARROW)).roadmap(clearance, required, 2)
+    wide = TurnsOnTheSpot().roadmap(clearance, required, 2)
+    return roads, roads.lengths(source), roads.field(source), wide.field(source)
+
+
+WIDE, NARROW = 0.25, 0.15
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_narrow_passages_cost_more_and_no_path_ends_in_them(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    size = 24
+    blocked = rng.random((size, size)) < 0.02
+    for _ in range(2):
+        line, first, last = rng.integers(0, size), *np.sort(rng.integers(0, size, 2))
+        blocked[line, first:last] = True
+        blocked[first:last, rng.integers(0, size)] = True
+    source = np.where(rng.random((12, 12)) < 0.05, rng.uniform(1, 9, (12, 12)), np.inf)
+    roads, found, *_ = narrow_roads(blocked, source.astype(np.float32))
+    room = (distance_transform_edt(np.pad(~blocked, 1))[1:-1, 1:-1] - 0.5) * 0.1
+    room = np.minimum(room, 2.0).reshape(12, 2, 12, 2).max(axis=(1, 3))
+    is_open, fits = room >= WIDE - 1e-4, room >= NARROW - 1e-4
+    tight = np.clip(1.0 - (room - WIDE) / WIDE / 2.0, 0.0, 1.0)
+    slowness = 0.2 * np.where(is_open, 1.0 + tight, NARROW_PRICE)
+    corners = np.zeros((12, 12), bool)
+    for row, column in itertools.product(range(11), repeat=2):
+        cells = blocked[2 * row + 1 : 2 * row + 3, 2 * column + 1 : 2 * column + 3]
+        is_wide = (is_open | ~fits)[row : row + 2, column : column + 2].all()
+        corners[row, column] = is_wide or not cells.any()
+    expected = by_dijkstra(np.where(is_open, source, np.inf), slowness, fits, corners=corners)
+    np.testing.assert_array_equal(roads.is_narrow, fits & ~is_open)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("length", [2, 12])
+def test_a_field_falls_through_a_narrow_passage_and_is_else_as_without(turn, length) -> None:
+    # Two rooms, a passage four cells wide between them, and a source in the second room.
+    blocked = np.zeros((48, 48), bool)
+    blocked[:, 20 : 20 + length] = True
+    blocked[22:26, :] = False
+    source = np.full((24, 24), np.inf, np.float32)
+    source[4, 20] = 0.0
+    blocked, source = np.rot90(blocked, turn), np.rot90(source, turn)
+    _, lengths, field, wide = narrow_roads(blocked, source)
+    start = np.rot90(np.eye(1, 576, 18 * 24 + 3).reshape(24, 24), turn)
+    (node,) = np.argwhere(start)
+    assert np.isfinite(lengths[tuple(node)])
+    place = (node[::-1] + 0.5) * 0.2
+    costs = [float(field(jnp.asarray(place, jnp.float32)))]
+    for _ in range(400):
+        place = place + 0.05 * np.asarray(field.direction(jnp.asarray(place, jnp.float32)))
+        costs.append(float(field(jnp.asarray(place, jnp.float32))))
+    target = (np.argwhere(source == 0.0)[0][::-1] + 0.5) * 0.2
+    assert np.hypot(*(place - target)) < 0.15
+    assert np.diff(costs).max() < 0.3
+    # In the room with the source nothing has changed, its walls included.
+    far = np.rot90(np.arange(24)[None, :] >= (20 + length) // 2 + 4, turn) & np.ones((24, 24), bool)
+    np.testing.assert_allclose(field.values[far], wide.values[far], rtol=1e-5)
+    np.testing.assert_allclose(field.descent[:, far], wide.descent[:, far], atol=1e-5)
 
 
 def test_a_diagonal_wall_bounds_the_stride() -> None:

@@ -1,5 +1,6 @@
 """Mutations of valid files of every format, by hypothesis."""
 
+import copy
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -134,7 +135,8 @@ def _changed(tree: Any, changes: Sequence[tuple[str, int, Any, int]]) -> Any:
             # Through text: an entry that holds itself would be an alias.
             holder[key] = yaml.safe_load(yaml.safe_dump(source[name]))
         else:
-            holder[key] = value
+            # Of a value that is shared later changes would change all later files as well.
+            holder[key] = copy.deepcopy(value)
     return tree
 
 

@@ -34,14 +34,14 @@ def stepped(
         step: rows and columns of the step.
         corners: mask (H, W) of the corners that a diagonal step may pass.
     """
-    there = _shifted(mask, step)
-    return there & _shifted(corners, corner_of(step)) if all(step) else there
+    there = neighbour(mask, step)
+    return there & neighbour(corners, corner_of(step)) if all(step) else there
 
 
-def _shifted(values: Array, step: tuple[int, int]) -> Array:
-    """Return the value of the neighbour of each node by a step; 0 off the map."""
+def neighbour(values: Array, step: tuple[int, int], outside: float | bool = False) -> Array:
+    """Return the value of the neighbour of each node by a step; `outside` off the map."""
     height, width = values.shape
-    padded = jnp.pad(values, 1)
+    padded = jnp.pad(values, 1, constant_values=outside)
     down, right = step
     return padded[1 + down : 1 + down + height, 1 + right : 1 + right + width]
 
@@ -104,7 +104,7 @@ def _saddles(value: Float[Array, "H W"], corners: Bool[Array, "H W"] | None) -> 
             mean = 0.5 * (shifted(down, 0) + shifted(0, right))
             is_between = jnp.isinf(value) & jnp.isinf(shifted(down, right))
             if corners is not None:
-                is_between &= _shifted(corners, corner_of((down, right)))
+                is_between &= neighbour(corners, corner_of((down, right)))
             least = jnp.minimum(least, jnp.where(is_between, mean, jnp.inf))
     return least
 
@@ -137,7 +137,7 @@ def descent(
         fall = jnp.where(jnp.isfinite(fall), jnp.maximum(fall, 0.0), 0.0) / length
         if corners is not None and down and right:
             # A node on the other side of a wall may be lower.
-            fall = jnp.where(_shifted(corners, corner_of((down, right))), fall, 0.0)
+            fall = jnp.where(neighbour(corners, corner_of((down, right))), fall, 0.0)
         unit = jnp.asarray([down / length, right / length])
         vector = vector + fall * unit[:, None, None]
 

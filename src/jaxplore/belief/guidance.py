@@ -11,8 +11,8 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
-from jaxplore.belief.descent import NEIGHBOURS, corner_of, descent, extend, stepped
-from jaxplore.belief.tiles import Part, relaxed
+from jaxplore.belief.descent import NEIGHBOURS, descent, extend, stepped
+from jaxplore.belief.geodesic import geodesic, narrow_passages
 from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import length
 from jaxplore.maps.field import ScalarField, Stencil, gather, stencil
@@ -22,12 +22,13 @@ from jaxplore.maps.lattice_figure import lattice_figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-DIAGONAL = 2.0**0.5
-"""Length of a step to a diagonal neighbour [node spacings]."""
 ROOMY = 3.0
 """Ratio of clearance to required clearance above which a path has no extra cost."""
 LAYERS = 4
 """Number of layers of closed nodes into which the fields of the robot are extended."""
+NARROW_PRICE = 30.0
+"""Cost of a metre in a passage without the margin: such a passage is taken when little else is
+left, and still before the places with little information."""
 
 
 class GuidanceField(eqx.Module):
@@ -109,12 +110,15 @@ class Roadmap(eqx.Module):
         is_open: mask (H, W) of the nodes at which the robot fits.
         corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`;
             None for all.
+        is_narrow: mask (H, W) of the further nodes at which the robot fits without its margin.
+            Paths lead through them, at a high price, and do not end there. None without such.
     """
 
     frame: GridFrame
     slowness: Float[Array, "H W"]
     is_open: Bool[Array, "H W"]
     corners: Bool[Array, "H W"] | None
+    is_narrow: Bool[Array, "H W"] | None = eqx.field(default=None, kw_only=True)
 
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
@@ -122,7 +126,11 @@ class Roadmap(eqx.Module):
         Args:
             source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
         """
-        return geodesic(source, self.slowness, self.is_open, self.corners)
+        if self.is_narrow is None:
+            return geodesic(source, self.slowness, self.is_open, self.corners)
+        source = jnp.where(self.is_open, source, jnp.inf)
+        passable = self.is_open | self.is_narrow
+        return geodesic(source, self.slowness, passable, self.corners)
 
     def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
         """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
@@ -134,7 +142,7 @@ class Roadmap(eqx.Module):
 
     def field(self, source: Float[Array, "H W"]) -> GuidanceField:
         """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
-        return descent_field(self.lengths(source), self.frame, LAYERS, self.corners)
+        return self._extended(self.lengths(source))
 
     def field_and_cost(
         self, source: Float[Array, "H W"], pose: Pose
@@ -142,7 +150,17 @@ class Roadmap(eqx.Module):
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         lengths = self.lengths(source)
         start = self.sources_at(pose[:2])
-        return descent_field(lengths, self.frame, LAYERS, self.corners), (start + lengths).min()
+        return self._extended(lengths), (start + lengths).min()
+
+    def _extended(self, lengths: Float[Array, "H W"]) -> GuidanceField:
+        """Return a cost-to-go as a field, extended into closed nodes."""
+        if self.is_narrow is not None:
+            # Narrow nodes along walls are closed, so that a wall looks to the robot as without
+            # them.
+            half = 0.5 * jnp.where(jnp.isfinite(lengths), self.slowness, jnp.inf)
+            is_used = narrow_passages(lengths, half, self.is_narrow, self.corners)
+            lengths = jnp.where(self.is_narrow & ~is_used, jnp.inf, lengths)
+        return descent_field(lengths, self.frame, LAYERS, self.corners)
 
 
 Price = Callable[[Array], Array]
@@ -191,7 +209,15 @@ class Locomotion(eqx.Module):
 
 
 class TurnsOnTheSpot(Locomotion):
-    """Locomotion of a robot whose paths do not depend on its heading."""
+    """Locomotion of a robot whose paths do not depend on its heading.
+
+    Args:
+        narrow: clearance from which paths lead through passages that are too narrow for the
+            required clearance, at `NARROW_PRICE` [m]; no such paths when absent. It must be at
+            least `narrowest`.
+    """
+
+    narrow: Scalar | None = None
 
     def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
         """Return a field that is 0 everywhere."""
@@ -207,10 +233,16 @@ class TurnsOnTheSpot(Locomotion):
     ) -> Roadmap:
         """Build the lattice of places in which the robot fits; see `Locomotion`."""
         frame = clearance.frame.coarsen(stride, stride / 2.0)
-        is_open, tightness = fit(block_maximum(clearance.values, stride), required)
+        room = block_maximum(clearance.values, stride)
+        is_open, tightness = fit(room, required)
         slowness = frame.resolution * price(tightness)
+        corners, is_narrow = clear_corners(clearance, stride), None
+        if self.narrow is not None:
+            is_narrow = fit(room, self.narrow)[0] & ~is_open
+            slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
+            corners = _corners_at(is_narrow, clearance, stride)
         slowness = slowness if factor is None else slowness * factor
-        return Roadmap(frame, slowness, is_open, clear_corners(clearance, stride))
+        return Roadmap(frame, slowness, is_open, corners, is_narrow=is_narrow)
 
 
 def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "rows columns"]:
@@ -248,12 +280,33 @@ def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | N
         clearance: distance to the nearest blocked cell, 0 in blocked cells [m].
         stride: number of cells on a side of a block; static.
     """
-    if stride > 1:
-        return None
-    height, width = clearance.values.shape
-    # Off the map everything is blocked.
-    is_clear = jnp.pad(clearance.values > 0.0, ((0, 1), (0, 1)))
-    parts = [is_clear[i : i + height, j : j + width] for i in (0, 1) for j in (0, 1)]
+    return _block_corners(clearance.values > 0.0, 1) if stride == 1 else None
+
+
+def _corners_at(
+    is_narrow: Bool[Array, "H W"], clearance: ScalarField, stride: int
+) -> Bool[Array, "H W"]:
+    """Return the mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`.
+
+    Blocks of several cells may touch on two sides of a wall where one of them is narrow, with the
+    wall at the corner between them (`narrowest`). So there the cells at the corner must be free.
+    """
+    rows, columns = is_narrow.shape
+    is_clear = _block_corners(clearance.values > 0.0, stride)[:rows, :columns]
+    return is_clear if stride == 1 else is_clear | _block_corners(~is_narrow, 1)
+
+
+def _block_corners(is_clear: Bool[Array, "rows columns"], stride: int) -> Bool[Array, "H W"]:
+    """Return where all four cells at the corner after each block are clear; none off the map."""
+    height, width = is_clear.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    # The last blocks are completed, and followed by one more cell.
+    padded = jnp.pad(is_clear, ((0, rows * stride - height + 1), (0, columns * stride - width + 1)))
+    parts = [
+        padded[i + stride - 1 :: stride, j + stride - 1 :: stride][:rows, :columns]
+        for i in (0, 1)
+        for j in (0, 1)
+    ]
     return functools.reduce(jnp.logical_and, parts)
 
 
@@ -339,62 +392,3 @@ def nearest_open(
         cost = jnp.where(is_reached, cost, jnp.inf)
     # With the nearest node alone, paths from other sides would pass the point and come back.
     return jnp.where(cost <= cost.min() + spacing, cost, jnp.inf)
-
-
-def geodesic(
-    initial: Float[Array, "H W"],
-    slowness: Float[Array, "H W"],
-    is_open: Bool[Array, "H W"],
-    corners: Bool[Array, "H W"] | None = None,
-) -> Float[Array, "H W"]:
-    """Return the cost-to-go `min over s of initial(s) + cost of the shortest path from s`.
-
-    Paths connect each open node with its 8 neighbours, with the diagonal ones only past a clear
-    corner. A step of length l, in node spacings, costs
-    `l * (slowness(from) + slowness(to)) / 2`. The values are those of Dijkstra's algorithm, found
-    by relaxing many nodes at once until none changes (Bellman-Ford), which on a grid is a minimum
-    of shifted arrays.
-
-    Args:
-        initial: cost (H, W) at the sources; infinite elsewhere.
-        slowness: cost (H, W) per node spacing, > 0.
-        is_open: mask (H, W) of the nodes that paths may use.
-        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`; all
-            when absent.
-    """
-    # Split each step's cost in two: leave with the neighbour's half, arrive with the own half.
-    half = 0.5 * jnp.where(is_open, slowness, jnp.inf)
-    start = jnp.where(is_open, initial, jnp.inf)
-    parts = [Part(half, jnp.inf, 1)]
-    if corners is not None:
-        parts.append(Part(jnp.where(corners, 0.0, jnp.inf), jnp.inf, 1))
-    return relaxed(start, parts, _relax, 1)
-
-
-def _relax(value: Array, half: Array, detour: Array | None = None) -> Array:
-    """Return the least cost-to-go by a step to a neighbour.
-
-    Args:
-        value: cost-to-go with a margin of 1.
-        half: half the cost of a step of one node spacing, likewise.
-        detour: what a diagonal step past each corner costs more, likewise; 0 when absent.
-    """
-    height, width = value.shape[0] - 2, value.shape[1] - 2
-
-    def shifted(values: Array, down: int, right: int) -> Array:
-        return values[1 + down : 1 + down + height, 1 + right : 1 + right + width]
-
-    own = shifted(half, 0, 0)
-    # Take the minimum over straight and over diagonal neighbours before adding the node's own half,
-    # which saves an addition per neighbour.
-    leaving, leaving_diagonally = value + half, value + DIAGONAL * half
-    along = [shifted(leaving, *step) for step in NEIGHBOURS[:4]]
-    across = [
-        shifted(leaving_diagonally, *step)
-        + (0.0 if detour is None else shifted(detour, *corner_of(step)))
-        for step in NEIGHBOURS[4:]
-    ]
-    return jnp.minimum(
-        functools.reduce(jnp.minimum, along) + own,
-        functools.reduce(jnp.minimum, across) + DIAGONAL * own,
-    )

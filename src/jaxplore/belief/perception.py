@@ -20,7 +20,13 @@ from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
 from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTheSpot
 from jaxplore.belief.idleness import IdlenessMap
-from jaxplore.belief.perception_checks import as_scans, as_sensors, checked_test, safe_stride
+from jaxplore.belief.perception_checks import (
+    as_scans,
+    as_sensors,
+    checked_test,
+    narrowest,
+    safe_stride,
+)
 from jaxplore.belief.recognition import Recognition
 from jaxplore.belief.standing import freed_below
 from jaxplore.belief.zones import unknown_fraction
@@ -34,6 +40,8 @@ from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
+NARROW_SHARE = 0.4
+"""Share of the margin that a robot keeps in passages that are too narrow for all of it."""
 MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
@@ -69,7 +77,8 @@ class Perception(eqx.Module):
         node_spacing: distance between the nodes of the fields [m]; rounded to whole cells, and
             reduced so that no path can jump a wall.
         max_clearance: upper bound of the clearance field [m]; raised if the robot needs more.
-        margin: clearance that a path needs beyond the radius [m].
+        margin: clearance that a path needs beyond the radius [m]. A robot that turns on the spot
+            takes passages with 40 % of it when little else is left (`NARROW_PRICE`).
         decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat]; below 3 % of it, a place
             is ignored.
@@ -165,7 +174,12 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius), float(self.required_clearance)),
         )
         nodes = self.field_sensor.stride * self.resolution
-        self.locomotion = TurnsOnTheSpot() if car is None else car.lattice(nodes)
+        least = narrowest(self.field_sensor.stride, self.resolution)
+        narrow = computed(
+            lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
+            *(radius, margin),
+        )
+        self.locomotion = TurnsOnTheSpot(narrow) if car is None else car.lattice(nodes)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
         # metres, because the bound is static: robots of similar radius share a compiled program.
         self.max_clearance = max(

@@ -105,3 +105,21 @@ def safe_stride(
     while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) >= apart:
         stride -= 1
     return stride
+
+
+def narrowest(stride: int, resolution: float) -> float:
+    """Return the least clearance at which no path can jump a wall whose corners are checked [m].
+
+    It is that of `safe_stride` for a stride s: with R the clearance plus half a cell, two open
+    cells on two sides of a wall are at least `2 sqrt(R^2 - 1/2)` cells apart. Two such cells in
+    adjacent blocks that are `sqrt(2) (2 s - 1)` cells apart have the wall at the corner between
+    the blocks, where a step needs free cells. All others are at most
+    `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
+
+    Args:
+        stride: number of cells between nodes.
+        resolution: side of a map cell [m].
+    """
+    apart = math.hypot(2.0 * stride - 1.0, 2.0 * stride - 2.0)
+    # The tolerance counts equal lengths as a path that jumps.
+    return resolution * (math.sqrt(0.25 * apart**2 + 0.5) - 0.5 + 1e-3)
