@@ -1,5 +1,6 @@
 """Commands of ours and of the peers, each in its own environment, on the same problems."""
 
+import dataclasses
 import json
 import os
 import subprocess
@@ -9,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.control_problems import Problem, build, map_problem, quadrotor_problem, timed_step
 from jaxplore import MPPI, State
+from jaxplore.control import GaussianProposal, NoiseBank
 
 PEERS = Path(__file__).parent / ".peers"
 TORCH_PEER = PEERS / "torch"
@@ -40,6 +43,11 @@ def measure() -> list[dict[str, Any]]:
             controller = build(problem, variant)
             ours = [timed_step(controller, problem["start"])]
             theirs: list[dict[str, Any]] = []
+            if name == "quadrotor, plain":
+                # What our quadrotors fly with: peers draw new numbers for each command.
+                banked = build(problem, variant, proposal=_bank(problem))
+                took = timed_step(banked, problem["start"])
+                theirs.append(_peer_row("jaxplore, bank of noise", dataclasses.asdict(took)))
             paid = _probe(controller, problem)
             for peer, command in _commands(file, variant).items():
                 result = run_peer(peer, command, folder)
@@ -61,6 +69,12 @@ def measure() -> list[dict[str, Any]]:
             rows.append({"": title, **_peer_row("jaxplore", times)})
             rows.extend({"": title, **row} for row in theirs)
     return rows
+
+
+def _bank(problem: Problem) -> GaussianProposal:
+    """Return noise from a bank of draws."""
+    shape = (problem["horizon"], len(problem["noise_std"]), problem["num_samples"])
+    return GaussianProposal(problem["noise_std"], noise=NoiseBank(shape, key=jax.random.key(0)))
 
 
 def _variants(result: dict[str, Any] | None) -> list[tuple[str, dict[str, Any] | None]]:
