@@ -14,6 +14,7 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,8 @@ LEAST_DETOUR = 0.1
 """Detours count as at least this long, so that free ones do not win by a cell [cells]."""
 WARM = 0.02
 """Share by which a tour may be longer than the present one and still replace it at first."""
+MOST_KEPT = 2**28
+"""Bytes of views of ways that are kept; then they are computed again."""
 _TIGHTENINGS = 6
 _CORRECTIONS = 6
 _HALVINGS = 7
@@ -138,8 +141,14 @@ class Planner:
     def _pair(self, first: int, last: int) -> np.ndarray:
         key = min(first, last), max(first, last)
         if key not in self._between:
+            self._forget(self._between)
             self._between[key] = union(self.views[self.roads.stops(*key)], self._blank)
         return self._between[key]
+
+    def _forget(self, kept: dict[Any, np.ndarray]) -> None:
+        """Forget views of ways when there are many: large maps have large views."""
+        if len(kept) * self._blank.nbytes > MOST_KEPT:
+            kept.clear()
 
     def _is_enough(self, stops: Sequence[int], needed: int) -> bool:
         return int(count(self._seen(stops))) >= needed
@@ -236,6 +245,7 @@ class Planner:
             along = np.arange(number) * self.problem.scan_step / max(math.dist(first, last), 1e-9)
             places = first + np.minimum(np.append(along, 1.0), 1.0)[:, None] * (last - first)
             yaws = np.full(len(places), self.problem.heading(first, last))
+            self._forget(self._segments)
             self._segments[key] = union(self.sight.views(places, yaws), self._blank)
         return self._segments[key]
 
