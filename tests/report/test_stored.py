@@ -128,3 +128,10 @@ def test_a_recording_of_other_things_is_saved_but_cannot_be_loaded(recording, tm
     save_run(other, other.metrics(), tmp_path / "run", animation=False)
     with pytest.raises(ValueError, match="is not there or not a file; accepted: a run folder"):
         Run.load(tmp_path / "run")
+
+
+def test_a_folder_without_a_newer_field_has_its_default(recording, tmp_path) -> None:
+    folder = tmp_path / "run"
+    save_run(recording, recording.metrics(), folder, animation=False)
+    restructured(folder, lambda structure: structure["fields"].pop("given_up_step"))
+    assert Run.load(folder).recording.given_up_step is None

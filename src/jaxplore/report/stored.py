@@ -182,10 +182,18 @@ def _known(base: type, name: object) -> Any:
 
 
 def _check_fields(kind: Any, given: Mapping[str, Any]) -> None:
-    expected = {field.name for field in dataclasses.fields(kind)}
-    if set(given) != expected:
-        names = ", ".join(sorted(set(given) ^ expected))
+    fields = dataclasses.fields(kind)
+    # A field with a default may be newer than the file.
+    needed = {each.name for each in fields if not _has_default(each)}
+    wrong = (set(given) - {each.name for each in fields}) | (needed - set(given))
+    if wrong:
+        names = ", ".join(sorted(wrong))
         raise ValueError(f"fields of {kind.__name__} are missing or unknown: {names}")
+
+
+def _has_default(field: dataclasses.Field[Any]) -> bool:
+    missing = dataclasses.MISSING
+    return field.default is not missing or field.default_factory is not missing
 
 
 def _unpacked(packed: Any, hint: Any, arrays: Mapping[str, np.ndarray]) -> Any:
