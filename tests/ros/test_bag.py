@@ -297,6 +297,9 @@ def test_what_is_no_bag_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         changed = {"rosbag2_bagfile_information": {**about, "relative_file_paths": files}}
         (folder / "metadata.yaml").write_text(yaml.safe_dump(changed))
         check(folder, reason)
+    changed = {"rosbag2_bagfile_information": {**about, "files": "drive.db3"}}
+    (folder / "metadata.yaml").write_text(yaml.safe_dump(changed))
+    check(folder, "names no files")
     (folder / "metadata.yaml").write_text(yaml.safe_dump(entries))
     assert bag_topics(folder)
     monkeypatch.setattr(bag, "COUNT_LIMIT", 3)

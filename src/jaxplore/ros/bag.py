@@ -207,7 +207,13 @@ def _check_files(path: Path) -> None:
         entries = read_yaml(path / _METADATA, of="bag", limit=METADATA_LIMIT)
         about = entries.get("rosbag2_bagfile_information")
         names = about.get("relative_file_paths") if isinstance(about, dict) else None
-        if not isinstance(about, dict) or not isinstance(names, list):
+        # When it closes, the reader empties `files`, and fails if that is something else.
+        listed = about.get("files", []) if isinstance(about, dict) else None
+        if (
+            not isinstance(about, dict)
+            or not isinstance(names, list)
+            or not isinstance(listed, list)
+        ):
             raise ValueError(f"{_METADATA} of bag {where!r} names no files; accepted: {accepted}")
         if about.get("compression_mode") not in (None, "", "none", "NONE"):
             # The reader would unpack it without a limit.
