@@ -15,8 +15,6 @@ from .outcomes import Call, Judged, Outcome, judge, judge_stop
 from .trials import Trials
 
 NUM_CASES, NUM_MUTATIONS = 40, 10
-# The cases have yaws of any size.
-pytestmark = pytest.mark.filterwarnings("ignore:yaw of start")
 
 
 @pytest.fixture(scope="module")
