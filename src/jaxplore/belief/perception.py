@@ -24,7 +24,7 @@ from jaxplore.belief.perception_checks import (
     as_scans,
     as_sensors,
     checked_test,
-    narrowest,
+    narrow_clearance,
     safe_stride,
 )
 from jaxplore.belief.recognition import Recognition
@@ -40,8 +40,6 @@ from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
-NARROW_SHARE = 0.4
-"""Share of the margin that a robot keeps in passages that are too narrow for all of it."""
 MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
@@ -174,11 +172,7 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius), float(self.required_clearance)),
         )
         nodes = self.field_sensor.stride * self.resolution
-        least = narrowest(self.field_sensor.stride, self.resolution)
-        narrow = computed(
-            lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
-            *(radius, margin),
-        )
+        narrow = narrow_clearance(radius, margin, self.field_sensor.stride, self.resolution)
         self.locomotion = TurnsOnTheSpot(narrow) if car is None else car.lattice(nodes)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
         # metres, because the bound is static: robots of similar radius share a compiled program.

@@ -4,12 +4,17 @@ import math
 from collections.abc import Sequence
 
 from jaxplore import _kinds
+from jaxplore._types import Scalar
+from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.maps.ground import Ground
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.lidar import Lidar
+
+NARROW_SHARE = 0.4
+"""Share of the margin that a robot keeps in passages that are too narrow for all of it."""
 
 
 def checked_test(
@@ -105,6 +110,24 @@ def safe_stride(
     while stride > 1 and math.sqrt(2.0) * (2 * stride - 1) >= apart:
         stride -= 1
     return stride
+
+
+def narrow_clearance(radius: Scalar, margin: Scalar, stride: int, resolution: float) -> Scalar:
+    """Return the clearance from which a robot takes narrow passages [m].
+
+    It is `radius + NARROW_SHARE margin`, and at least `narrowest`.
+
+    Args:
+        radius: radius of the robot's disc [m].
+        margin: clearance that other paths keep beyond the radius [m].
+        stride: number of cells between nodes.
+        resolution: side of a map cell [m].
+    """
+    least = narrowest(stride, resolution)
+    return computed(
+        lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
+        *(radius, margin),
+    )
 
 
 def narrowest(stride: int, resolution: float) -> float:
