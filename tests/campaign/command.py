@@ -168,14 +168,16 @@ class _Bounds:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, self._former)
         resource.setrlimit(resource.RLIMIT_AS, self._limits)
-        self.size = max(_resident("VmHWM") - self._first, 0)
+        # The system's counts are rounded: its high-water mark may be below what a look found.
+        self.size = max(_resident("VmHWM") - self._first, self.size)
 
     def _look(self, _: int, __: FrameType | None) -> None:
         if not self._is_on:
             return
         is_late = time.perf_counter() - self._wall > WAITS * self._most_seconds
         is_late |= time.process_time() - self._used > self._most_seconds
-        if is_late or _resident("VmRSS") - self._first > MOST_BYTES:
+        self.size = max(_resident("VmRSS") - self._first, self.size)
+        if is_late or self.size > MOST_BYTES:
             # Again later: Python ignores what is raised while it deletes an object.
             signal.setitimer(signal.ITIMER_REAL, _AGAIN, _AGAIN)
             raise OutOfBounds
