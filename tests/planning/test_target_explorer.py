@@ -8,19 +8,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.ndimage import binary_dilation, convolve, distance_transform_edt
+from hypothesis import given
+from hypothesis.extra.numpy import arrays
+from scipy.ndimage import (
+    binary_dilation,
+    convolve,
+    distance_transform_edt,
+    label,
+    maximum_filter,
+)
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
 from jaxplore.belief.guidance import TurnsOnTheSpot
-from jaxplore.planning.strategy.frontiers import find_frontiers
+from jaxplore.planning.strategy.frontiers import cluster_sizes, find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (
     RULES,
     DiscountedInformation,
     DistanceAdvantage,
     GainPerCost,
+    NearestCluster,
     NearestFrontier,
     NextBestView,
     RandomFrontier,
@@ -118,6 +127,10 @@ def test_frontiers_are_open_reachable_and_beside_unknown_space(half_known) -> No
     can_be = beside & np.isfinite(np.asarray(found.distance))
     worth = np.asarray(found.worth)
     np.testing.assert_array_equal(found.is_frontier, can_be & (worth >= 1.0))
+    largest = sizes_by_scipy(cells).reshape(25, 2, 30, 2).max(axis=(1, 3))
+    beside_cluster = 0.1 * maximum_filter(largest, 7, mode="constant") > 0.74
+    can_be = beside_cluster & np.isfinite(np.asarray(found.distance))
+    np.testing.assert_array_equal(found.is_cluster, can_be & (worth >= 1.0))
     assert found.is_frontier.any()
     rows, columns = np.nonzero(np.asarray(found.is_frontier))
     fits = room.reshape(25, 2, 30, 2).max(axis=(1, 3))
@@ -126,6 +139,42 @@ def test_frontiers_are_open_reachable_and_beside_unknown_space(half_known) -> No
     assert ((columns >= 13) | (rows >= 16)).all()
     assert (columns >= 13).any()
     assert ((rows >= 16) & (columns <= 8)).any()
+
+
+def sizes_by_scipy(cells: np.ndarray) -> np.ndarray:
+    """Return the size of the cluster of each cell."""
+    labels, _ = label(cells, np.ones((3, 3), int))
+    return np.where(cells, np.bincount(labels.ravel())[labels], 0)
+
+
+def check_clusters(cells: np.ndarray) -> None:
+    np.testing.assert_array_equal(compiled_sizes(jnp.asarray(cells)), sizes_by_scipy(cells))
+
+
+compiled_sizes = jax.jit(cluster_sizes)
+
+
+@given(arrays(bool, (14, 17)))
+def test_clusters_are_those_of_scipy(cells: np.ndarray) -> None:
+    check_clusters(cells)
+
+
+def test_long_clusters_are_whole() -> None:
+    """A spiral, along which labels go a long way, and a comb, whose teeth meet at one end."""
+    spiral = np.zeros((41, 41), bool)
+    row, column, down, right, reach = 0, 0, 0, 1, 40
+    spiral[0, 0] = True
+    while reach > 0:
+        for _ in range(2):
+            for _ in range(reach):
+                row, column = row + down, column + right
+                spiral[row, column] = True
+            down, right = right, -down
+        reach -= 2
+    comb = np.zeros((41, 41), bool)
+    comb[:, ::2] = comb[-1] = True
+    for cells in (spiral, comb, comb[::-1].copy(), ~comb):
+        check_clusters(cells)
 
 
 def test_ways_are_dijkstra_s(half_known) -> None:
@@ -153,6 +202,7 @@ def test_rules_choose_what_they_say(half_known) -> None:
         return np.unravel_index(np.argmax(np.where(mask, score, -np.inf)), mask.shape)
 
     assert chosen(NearestFrontier(), found) == best(frontier, -distance)
+    assert chosen(NearestCluster(), found) == best(np.asarray(found.is_cluster), -distance)
     assert chosen(GainPerCost(), found) == best(frontier, worth / np.maximum(distance, 0.2))
     assert chosen(NextBestView(), found) == best(view, worth)
     assert chosen(DiscountedInformation(0.7), found) == best(view, worth * np.exp(-0.7 * distance))
@@ -222,6 +272,20 @@ def test_a_target_is_kept_until_it_is_seen_reached_or_cut_off(half_known) -> Non
         controller, first._replace(node=jnp.asarray([12, 16])), belief_of(closed), position
     )
     assert int(cut.node[1]) < 12
+
+
+def test_a_nearer_cluster_replaces_the_target_only_with_a_lead(half_known) -> None:
+    belief, position, found, _ = half_known
+    nearest = chosen(NearestCluster(), found)
+    distance = np.asarray(found.distance)
+    further = np.where(np.asarray(found.is_cluster), distance - distance[nearest], np.inf)
+    for lead in (0.5, 2.0):
+        controller = make(NearestCluster(lead), every=1)
+        state = choose(controller, controller.init(), belief, position)
+        for node in np.argwhere(np.isfinite(further) & (np.abs(further - lead) > 1e-3)):
+            held = state._replace(node=jnp.asarray(node, jnp.int32))
+            after = tuple(np.asarray(choose(controller, held, belief, position).node))
+            assert after == (tuple(node) if further[tuple(node)] < lead else nearest)
 
 
 def test_it_looks_as_often_as_it_is_told(half_known) -> None:
@@ -305,6 +369,7 @@ def test_a_look_shows_the_target(half_known) -> None:
         (lambda: make(NearestFrontier(), leftover_share=2.0), "leftover_share"),
         (lambda: make(NearestFrontier(), every=0), "every"),
         (lambda: Wander(0.0), "reach"),
+        (lambda: NearestCluster(-0.1), "lead"),
         (lambda: DiscountedInformation(-1.0), "rate"),
         (lambda: DistanceAdvantage(0), "num_others"),
     ],

@@ -10,6 +10,7 @@ from jaxplore.control.augmented import AugmentedProposal as AugmentedProposal
 from jaxplore.control.base import Controller as Controller
 from jaxplore.control.base import Info as Info
 from jaxplore.control.base import Members as Members
+from jaxplore.control.base import ModelBasedController as ModelBasedController
 from jaxplore.control.base import SampledPlan as SampledPlan
 from jaxplore.control.coloured_noise import ColouredNoise as ColouredNoise
 from jaxplore.control.disturbance import ControlNoise as ControlNoise

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, ControlVector, Flag, Key, Scalar, StateVector
 from jaxplore.control.trajectory import Trajectory
+from jaxplore.dynamics.base import Dynamics
 
 
 class Members(NamedTuple):
@@ -180,3 +181,12 @@ class Controller(eqx.Module):
     @abc.abstractmethod
     def at_period(self, control_period: ArrayLike) -> "Controller":
         """Return a copy of this controller that is called every `control_period` seconds."""
+
+
+class ModelBasedController(Controller):
+    """A controller that plans with a model of the robot, `dynamics`.
+
+    A controller around it, such as an explorer, reads poses and speeds through this model.
+    """
+
+    dynamics: eqx.AbstractVar[Dynamics]

@@ -13,7 +13,7 @@ from jaxplore._limits import MOST_OUTCOMES, MOST_SAMPLES, MOST_STEPS_AHEAD
 from jaxplore._types import ArrayLike, ControlVector, Key, Scalar, StateVector, Vector
 from jaxplore._xla import cut
 from jaxplore.control import devices
-from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.base import Info, ModelBasedController, SampledPlan
 from jaxplore.control.disturbance import Disturbance
 from jaxplore.control.evaluation import evaluate_samples
 from jaxplore.control.inspection import sampled_plan
@@ -29,7 +29,7 @@ from jaxplore.costs.base import Cost, check_cost
 from jaxplore.dynamics.base import Dynamics
 
 
-class MPPI(Controller):
+class MPPI(ModelBasedController):
     """Model predictive path integral control.
 
     Minimises over control sequences U the expected cost

@@ -57,6 +57,7 @@ from jaxplore.planning.strategy.target_explorer import TargetExplorer as TargetE
 from jaxplore.planning.strategy.target_rules import DiscountedInformation as DiscountedInformation
 from jaxplore.planning.strategy.target_rules import DistanceAdvantage as DistanceAdvantage
 from jaxplore.planning.strategy.target_rules import GainPerCost as GainPerCost
+from jaxplore.planning.strategy.target_rules import NearestCluster as NearestCluster
 from jaxplore.planning.strategy.target_rules import NearestFrontier as NearestFrontier
 from jaxplore.planning.strategy.target_rules import NextBestView as NextBestView
 from jaxplore.planning.strategy.target_rules import RandomFrontier as RandomFrontier

@@ -72,6 +72,7 @@ BASELINES = (
     "wander",
     "random-frontier",
     "nearest-frontier",
+    "nearest-cluster",
     "gain-per-cost",
     "next-best-view",
     "discounted-information",

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import Pose, Scalar
 from jaxplore.belief.belief import Belief
@@ -18,7 +18,9 @@ class Frontiers(NamedTuple):
     A frontier cell is free and has an unknown neighbour (Yamauchi, "A frontier-based approach for
     autonomous exploration", CIRA 1997). The robot cannot reach it, since it keeps clear of unknown
     space. A frontier node is therefore a reachable node next to frontier cells of a minimum total
-    length. Isolated frontier cells, which are often noise, do not make a frontier.
+    length. Isolated frontier cells, which are often noise, do not make a frontier. A cluster node
+    is a reachable node next to a cluster of frontier cells of that length: cells that touch, also
+    at a corner.
 
     Args:
         roads: road map of the places where the robot fits.
@@ -26,6 +28,7 @@ class Frontiers(NamedTuple):
         worth: (H, W) information of a scan from each node, discounted by the time spent near it
             [nat].
         is_frontier: (H, W) frontier nodes among `is_view`.
+        is_cluster: (H, W) cluster nodes among `is_view`.
         is_view: (H, W) nodes that can be reached and have at least `min_information`.
         is_leftover: (H, W) nodes that can be reached and have at least `leftover_share` of that.
     """
@@ -34,6 +37,7 @@ class Frontiers(NamedTuple):
     distance: Float[Array, "H W"]
     worth: Float[Array, "H W"]
     is_frontier: Bool[Array, "H W"]
+    is_cluster: Bool[Array, "H W"]
     is_view: Bool[Array, "H W"]
     is_leftover: Bool[Array, "H W"]
 
@@ -59,7 +63,7 @@ def find_frontiers(
         required_clearance: clearance that the robot needs [m].
         min_information: discounted information below which a place is not visited [nat].
         leftover_share: share of `min_information` below which a place has nothing left.
-        min_frontier: minimum length of a frontier [m].
+        min_frontier: minimum length of a frontier, and of a cluster [m].
         stride: cells between nodes, as in the fields of the belief; static.
         near: largest number of nodes between a frontier node and its frontier cells; static.
     """
@@ -68,33 +72,69 @@ def find_frontiers(
     distance = roads.lengths_from(pose)
     worth = belief.worth
     can_reach = roads.is_open & jnp.isfinite(distance)
-    length = _frontier_length(belief.grid, stride, near, roads.is_open.shape)
+    length, longest = _frontier_lengths(belief.grid, stride, near, roads.is_open.shape)
     is_view = can_reach & (worth >= min_information)
     return Frontiers(
         roads,
         distance,
         worth,
         is_view & (length >= min_frontier),
+        is_view & (longest >= min_frontier),
         is_view,
         can_reach & (worth >= leftover_share * min_information),
     )
 
 
-def _frontier_length(
+def _frontier_lengths(
     grid: OccupancyGrid, stride: int, near: int, shape: tuple[int, ...]
-) -> Float[Array, "H W"]:
-    """Compute the length of the frontier cells within `near` blocks of each node [m]."""
+) -> tuple[Float[Array, "H W"], Float[Array, "H W"]]:
+    """Compute the length of the frontier cells within `near` blocks of each node, and that of the
+    longest cluster with a cell there [m]."""
     p = grid.probability
     # A cell counts as unknown above a variance of half the maximum, p between 0.15 and 0.85. The
     # padding does not: the border of the map is no frontier.
     unknown = jnp.pad(4.0 * p * (1.0 - p) > 0.5, 1)
     beside = unknown[2:, 1:-1] | unknown[:-2, 1:-1] | unknown[1:-1, 2:] | unknown[1:-1, :-2]
     (rows, columns), (height, width) = shape, p.shape
-    # Frontier cells are counted per block of the lattice, then over a window of blocks.
-    padded = jnp.pad(
-        grid.is_free & beside, ((0, rows * stride - height), (0, columns * stride - width))
-    )
-    blocks = padded.reshape(rows, stride, columns, stride).sum(axis=(1, 3), dtype=jnp.float32)
+    is_frontier = grid.is_free & beside
     window = (2 * near + 1, 2 * near + 1)
-    count: Array = jax.lax.reduce_window(blocks, 0.0, jax.lax.add, window, (1, 1), "SAME")
-    return grid.resolution * count
+
+    def blocks(cells: Array) -> Array:
+        """Return the cells of each block of the lattice (rows, stride, columns, stride)."""
+        padded = jnp.pad(cells, ((0, rows * stride - height), (0, columns * stride - width)))
+        return padded.reshape(rows, stride, columns, stride)
+
+    # Over each block, then over a window of blocks.
+    counted = blocks(is_frontier).sum(axis=(1, 3), dtype=jnp.float32)
+    count: Array = jax.lax.reduce_window(counted, 0.0, jax.lax.add, window, (1, 1), "SAME")
+    largest = blocks(cluster_sizes(is_frontier)).max(axis=(1, 3)).astype(jnp.float32)
+    size: Array = jax.lax.reduce_window(largest, 0.0, jax.lax.max, window, (1, 1), "SAME")
+    return grid.resolution * count, grid.resolution * size
+
+
+def cluster_sizes(mask: Bool[Array, "H W"]) -> Int[Array, "H W"]:
+    """Return the number of cells of the cluster of each cell; 0 outside the mask.
+
+    A cluster is a set of cells that are connected by steps to 8 neighbours within the mask
+    (connected-component labelling). Each cell takes the greatest label around it, and then the
+    label of the cell that this label names, until no label changes. The latter makes the number of
+    rounds grow with the logarithm of the length of a cluster.
+
+    Args:
+        mask: (H, W) cells.
+    """
+    own = jnp.arange(mask.size, dtype=jnp.int32).reshape(mask.shape)
+
+    def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        label, _ = carry
+        around = jax.lax.reduce_window(label, -1, jax.lax.max, (3, 3), (1, 1), "SAME")
+        # Labels are numbers of cells, and each cell's own label is at least its number.
+        further = around.reshape(-1)[jnp.maximum(around, 0)]
+        after = jnp.where(mask, further, -1)
+        return after, jnp.any(after != label)
+
+    start = jnp.where(mask, own, -1), jnp.array(True)
+    label, _ = jax.lax.while_loop(lambda carry: carry[1], spread, start)
+    index = jnp.maximum(label, 0)
+    number = jnp.zeros(mask.size, jnp.int32).at[index].add(mask.astype(jnp.int32))
+    return jnp.where(mask, number[index], 0)

@@ -1,4 +1,4 @@
-"""Target explorer: choose a target by a rule and drive to it with MPPI."""
+"""Target explorer: choose a target by a rule and drive to it."""
 
 import dataclasses
 import math
@@ -14,9 +14,8 @@ from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, 
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
 from jaxplore.belief.guidance import GuidanceField, Locomotion, TurnsOnTheSpot
-from jaxplore.control.base import Controller, Info, SampledPlan
+from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
 from jaxplore.control.model_checks import checked_call
-from jaxplore.control.mppi import MPPI
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
 from jaxplore.planning.strategy.target_rules import TargetRule
@@ -41,10 +40,11 @@ class TargetState(NamedTuple):
 
 
 class TargetExplorer(Controller):
-    """Chooses a target by a rule, drives there with MPPI, and chooses the next one.
+    """Chooses a target by a rule, drives there, and chooses the next one.
 
     A target is kept until the robot is near it, no path leads to it, or it is no longer among the
-    candidates of the rule, for instance because it was seen from afar. Without candidates, the
+    candidates of the rule, for instance because it was seen from afar. A rule with `hysteresis`
+    replaces it earlier by a candidate that is better by as much. Without candidates, the
     nearest place with a little information left is the target. Without such a place the robot
     waits. Information that cannot be seen from a place after all is discounted while the robot is
     near it and recovers later (`Belief.dwell`), so no place is given up for ever.
@@ -53,7 +53,7 @@ class TargetExplorer(Controller):
     Motion, obstacles and limits are those of the tracker, the same for all rules.
 
     Args:
-        tracker: MPPI controller whose cost reads `belief.guidance`.
+        tracker: controller that drives down `belief.guidance`, such as MPPI.
         rule: rule that chooses targets.
         frame: frame of the map.
         shape: rows and columns of the belief's arrays, those of `scenario.map_arrays.world`;
@@ -63,7 +63,7 @@ class TargetExplorer(Controller):
             and unknown space follows from it.
         min_information: discounted information below which a place is not visited [nat].
         leftover_share: share of `min_information` below which a place has nothing left.
-        min_frontier: minimum length of a frontier [m].
+        min_frontier: minimum length of a frontier, and of a cluster [m].
         near: length of the path to a target at which it counts as reached [m].
         every: number of commands between choices.
         stays: whether the robot stays at a target until its information is seen or discounted. This
@@ -76,7 +76,7 @@ class TargetExplorer(Controller):
         ValueError: a number outside its range.
     """
 
-    tracker: MPPI
+    tracker: ModelBasedController
     rule: TargetRule
     frame: GridFrame
     locomotion: Locomotion
@@ -93,7 +93,7 @@ class TargetExplorer(Controller):
 
     def __init__(
         self,
-        tracker: MPPI,
+        tracker: ModelBasedController,
         rule: TargetRule,
         frame: GridFrame,
         shape: tuple[int, int],
@@ -108,7 +108,7 @@ class TargetExplorer(Controller):
         stays: bool = False,
         locomotion: Locomotion | None = None,
     ) -> None:
-        _kinds.instance("tracker", tracker, MPPI)
+        _kinds.instance("tracker", tracker, ModelBasedController)
         _kinds.instance("rule", rule, TargetRule)
         _kinds.instance("frame", frame, GridFrame)
         _kinds.instance("locomotion", locomotion, Locomotion, may_be_none=True)
@@ -235,18 +235,25 @@ class TargetExplorer(Controller):
             away |= frontiers.is_view
         row, column = state.node
         keeps = state.has_target & (candidates & away)[row, column]
-        shape = candidates.shape
+        shape, lead = candidates.shape, self.rule.hysteresis()
 
-        # Choosing may cost a search per frontier, so it is skipped while the target is kept.
+        # Choosing may cost a search per frontier, so a rule without hysteresis is skipped while the
+        # target is kept.
         def pick(_: None) -> tuple[Array, Flag]:
             may_be = candidates & away
-            scores = jnp.where(may_be, self.rule.scores(frontiers, key=key), -jnp.inf)
+            scores = self.rule.scores(frontiers, key=key)
+            if lead is not None:
+                scores = scores.at[row, column].add(jnp.where(keeps, lead, 0.0))
+            scores = jnp.where(may_be, scores, -jnp.inf)
             leftover = jnp.where(frontiers.is_leftover & away, -frontiers.distance, -jnp.inf)
             best = jnp.where(may_be.any(), jnp.argmax(scores), jnp.argmax(leftover))
             is_any = may_be.any() | jnp.isfinite(leftover).any()
             return jnp.stack(jnp.unravel_index(best, shape)).astype(jnp.int32), is_any
 
-        node, has_target = jax.lax.cond(keeps, lambda _: (state.node, keeps), pick, None)
+        if lead is None:
+            node, has_target = jax.lax.cond(keeps, lambda _: (state.node, keeps), pick, None)
+        else:
+            node, has_target = pick(None)
         # Without a target the cost to go is 0 everywhere, so that nothing attracts the robot.
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[node[0], node[1]].set(0.0)
