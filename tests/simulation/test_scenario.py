@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from jaxplore import (
+    Ackermann,
     Camera,
     DifferentialDrive,
     ExplorationScenario,
@@ -23,6 +24,8 @@ from jaxplore import (
     generate_map,
     start_pose,
 )
+from jaxplore.belief.car import car_motion
+from jaxplore.geometry import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
@@ -436,3 +439,16 @@ def test_every_reachable_cell_can_be_seen_from_the_one_beside_it(kind: str) -> N
     poses = jnp.concatenate([places, yaw[:, None]], axis=1)
     seen = jax.jit(jax.vmap(lambda pose, point: camera.sees(grid, pose, point[None])))
     assert bool(seen(poses, targets).all())
+
+
+def test_a_car_that_fits_nowhere_is_named_with_its_size() -> None:
+    solid = np.ones((40, 40), np.float32)
+    solid[5:35, 5:32] = 0.0
+    car = Ackermann(footprint=Rectangle(5.0, 5.0, 0.4))
+    perception = Perception(LIDAR, 0.1, 0.2, num_directions=4, car=car_motion(car))
+    with pytest.raises(
+        ValueError, match=r"from where a car of 10 m by 0\.4 m with .* cannot drive"
+    ):
+        ExplorationScenario(
+            OccupancyGrid(solid, 0.1), car, LIDAR, (1.2, 2.0, 0.0), perception=perception
+        )

@@ -11,6 +11,7 @@ from jax import Array
 from jaxplore.belief.guidance import Locomotion, TurnsOnTheSpot
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -134,10 +135,16 @@ def drivable_cells(
     )
     is_reached = np.isfinite(lengths)
     if is_reached.sum() < 2:
+        shape = robot.footprint
+        size = (
+            f" of {float(shape.length):g} m by {float(shape.width):g} m"
+            if isinstance(shape, Rectangle)
+            else ""
+        )
         raise ValueError(
-            f"start is ({_shown(start, datum)}), from where a car with a turning "
+            f"start is ({_shown(start, datum)}), from where a car{size} with a turning "
             f"radius of {float(robot.turning_radius):.2f} m cannot drive anywhere; accepted: a "
-            "start with room to turn"
+            "start with room to turn, or a smaller car"
         )
     stride = perception.field_sensor.stride
     by_cell: np.ndarray = np.repeat(np.repeat(is_reached, stride, axis=0), stride, axis=1)
