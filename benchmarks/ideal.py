@@ -95,8 +95,7 @@ class Descent(ModelBasedController):
     ) -> tuple[ControlVector, tuple[()], Info]:
         """Return the velocity (2,) to the next place."""
         control = self._velocity(observation, belief)
-        one = jnp.ones(1)
-        return control, (), Info(control[None], one, 0.0 * one, one[0], jnp.array(True))
+        return control, (), Info.of_law(control)
 
     def inspect(
         self,

@@ -80,6 +80,12 @@ class Info(NamedTuple):
     members: Members | None = None
     log_ratio: Float[Array, " K"] | None = None
 
+    @classmethod
+    def of_law(cls, control: ControlVector) -> "Info":
+        """Return the diagnostics of a feedback law without rollouts: those of a single rollout."""
+        one = jnp.ones(1)
+        return cls(control[None], one, jnp.zeros(1), one[0], jnp.array(True))
+
 
 class SampledPlan(NamedTuple):
     """Trajectories of one step, for drawing and debugging.

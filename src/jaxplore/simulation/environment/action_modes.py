@@ -183,10 +183,7 @@ class Hold(Controller):
         self, state: tuple[()], observation: StateVector, belief: Any = None, *, key: Key
     ) -> tuple[ControlVector, tuple[()], Info]:
         """Return the held control."""
-        one = jnp.ones(())
-        # The diagnostics are those of a single rollout, so that records have all their fields.
-        info = Info(self.control[None], one[None], jnp.zeros(1), one, jnp.array(True))
-        return self.control, state, info
+        return self.control, state, Info.of_law(self.control)
 
     def inspect(
         self,
