@@ -69,6 +69,24 @@ def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
     assert 0 < metrics["num_steps"] == len(first["coverage"]) <= 30
 
 
+def test_a_setting_without_effect_is_said(
+    ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("jaxplore.cli._run.simulate", lambda *_, **__: None)
+    monkeypatch.setattr("jaxplore.cli._run.save", lambda *_, **__: None)
+    given = ["run", str(ros_map), "--start", "1.5", "2", "0"]
+    main([*given, "--set", "adaptive_horizon.min_horizon=9", "--set", "portfolio={horizon: 20}"])
+    assert capsys.readouterr().err == (
+        "--set adaptive_horizon.min_horizon has no effect here; it is read by: runs with "
+        "adaptive_horizon.rule\n"
+        "--set portfolio has no effect here; it is read by: portfolio\n"
+    )
+    main(
+        [*given, "--set", "adaptive_horizon.min_horizon=9", "--set", "adaptive_horizon.rule=speed"]
+    )
+    assert capsys.readouterr().err == ""
+
+
 def test_a_map_without_a_start_gets_one_that_is_shown_and_kept(
     ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -441,14 +441,16 @@ def test_every_reachable_cell_can_be_seen_from_the_one_beside_it(kind: str) -> N
     assert bool(seen(poses, targets).all())
 
 
-def test_a_car_that_fits_nowhere_is_named_with_its_size() -> None:
+@pytest.mark.parametrize(("front", "rear", "farthest"), [(5.0, 5.0, "0.0"), (2.3, 0.3, "0.[1-9]")])
+def test_a_car_that_cannot_leave_its_place_is_refused(
+    front: float, rear: float, farthest: str
+) -> None:
     solid = np.ones((40, 40), np.float32)
-    solid[5:35, 5:32] = 0.0
-    car = Ackermann(footprint=Rectangle(5.0, 5.0, 0.4))
+    solid[5:35, 5:32] = 0.0  # a room of 2.7 m by 3 m
+    car = Ackermann(footprint=Rectangle(front, rear, 0.4))
     perception = Perception(LIDAR, 0.1, 0.2, num_directions=4, car=car_motion(car))
-    with pytest.raises(
-        ValueError, match=r"from where a car of 10 m by 0\.4 m with .* cannot drive"
-    ):
+    message = rf"a car of {front + rear:g} m by 0\.4 m with .* gets {farthest} m far at most"
+    with pytest.raises(ValueError, match=message):
         ExplorationScenario(
-            OccupancyGrid(solid, 0.1), car, LIDAR, (1.2, 2.0, 0.0), perception=perception
+            OccupancyGrid(solid, 0.1), car, LIDAR, (0.95, 2.0, 0.0), perception=perception
         )

@@ -13,7 +13,7 @@ from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import Pictures, take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts
+from jaxplore.cli._show import free_name, reserve, show_comparison, show_starts, show_unread
 from jaxplore.cli._terminal import say
 from jaxplore.report.console import progress_bar
 from jaxplore.report.drawing.film import FilmOptions
@@ -110,6 +110,7 @@ def _in_one_place(
     # The keys are left out: `compare` makes one for each seed.
     experiments = {name: build(each)[:3] for name, each in settings.items()}
     show_starts(given, started)
+    show_unread(options["assignments"], settings.values())
     first = common.seed
     check_number_of_seeds("--seeds", range(first, first + seeds))
     result = compare(experiments, range(first, first + seeds), runner=runner, progress=True)
@@ -176,11 +177,13 @@ def _on_maps(
         raise ValueError(f"setting seed is {first!r}; accepted: a whole number >= 0")
     batch = 1 if given["batch"] is None else given["batch"]
     check_count("--batch", batch, MOST_AT_ONCE)
+    all_settings = []
     for name, own in variant_entries(variants or GROUND).items():
         # A variant without an architecture of its own is named by it.
         common = merge_entries({**entries, "architecture": name}, own)
         for each in maps:
             settings = make_settings({**common, "map": each.path})
+            all_settings.append(settings)
             # The runs on a map that cannot be read fail, and the others go on.
             check_memory(
                 [settings],
@@ -189,6 +192,7 @@ def _on_maps(
                 batch=batch,
                 must_be_readable=False,
             )
+    show_unread(options["assignments"], all_settings)
     seeds_of_all = range(first, first + seeds)
     check_number_of_seeds("--seeds", seeds_of_all)
     plan = Plan(maps, variants or GROUND, tuple(seeds_of_all), entries, batch)

@@ -10,7 +10,7 @@ from jaxplore.build.tasks import build, find_task, make_settings
 from jaxplore.cli._entries import folder_name, option_entries
 from jaxplore.cli._memory import check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
-from jaxplore.cli._show import free_name, reserve, save, show_starts
+from jaxplore.cli._show import free_name, reserve, save, show_starts, show_unread
 from jaxplore.cli._view_options import VIEW
 from jaxplore.recorder.recorder import McapRecorder, RecordingWarning, check_recording
 from jaxplore.simulation.experiment import Experiment
@@ -51,6 +51,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     check_memory([make_settings(given)], limit)
     entries = find_task(given).with_start(given)
     settings = make_settings(entries)
+    show_unread(options["assignments"], [settings])
     folder = free_name(Path("runs") / folder_name(entries)) if out is None else out
     # The folder is checked before the run, which may take minutes.
     reserve(folder, overwrite=overwrite)

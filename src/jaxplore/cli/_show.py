@@ -1,7 +1,7 @@
 """Results of the commands: folders, tables and messages."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,8 @@ from jaxplore.cli._pictures import Pictures
 from jaxplore.cli._terminal import say
 from jaxplore.report.folder import is_reserved, reserved_folder
 from jaxplore.report.table import print_table, transposed
-from jaxplore.settings.sections import Section
+from jaxplore.settings.reference import why_unread
+from jaxplore.settings.sections import RunSettings, Section
 from jaxplore.simulation.run import Run
 from jaxplore.study.comparison.comparison import Comparison
 
@@ -56,6 +57,20 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
             "--start X Y YAW",
             err=True,
         )
+
+
+def show_unread(assignments: Sequence[str], settings: Collection[RunSettings]) -> None:
+    """Print each setting of a `--set` option that none of the runs reads.
+
+    Args:
+        assignments: values of the `--set` options, NAME=VALUE each.
+        settings: settings of the runs.
+    """
+    for assignment in assignments:
+        name = assignment.partition("=")[0].strip()
+        readers = why_unread(name, settings)
+        if readers is not None:
+            say(f"--set {name} has no effect here; it is read by: {readers}", err=True)
 
 
 def save(

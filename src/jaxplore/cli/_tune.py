@@ -10,7 +10,7 @@ from jaxplore.build.tasks import find_task, make_settings
 from jaxplore.cli._memory import check_count, check_memory, memory_limit
 from jaxplore.cli._pictures import take_pictures
 from jaxplore.cli._runner import RUNNER, make_runner
-from jaxplore.cli._show import show_starts
+from jaxplore.cli._show import show_starts, show_unread
 from jaxplore.cli._terminal import say
 from jaxplore.cli._tune_entries import parse_budget, parse_measure, scenario_entries
 from jaxplore.cli._tune_options import OWN
@@ -67,6 +67,7 @@ def run_tune(options: dict[str, Any], out: Path | None) -> None:
             batch=given["batch"],
         )
         show_starts(asked, scenarios)
+        show_unread(options["assignments"], [*map(make_settings, scenarios.values())])
         try:
             found = tune(
                 episodes,

@@ -5,7 +5,7 @@ these rows.
 """
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -109,6 +109,20 @@ def find_rows(name: str) -> tuple[Row, ...]:
         name: dotted name of a setting, or name of a section; an unknown name has no rows.
     """
     return tuple(row for row in rows() if name in (row.name, row.section) and name)
+
+
+def why_unread(name: str, settings: Collection[RunSettings]) -> str | None:
+    """Return which runs read a setting or a section, if none of the given ones does; else None.
+
+    Args:
+        name: dotted name of a setting, or name of a section.
+        settings: settings of the runs.
+    """
+    for each in settings:
+        found = [row for row in find_rows(name) if KINDS[row.task] is type(each)]
+        if not found or any(row.reader.reads(each) for row in found):
+            return None
+    return found[0].reader.text
 
 
 def setting_names() -> tuple[str, ...]:

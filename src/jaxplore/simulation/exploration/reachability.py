@@ -11,7 +11,7 @@ from jax import Array
 from jaxplore.belief.guidance import Locomotion, TurnsOnTheSpot
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
-from jaxplore.geometry.footprint import Rectangle
+from jaxplore.geometry.footprint import Footprint, Rectangle
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.collision import clearance_reach, disc_clearance
 from jaxplore.maps.datum import ORIGIN, Datum
@@ -117,7 +117,8 @@ def drivable_cells(
         datum: point of the map's coordinates to which positions are relative, for messages.
 
     Raises:
-        ValueError: a start where the robot cannot stand, or from which it cannot drive.
+        ValueError: a start where the robot cannot stand, or from which it cannot drive as far as
+            it is long.
     """
     cells = reachable_cells(world, start, float(robot.radius), datum)
     if isinstance(perception.locomotion, TurnsOnTheSpot):
@@ -133,23 +134,29 @@ def drivable_cells(
             perception.field_sensor.stride,
         )
     )
-    is_reached = np.isfinite(lengths)
-    if is_reached.sum() < 2:
-        shape = robot.footprint
-        size = (
-            f" of {float(shape.length):g} m by {float(shape.width):g} m"
-            if isinstance(shape, Rectangle)
-            else ""
-        )
-        raise ValueError(
-            f"start is ({_shown(start, datum)}), from where a car{size} with a turning "
-            f"radius of {float(robot.turning_radius):.2f} m cannot drive anywhere; accepted: a "
-            "start with room to turn, or a smaller car"
-        )
     stride = perception.field_sensor.stride
-    by_cell: np.ndarray = np.repeat(np.repeat(is_reached, stride, axis=0), stride, axis=1)
+    by_cell = np.isfinite(lengths).repeat(stride, axis=0).repeat(stride, axis=1)
     both: np.ndarray = cells & by_cell[: cells.shape[0], : cells.shape[1]]
+    # A car in a room of its own length can move a little to and fro, and still goes nowhere.
+    place = np.asarray(to_grid(world.frame, np.asarray(start[:2], np.float32)))
+    cells_away = np.hypot(*(np.argwhere(both) + 0.5 - place).T).max(initial=0.0)
+    farthest = float(cells_away) * world.resolution
+    length, width = _size(robot.footprint)
+    if farthest < length:
+        raise ValueError(
+            f"start is ({_shown(start, datum)}), from where a car of {length:g} m by {width:g} m "
+            f"with a turning radius of {float(robot.turning_radius):.2f} m gets {farthest:.1f} m "
+            "far at most; accepted: a start from which it gets at least its own length, or a "
+            "smaller car"
+        )
     return both
+
+
+def _size(footprint: Footprint) -> tuple[float, float]:
+    """Return length and width of a footprint [m]."""
+    if isinstance(footprint, Rectangle):
+        return float(footprint.length), float(footprint.width)
+    return (2.0 * float(footprint.radius),) * 2
 
 
 @functools.partial(jax.jit, static_argnames=("reach", "stride"))
