@@ -69,6 +69,11 @@ def test_run_writes_a_folder_that_repeats_itself(ros_map: Path, capsys) -> None:
     assert 0 < metrics["num_steps"] == len(first["coverage"]) <= 30
 
 
+def test_a_start_far_from_the_origin_is_shown_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    _show.show_starts({"": {}}, {"": {"start": (499999.45, 4649774.25, 0.0)}})
+    assert capsys.readouterr().err.startswith("Start: 499999.45 4649774.25 0, ")
+
+
 def test_a_setting_without_effect_is_said(
     ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

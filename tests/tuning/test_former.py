@@ -67,6 +67,10 @@ DAMAGE = {
     "no file": lambda path: (path.unlink(), path.mkdir()),
     "foreign": sql("CREATE TABLE notes (text)"),
     "foreign alone": lambda path: (path.unlink(), sql("CREATE TABLE notes (text)")(path)),
+    "foreign of the same name": lambda path: (
+        path.unlink(),
+        sql("CREATE TABLE trials (text)")(path),
+    ),
     "another study": sql("UPDATE studies SET study_name = 'other'"),
     "study gone": sql("DELETE FROM studies"),
     "no direction": sql("DELETE FROM study_directions"),

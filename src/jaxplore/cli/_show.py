@@ -49,7 +49,9 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
     chosen: dict[str, list[str]] = {}
     for name, each in entries.items():
         if given[name].get("start") is None and each.get("start") is not None:
-            chosen.setdefault(" ".join(f"{part:g}" for part in each["start"]), []).append(name)
+            # Far from the origin, six digits would show another place.
+            shown = " ".join(f"{round(part, 4):.12g}" for part in each["start"])
+            chosen.setdefault(shown, []).append(name)
     for start, names in chosen.items():
         where = f" of {', '.join(names)}" if len(chosen) > 1 else ""
         say(

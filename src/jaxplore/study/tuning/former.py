@@ -49,12 +49,14 @@ def former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
         with copy.open("rb") as file:
             if file.read(len(_SQLITE)) not in (_SQLITE, b""):
                 raise ValueError("it is no SQLite database")
-        held = _filled_tables(copy)
+        held = _tables(copy)
         # A database without tables is a new one. One with others is not ours to write into.
         if held:
             empty = storage_at(optuna, Path(folder) / "empty.db")
             close_storage(empty)
-            if not held.keys() <= _filled_tables(Path(folder) / "empty.db").keys():
+            known = _tables(Path(folder) / "empty.db")
+            # Tables of the same names with other columns are somebody else's.
+            if any(name not in known or held[name][0] != known[name][0] for name in held):
                 raise ValueError("it holds other tables")
         storage = storage_at(optuna, copy)
         try:
@@ -62,7 +64,7 @@ def former_study(optuna: Any, path: Path, name: str) -> Iterator[Any]:
             if set(names) - {name}:
                 raise ValueError("it holds another study")
             # Without a study, only the versions of the tables may be there.
-            if not names and any(held[each] for each in held.keys() - _VERSIONS):
+            if not names and any(held[each][1] for each in held.keys() - _VERSIONS):
                 raise ValueError("it holds the rest of a study")
             study = optuna.load_study(study_name=name, storage=storage) if names else None
             # Optuna takes trials of equal numbers for one.
@@ -102,8 +104,9 @@ def _copy(source: Path, target: Path) -> None:
         shutil.copyfileobj(file, copied)
 
 
-def _filled_tables(path: Path) -> dict[str, bool]:
-    """Return the tables of a database that is whole and can be written: whether each has rows."""
+def _tables(path: Path) -> dict[str, tuple[set[str], bool]]:
+    """Return the tables of a database that is whole and can be written: the columns of each, and
+    whether it has rows."""
     with closing(sqlite3.connect(path)) as database:
         if database.execute("PRAGMA integrity_check(1)").fetchone() != ("ok",):
             raise ValueError("it is damaged")
@@ -112,7 +115,10 @@ def _filled_tables(path: Path) -> dict[str, bool]:
         database.execute("CREATE TABLE written (it INTEGER)")
         database.execute("DROP TABLE written")
         return {
-            name: database.execute(f'SELECT 1 FROM "{name}" LIMIT 1').fetchone() is not None
+            name: (
+                {row[1] for row in database.execute(f'PRAGMA table_info("{name}")')},
+                database.execute(f'SELECT 1 FROM "{name}" LIMIT 1').fetchone() is not None,
+            )
             for (name,) in names
         }
 
