@@ -58,6 +58,14 @@ def normal(**row: float) -> dict[str, float]:
     return {name: pytest.approx(value / total, rel=1e-5) for name, value in row.items()}
 
 
+def test_a_robot_may_drive_where_paths_lead_through_narrow_passages() -> None:
+    perception = Perception(Lidar(num_beams=8, max_range=2.0), 0.1, DRIVE.radius)
+    least = float(perception.locomotion.narrow) - float(DRIVE.radius)
+    margin = float(ground_portfolio(DRIVE, **SMALL).members.mppi.cost.cost.margin)
+    # The rest is for the speed; at 0.15 m/s a robot still gets on.
+    assert margin + 0.15 * float(CollisionCost().reaction_time) < least
+
+
 def test_role_weights_are_those_of_the_design_notes() -> None:
     assert ROLE_WEIGHTS == {
         "explorer": {"information": 0.7, "goal": 0.1, "safety": 0.2},

@@ -23,11 +23,15 @@ from jaxplore.belief.guidance import (
     doubled_where_tight,
     fit,
 )
+from jaxplore.dynamics._bounds import bound_of_speed
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, rounded_radius
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
+
+REVERSE_PENALTY = 2.0
+"""Least factor on the cost of what a car drives backwards."""
 
 
 class CarMotion(eqx.Module):
@@ -38,14 +42,18 @@ class CarMotion(eqx.Module):
         footprint: area that it covers.
         can_reverse: whether it can drive backwards; static.
         reversal_cost: price of a change between forwards and backwards [m].
+        reverse_penalty: factor on the cost of what is driven backwards. The default is that of
+            Nav2's Smac planner.
 
     Raises:
-        ValueError: a radius that is not positive, a negative price, an argument of another class.
+        ValueError: a radius that is not positive, a negative price, a factor below 1, an argument
+            of another class.
     """
 
     turning_radius: Scalar
     footprint: Footprint
     reversal_cost: Scalar
+    reverse_penalty: Scalar
     can_reverse: bool = eqx.field(static=True)
 
     def __init__(
@@ -55,11 +63,13 @@ class CarMotion(eqx.Module):
         *,
         can_reverse: bool = True,
         reversal_cost: ArrayLike = 1.0,
+        reverse_penalty: ArrayLike = REVERSE_PENALTY,
     ) -> None:
         _kinds.instance("footprint", footprint, Footprint)
         self.turning_radius = _checks.scalar("turning_radius", turning_radius, above=0.0)
         self.footprint = footprint
         self.reversal_cost = _checks.scalar("reversal_cost", reversal_cost, at_least=0.0)
+        self.reverse_penalty = _checks.scalar("reverse_penalty", reverse_penalty, at_least=1.0)
         self.can_reverse = _kinds.flag("can_reverse", can_reverse)
 
     def lattice(self, spacing: float) -> "CarLattice":
@@ -71,11 +81,15 @@ class CarMotion(eqx.Module):
         radius = rounded_radius(float(self.turning_radius), spacing)
         # Whole metres, because the reach is static: similar cars share a compiled program.
         reach = math.ceil(float(np.abs(np.asarray(self.footprint.offsets)).max()))
-        return CarLattice(self.footprint, self.reversal_cost, radius, reach, self.can_reverse)
+        prices = (self.reversal_cost, self.reverse_penalty)
+        return CarLattice(self.footprint, *prices, radius, reach, self.can_reverse)
 
 
 def car_motion(robot: Dynamics) -> CarMotion | None:
     """Return how a robot moves that cannot turn on the spot; None for one that can.
+
+    What it drives backwards costs as much more as it takes longer than forwards, but at least
+    `REVERSE_PENALTY` times as much.
 
     Args:
         robot: model of the robot.
@@ -83,7 +97,13 @@ def car_motion(robot: Dynamics) -> CarMotion | None:
     radius = float(robot.turning_radius)
     if radius == 0.0:
         return None
-    return CarMotion(radius, robot.footprint, can_reverse=robot.can_reverse)
+    fastest, slowest = bound_of_speed(robot), bound_of_speed(robot, is_least=True)
+    penalty = REVERSE_PENALTY
+    if fastest is not None and slowest is not None and float(slowest) < 0.0:
+        penalty = max(penalty, float(fastest) / -float(slowest))
+    return CarMotion(
+        radius, robot.footprint, can_reverse=robot.can_reverse, reverse_penalty=penalty
+    )
 
 
 class CarLattice(Locomotion):
@@ -92,6 +112,7 @@ class CarLattice(Locomotion):
     Args:
         footprint: area that it covers.
         reversal_cost: price of a change between forwards and backwards [m].
+        reverse_penalty: factor on the cost of what is driven backwards.
         radius: turning radius [node spacings]; static.
         reach: bound of the distance from its position to its discs [m]; static.
         can_reverse: whether it can drive backwards; static.
@@ -99,6 +120,7 @@ class CarLattice(Locomotion):
 
     footprint: Footprint
     reversal_cost: Scalar
+    reverse_penalty: Scalar
     radius: float = eqx.field(static=True)
     reach: int = eqx.field(static=True)
     can_reverse: bool = eqx.field(static=True)
@@ -124,6 +146,7 @@ class CarLattice(Locomotion):
             slowness,
             is_open,
             self.reversal_cost,
+            self.reverse_penalty,
             self.radius,
             self.can_reverse,
         )
@@ -139,6 +162,7 @@ class CarLattice(Locomotion):
             flat,
             jnp.ones(flat.shape, bool),
             self.reversal_cost,
+            self.reverse_penalty,
             self.radius,
             self.can_reverse,
         )

@@ -24,6 +24,7 @@ class DescentTree(NamedTuple):
         slowness: cost (N, H, W) of a step of one node spacing [m].
         costs: cost-to-go (D, N, H, W) of the motions that begin at the poses [m].
         reversal_cost: price of a change between forwards and backwards [m].
+        reverse_penalty: factor on the cost of what is driven backwards.
         radius: turning radius [node spacings].
     """
 
@@ -31,6 +32,7 @@ class DescentTree(NamedTuple):
     slowness: Float[Array, "N H W"]
     costs: Float[Array, "D N H W"]
     reversal_cost: Scalar
+    reverse_penalty: Scalar
     radius: float
 
 
@@ -154,6 +156,7 @@ def _next(
         after = at(tree.costs[travel], body_after, corner + to_end, jnp.inf)
         price = 0.5 * (tree.slowness[body, corner[0], corner[1]])
         price = price + 0.5 * at(tree.slowness, body_after, corner + to_end, jnp.inf)
+        price = price * jnp.where(travel == 1, tree.reverse_penalty, 1.0)
         passed = via[number]
         bodies = jnp.mod(passed[..., 2] + half_turn, NUM_HEADINGS)
         places = (corner - back)[:, None] + passed[..., :2]

@@ -39,8 +39,8 @@ class CarRoadmap(Roadmap):
     A state is a node, a heading of motion and a direction of travel: forwards, or backwards if the
     car can, with the body the other way round. Motions are those of `geometry.state_lattice`, which
     are closed where a pose that they pass is closed. The cost of a motion is its length times the
-    mean price of a metre at its two ends. A change of the direction of travel has a price. The
-    values are those of Dijkstra's algorithm.
+    mean price of a metre at its two ends, backwards times a penalty. A change of the direction of
+    travel has a price. The values are those of Dijkstra's algorithm.
 
     `slowness` and `is_open` of the base class are the best of each node over headings.
 
@@ -48,6 +48,7 @@ class CarRoadmap(Roadmap):
         slowness_at: cost (N, H, W) of a step of one node spacing by heading of the body [m].
         is_open_at: mask (N, H, W) of the poses in which the car fits.
         reversal_cost: price of a change between forwards and backwards [m].
+        reverse_penalty: factor on the cost of what is driven backwards.
         radius: turning radius [node spacings]; static.
         can_reverse: whether the car can drive backwards; static.
     """
@@ -55,6 +56,7 @@ class CarRoadmap(Roadmap):
     slowness_at: Float[Array, "N H W"]
     is_open_at: Bool[Array, "N H W"]
     reversal_cost: Scalar
+    reverse_penalty: Scalar
     radius: float = eqx.field(static=True)
     can_reverse: bool = eqx.field(static=True)
 
@@ -72,7 +74,9 @@ class CarRoadmap(Roadmap):
             source: cost (N, H, W) of the poses where paths may end [m]; infinite elsewhere.
             is_from_source: whether paths lead from the source instead of to it; static.
         """
-        return self._costs(source, is_from_source=is_from_source)[0]
+        found = self._costs(source, is_from_source=is_from_source)[0]
+        # What leads from the source was driven the other way round.
+        return found[::-1] if is_from_source else found
 
     def _costs(
         self,
@@ -106,7 +110,11 @@ class CarRoadmap(Roadmap):
             return jnp.stack([jnp.roll(values, -body, axis=0) for body in bodies], axis=1)
 
         is_closed = by_motion(~self.is_open_at, outside=True)
-        half = jnp.where(is_closed, jnp.inf, 0.5 * by_motion(self.slowness_at, jnp.inf))
+        # Backwards on the path from the source is forwards on that to it.
+        penalties = jnp.stack([jnp.ones(()), self.reverse_penalty][: len(bodies)])
+        penalties = penalties[::-1] if is_from_source else penalties
+        slowness = penalties[:, None, None] * by_motion(self.slowness_at, jnp.inf)
+        half = jnp.where(is_closed, jnp.inf, 0.5 * slowness)
         prices = self._prices(is_closed, half)
         value = relaxed(
             jnp.where(is_closed, jnp.inf, by_motion(source, jnp.inf)),
@@ -257,7 +265,12 @@ class CarGuidance(GuidanceField):
         """Return the poses of the car along its motions on the lattice; see `GuidanceField`."""
         roads = self.roads
         tree = DescentTree(
-            roads.is_open_at, roads.slowness_at, self.at_nodes, roads.reversal_cost, roads.radius
+            roads.is_open_at,
+            roads.slowness_at,
+            self.at_nodes,
+            roads.reversal_cost,
+            roads.reverse_penalty,
+            roads.radius,
         )
         # Where it begins, the cost of the way there counts as well.
         away = roads.starts(pose) + self.by_heading[jnp.where(speed < 0.0, -1, 0)]

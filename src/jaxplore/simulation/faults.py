@@ -19,9 +19,9 @@ class Faults(eqx.Module):
     """Faults to inject into a run; each lasts from a start to an end time [s].
 
     Args:
-        scan_dropout: interval without scans.
-        lost_odometry: interval in which the observed state is NaN.
-        frozen_odometry: interval in which the observed state stays that at the start of the fault.
+        scan_dropout: interval without scans [s].
+        lost_odometry: interval in which the observed state is NaN [s].
+        frozen_odometry: interval in which the observed state stays as at its start [s].
         control_delay: number of control periods between a command and its effect; static.
         walls: (H, W) cells that become solid.
         walls_from: time at which they do [s].

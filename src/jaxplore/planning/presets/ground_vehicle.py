@@ -131,7 +131,7 @@ def ground_portfolio(
     weighting: Weighting | str = "softmax",
     effective_share: ArrayLike = 0.05,
     clearance: ArrayLike = 0.4,
-    margin: ArrayLike = 0.02,
+    margin: ArrayLike = 0.01,
 ) -> Portfolio:
     """Build a portfolio for a ground vehicle.
 
@@ -178,7 +178,8 @@ def ground_portfolio(
         effective_share: share of the samples that count: the least one of the adaptive softmax,
             that of the elite.
         clearance: distance kept from obstacles [m].
-        margin: distance by which the robot is enlarged in the collision check [m].
+        margin: distance by which the robot is enlarged in the collision check [m]. It is less than
+            what paths keep in narrow passages, so that the robot can drive them, slowly.
 
     Raises:
         ValueError: an unknown decomposition, member or objective, or a value that a part rejects.
