@@ -3,9 +3,10 @@
 A point without dynamics (`benchmarks.ideal`) explores each plan as its protocol asks, in the closed
 loop of this library. Only the data are theirs: a path that the user gives. Range of the lidar,
 start and end are those of the protocol. The inverse sensor model is ours, and a cell is seen when
-it is known to be free. Cells are 0.1 m, the point moves at 1 m/s, one cell per control period, and
-scans without noise. It enters every free cell, and passes no corner between two diagonal walls.
-Plans are explored with the top row at y = 0, mirrored, which changes no length.
+it is known to be free. Cells are 0.1 m, and the point moves at 1 m/s in steps of some cells. Each
+step begins with a scan without noise, and counts as a straight line. The point enters every free
+cell, and passes no corner between two diagonal walls. Plans are explored with the top row at y = 0,
+mirrored, which changes no length.
 
 `ariadne FOLDER`: dungeon maps of marmotlab/ARiADNE, one of the folders `easy`, `medium`, `complex`
 of 100 images. Cells above grey 150 are free, and the start is pixel 127 of those of grey 208, row
@@ -14,9 +15,10 @@ result is the travel in px, with mean and standard deviation over the maps.
     Confirmed in their `env.py`, `sensor.py` and `test_driver.py`: all of these numbers, images of
     480 x 640, and a standard deviation divided by N. Not confirmed: which of the folders is used
     for which published figure, and that the images are grey. Different here: their beams see up to
-    10 px into walls, ours end at them, and only free cells are counted. They scan where a decision
-    is made, we scan after each px. They count all free cells, we count those that are connected to
-    the start, and say how many are not.
+    10 px into walls, ours end at them, and only free cells are counted. They scan at the nodes of a
+    lattice, 22 x 17 px apart, we scan every 5 px: at every px a run would take five times as long.
+    They count all free cells, we count those that are connected to the start, and say how many are
+    not (`cells_apart`).
 
 `mapex FOLDER`: KTH floor plans of castacks/MapEx, the folder `kth_test_maps`, with a folder for
 each plan that has `occ_map.npy` (0 occupied, 254 free) and `valid_space.npy` (above 0 where
@@ -31,7 +33,7 @@ valid cells that are known, free or occupied, after 1000 steps of 3 cells with a
     and on the same plans: halving, the frame, 20 m, 2500 beams, 10 cells per metre and 1000 steps.
     Confirmed in copies of their code only: 3 cells per step, and how coverage counts. Not
     confirmed: the starts themselves, and the shapes of the plans. Different here: their 3 cells are
-    along rows and columns, ours are 0.3 m in any direction.
+    along rows and columns, ours are 0.3 m in any direction. A lidar sees nothing off the plan.
 
 `explore-bench PATH`: grids of efc-robot/Explore-Bench, a PGM image or a folder of them. Images are
 250 x 250 of 0.1 m, with grey 254 free, 205 unknown and 0 occupied. The lidar has 7 m. The results
@@ -41,8 +43,9 @@ are the times to 90 % and to 98 % of the free cells that are connected to the st
     training, or the free cell nearest to it; their command for other rules draws it at random. Not
     confirmed: 7 m, which is from the publication; their grid simulator is called with 3 m and 3.5
     m. Different here: they count known cells, occupied ones included, and their scan tests each
-    cell. Here 720 beams do, 0.6 cells apart at 7 m. Their times are those of a robot in Gazebo,
-    ours those of a point at 1 m/s: seconds are metres.
+    cell. Here 720 beams do, 0.6 cells apart at 7 m. They scan at each cell of a way, we scan at
+    every second one. Their times are those of a robot in Gazebo, ours those of a point at 1 m/s:
+    seconds are metres.
 
 Sources: Cao et al., "ARiADNE", ICRA 2023, arXiv 2301.11575. Ho, Kim et al., "MapEx", ICRA 2025,
 arXiv 2409.15590. Xu et al., "Explore-Bench", ICRA 2022, arXiv 2202.11931.
@@ -73,16 +76,15 @@ from jaxplore.simulation.exploration.reachability import open_spot, reachable_ce
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run, simulate
 
-CELL, SPEED, RATE = 0.1, 1.0, 10.0
-"""Side of a cell [m], speed of the point [m/s], and rate of its controls [Hz]: a cell per step."""
+CELL, SPEED = 0.1, 1.0
+"""Side of a cell [m], and speed of the point [m/s]."""
 RADIUS = 0.2 * CELL
 """Radius of the point [m]: less than half a cell, so that it fits in every free cell."""
-MOST_STEPS = 20_000
-"""Steps after which a run ends that is not done, far beyond a sweep of each plan."""
+MOST_CELLS = 20_000
+"""Way after which a run ends that is not done [cells], far beyond a sweep of each plan."""
 
 DUNGEON, START_GREY, START_INDEX, FREE_GREY, MOST_UNSEEN = (480, 640), 208, 127, 150, 250
-PX_PER_SCAN = 5
-FRAME, STEPS, CELLS_PER_STEP = 500, 1000, 3
+FRAME, STEPS = 500, 1000
 GRID, GRID_GREYS, GRID_START, GRID_END = (250, 250), (0, 205, 254), (45, 205), 0.98
 
 EXPLORERS: dict[str, Callable[[ExplorationScenario], Controller]] = {
@@ -118,8 +120,8 @@ class Protocol(NamedTuple):
         shape: rows and columns of an image; None for any.
         max_range: range of the lidar [m].
         num_beams: number of its beams.
-        steps_per_scan: control periods between two scans.
-        num_steps: greatest number of control periods.
+        cells_per_step: way of the point in a step, which begins with a scan [cells].
+        num_steps: greatest number of steps.
         target: returns the coverage at which a run is done, of the number of cells connected to the
             start; None if it ends after `num_steps` only.
         measure: returns the results of a run by name; None for one that was not reached.
@@ -131,7 +133,7 @@ class Protocol(NamedTuple):
     shape: tuple[int, int] | None
     max_range: float
     num_beams: int
-    steps_per_scan: int
+    cells_per_step: int
     num_steps: int
     target: Callable[[int], float | None]
     measure: Callable[[Plan, Run], dict[str, float | None]]
@@ -351,8 +353,8 @@ PROTOCOLS = {
         DUNGEON,
         max_range=80 * CELL,
         num_beams=720,
-        steps_per_scan=PX_PER_SCAN,
-        num_steps=MOST_STEPS,
+        cells_per_step=5,
+        num_steps=MOST_CELLS // 5,
         target=unseen_target,
         measure=travel,
     ),
@@ -363,8 +365,8 @@ PROTOCOLS = {
         None,
         max_range=20.0,
         num_beams=2500,
-        steps_per_scan=CELLS_PER_STEP,
-        num_steps=STEPS * CELLS_PER_STEP,
+        cells_per_step=3,
+        num_steps=STEPS,
         target=lambda number: None,
         measure=valid_coverage,
     ),
@@ -375,8 +377,8 @@ PROTOCOLS = {
         GRID,
         max_range=7.0,
         num_beams=720,
-        steps_per_scan=1,
-        num_steps=MOST_STEPS,
+        cells_per_step=2,
+        num_steps=MOST_CELLS // 2,
         target=lambda number: GRID_END,
         measure=times,
     ),
@@ -410,7 +412,7 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
     start = np.array([(column + 0.5) * CELL, (row + 0.5) * CELL, 0.0])
     robot = ideal.Point(SPEED, RADIUS)
     lidar = Lidar(protocol.num_beams, protocol.max_range, range_noise=0.0)
-    scan_rate = RATE / protocol.steps_per_scan
+    rate = SPEED / (protocol.cells_per_step * CELL)
     try:
         number = int(reachable_cells(world, start, RADIUS).sum())
         return ExplorationScenario(
@@ -419,9 +421,9 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
             lidar,
             start,
             perception=Perception(lidar, CELL, RADIUS, margin=0.0, node_spacing=CELL),
-            control_rate=RATE,
-            sensing_rate=scan_rate,
-            field_rate=scan_rate,
+            control_rate=rate,
+            sensing_rate=rate,
+            field_rate=rate,
             target_coverage=protocol.target(number),
         )
     except ValueError as error:

@@ -5,6 +5,7 @@ All plans have one padded shape and one lidar, so that all runs share a compiled
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def small(name: str, monkeypatch: pytest.MonkeyPatch) -> Protocol:
     """Let a protocol have small images and a short lidar, for the command as well."""
     given = PROTOCOLS[name]
     shape = None if given.shape is None else SHAPE
-    made = given._replace(shape=shape, max_range=2.0, num_beams=180)
+    made = given._replace(shape=shape, max_range=2.0, num_beams=180, cells_per_step=2)
     monkeypatch.setitem(PROTOCOLS, name, made)
     return made
 
@@ -51,7 +52,7 @@ def ariadne(monkeypatch: pytest.MonkeyPatch) -> Protocol:
 
 @pytest.fixture
 def mapex(monkeypatch: pytest.MonkeyPatch) -> Protocol:
-    return small("mapex", monkeypatch)._replace(num_steps=60)
+    return small("mapex", monkeypatch)._replace(cells_per_step=3, num_steps=20)
 
 
 @pytest.fixture
@@ -97,6 +98,12 @@ def recording(run: Run) -> ExplorationRecording:
     return run.recording
 
 
+def num_programs() -> int:
+    """Return the number of closed loops that were compiled."""
+    program: Any = run_chunk
+    return int(program._cached._cache_size())
+
+
 def reached(run: Run, level: float) -> int:
     """Return the first step whose record has a coverage."""
     coverage = np.asarray(recording(run).records.coverage, np.float64)
@@ -134,8 +141,8 @@ def test_a_dungeon_ends_at_250_unseen_cells_with_the_travel_until_then(
 def test_a_grid_has_the_times_to_90_and_98_percent(grids: Protocol, tmp_path: Path) -> None:
     (plan,) = read_plans(grids, save(grid(), tmp_path / "room.pgm"))
     run, row = explore(grids, plan, "explorer")
-    assert row["t90_s"] == pytest.approx(reached(run, 0.9) * 0.1)
-    assert row["total_s"] == pytest.approx(reached(run, GRID_END) * 0.1)
+    assert row["t90_s"] == pytest.approx(reached(run, 0.9) * 0.2)
+    assert row["total_s"] == pytest.approx(reached(run, GRID_END) * 0.2)
     assert 0.0 < row["t90_s"] < row["total_s"]
     assert row["is_done"]
 
@@ -153,7 +160,7 @@ def test_mapex_counts_known_valid_cells_after_its_steps(mapex: Protocol, tmp_pat
     (plan,) = read_plans(mapex, tmp_path)
     assert plan.start == (15, 15)
     np.testing.assert_array_equal(plan.is_free, OPEN)
-    before = run_chunk._cached._cache_size()
+    before = num_programs()
     run, row = explore(mapex, plan, "explorer")
     done = recording(run)
     valid = np.zeros(SHAPE, bool)
@@ -165,12 +172,12 @@ def test_mapex_counts_known_valid_cells_after_its_steps(mapex: Protocol, tmp_pat
     assert ((done.belief > 0.65) & valid).sum() > 50
     assert done.num_steps == mapex.num_steps
     assert row["is_done"]
-    # A scan every three steps of a cell: in between the record of the map stays the same.
-    coverage = np.asarray(done.records.coverage)
-    np.testing.assert_array_equal(coverage[0::3], coverage[1::3])
-    np.testing.assert_array_equal(coverage[0::3], coverage[2::3])
-    # Another shape, scan rate and end: whichever test ran first has compiled the loop.
-    assert run_chunk._cached._cache_size() - before <= (before == 0)
+    # Three cells per step, less in bends.
+    moves = np.hypot(*np.diff(done.positions, axis=0).T) / CELL
+    assert moves.max() <= 3.0 + 1e-4
+    assert np.median(moves) > 2.9
+    # Other plans, steps and ends: whichever test ran first has compiled the loop.
+    assert num_programs() - before <= (before == 0)
 
 
 def test_a_kth_plan_is_halved_to_its_walls_and_starts_inside(
