@@ -395,10 +395,36 @@ def read_plans(protocol: Protocol, path: Path, limit: int | None = None) -> Iter
         limit: number of files or folders that are read; all when absent.
 
     Raises:
-        ValueError: data of another layout; one line that names the file.
+        ValueError: data of another layout, or too few free cells; one line that names the file.
     """
     for each in protocol.find(path, protocol.layout)[:limit]:
-        yield from protocol.read(each, protocol.shape)
+        for plan in protocol.read(each, protocol.shape):
+            # Asked again for each run, and here so that a bad plan is found before the first run.
+            target_coverage(protocol, plan)
+            yield plan
+
+
+def target_coverage(protocol: Protocol, plan: Plan) -> float | None:
+    """Return the coverage at which a run is done; None if it ends after its steps only.
+
+    Raises:
+        ValueError: too few free cells.
+    """
+    try:
+        number = int(reachable_cells(_world(plan), _start(plan), RADIUS).sum())
+        return protocol.target(number)
+    except ValueError as error:
+        raise ValueError(f"{plan.name}: {error}") from None
+
+
+def _world(plan: Plan) -> OccupancyGrid:
+    return OccupancyGrid((~plan.is_free).astype(np.float32), CELL)
+
+
+def _start(plan: Plan) -> np.ndarray:
+    """Return the pose (x, y, yaw) in the middle of the cell of the start [m, m, rad]."""
+    row, column = plan.start
+    return np.array([(column + 0.5) * CELL, (row + 0.5) * CELL, 0.0])
 
 
 def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
@@ -407,27 +433,19 @@ def make_scenario(protocol: Protocol, plan: Plan) -> ExplorationScenario:
     Raises:
         ValueError: too few free cells.
     """
-    world = OccupancyGrid((~plan.is_free).astype(np.float32), CELL)
-    row, column = plan.start
-    start = np.array([(column + 0.5) * CELL, (row + 0.5) * CELL, 0.0])
-    robot = ideal.Point(SPEED, RADIUS)
     lidar = Lidar(protocol.num_beams, protocol.max_range, range_noise=0.0)
     rate = SPEED / (protocol.cells_per_step * CELL)
-    try:
-        number = int(reachable_cells(world, start, RADIUS).sum())
-        return ExplorationScenario(
-            world,
-            robot,
-            lidar,
-            start,
-            perception=Perception(lidar, CELL, RADIUS, margin=0.0, node_spacing=CELL),
-            control_rate=rate,
-            sensing_rate=rate,
-            field_rate=rate,
-            target_coverage=protocol.target(number),
-        )
-    except ValueError as error:
-        raise ValueError(f"{plan.name}: {error}") from None
+    return ExplorationScenario(
+        _world(plan),
+        ideal.Point(SPEED, RADIUS),
+        lidar,
+        _start(plan),
+        perception=Perception(lidar, CELL, RADIUS, margin=0.0, node_spacing=CELL),
+        control_rate=rate,
+        sensing_rate=rate,
+        field_rate=rate,
+        target_coverage=target_coverage(protocol, plan),
+    )
 
 
 def explore(protocol: Protocol, plan: Plan, explorer: str) -> tuple[Run, dict[str, Any]]:
@@ -499,7 +517,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
             if run.metrics.is_interrupted:
                 break
             rows.append(row)
-            shown = ", ".join(f"{name} {row[name]}" for name in protocol.measure(plan, run))
+            results = {name: row[name] for name in row if name not in NO_RESULTS}
+            shown = ", ".join(
+                f"{name} not reached" if each is None else f"{name} {each:.2f}"
+                for name, each in results.items()
+            )
             console.print(f"{plan.name}, {explorer}: {shown}", highlight=False)
         if options.out is not None:
             replace_files([(options.out, (json.dumps(rows, indent=2) + "\n").encode())])
