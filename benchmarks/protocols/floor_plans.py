@@ -8,10 +8,10 @@ step begins with a scan without noise, and counts as a straight line. The point 
 cell, and passes no corner between two diagonal walls. Plans are explored with the top row at y = 0,
 mirrored, which changes no length.
 
-`ariadne FOLDER`: dungeon maps of marmotlab/ARiADNE, one of the folders `easy`, `medium`, `complex`
-of 100 images. Cells above grey 150 are free, and the start is pixel 127 of those of grey 208, row
-by row. The lidar has 720 beams of 80 px. A run is done when at most 250 free cells are unseen. The
-result is the travel in px, with mean and standard deviation over the maps.
+`ariadne FOLDER`: dungeon maps of marmotlab/ARiADNE, one of the folders `easy`, `medium`, `complex`.
+Cells above grey 150 are free, and the start is pixel 127 of those of grey 208, row by row. The
+lidar has 720 beams of 80 px. A run is done when at most 250 free cells are unseen. The result is
+the travel in px, with mean and standard deviation over the maps.
     Confirmed in their `env.py`, `sensor.py` and `test_driver.py`: all of these numbers, images of
     480 x 640, and a standard deviation divided by N. Not confirmed: which of the folders is used
     for which published figure, and that the images are grey. Different here: their beams see up to
@@ -29,9 +29,9 @@ valid cells that are known, free or occupied, after 1000 steps of 3 cells with a
     `--start_pose` has them: halved cells in a frame of 500. A plan without a line starts in the
     middle of its widest valid place.
     Confirmed in the README of MapEx: the folder, `--start_pose`, and that the starts are in
-    `clusters/run_explore.job`. Confirmed in the code of castacks/pipe-planner, by the same group
-    and on the same plans: halving, the frame, 20 m, 2500 beams, 10 cells per metre and 1000 steps.
-    Confirmed in copies of their code only: 3 cells per step, and how coverage counts. Not
+    `clusters/run_explore.job`. Confirmed in a configuration of castacks/pipe-planner, by the same
+    group and on the same plans: 20 m, 2500 beams, 10 cells per metre and 1000 steps. Found in
+    copies of their code only: halving, the frame, 3 cells per step, and how coverage counts. Not
     confirmed: the starts themselves, and the shapes of the plans. Different here: their 3 cells are
     along rows and columns, ours are 0.3 m in any direction. A lidar sees nothing off the plan.
 
@@ -41,11 +41,10 @@ are the times to 90 % and to 98 % of the free cells that are connected to the st
     Confirmed in their `GridEnv.py` and blueprints: greys, sizes, 90 %, and 98 % as the end of the
     grid simulator; in Gazebo the end is 99 %. The start is (-8, 8) m from the middle as in their
     training, or the free cell nearest to it; their command for other rules draws it at random. Not
-    confirmed: 7 m, which is from the publication; their grid simulator is called with 3 m and 3.5
-    m. Different here: they count known cells, occupied ones included, and their scan tests each
-    cell. Here 720 beams do, 0.6 cells apart at 7 m. They scan at each cell of a way, we scan at
-    every second one. Their times are those of a robot in Gazebo, ours those of a point at 1 m/s:
-    seconds are metres.
+    confirmed: 7 m; their grid simulator is called with 3 m and 3.5 m. Different here: they count
+    known cells, occupied ones included, and their scan tests each cell. Here 720 beams do, 0.6
+    cells apart at 7 m. They scan at each cell of a way, we scan at every second one. Their times
+    are those of a robot in Gazebo, ours those of a point at 1 m/s: seconds are metres.
 
 Sources: Cao et al., "ARiADNE", ICRA 2023, arXiv 2301.11575. Ho, Kim et al., "MapEx", ICRA 2025,
 arXiv 2409.15590. Xu et al., "Explore-Bench", ICRA 2022, arXiv 2202.11931.
@@ -63,51 +62,43 @@ import numpy as np
 from rich.console import Console
 
 from benchmarks import ideal
+from benchmarks.protocols.plan_files import (
+    CELL,
+    RADIUS,
+    Plan,
+    pgms,
+    plan_folders,
+    pngs,
+    read_dungeon,
+    read_grid,
+    read_kth,
+)
 from benchmarks.tables import table
 from jaxplore import Lidar, OccupancyGrid, Perception
 from jaxplore._files import replace_files
-from jaxplore._text import one_line, printable_path
+from jaxplore._text import one_line
 from jaxplore.belief.zones import is_unknown
 from jaxplore.control.base import Controller
-from jaxplore.maps.files.images import read_greys
 from jaxplore.report.exploration.progress import progress
 from jaxplore.report.exploration.recording import ExplorationRecording
-from jaxplore.simulation.exploration.reachability import open_spot, reachable_cells
+from jaxplore.simulation.exploration.reachability import reachable_cells
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.run import Run, simulate
 
-CELL, SPEED = 0.1, 1.0
-"""Side of a cell [m], and speed of the point [m/s]."""
-RADIUS = 0.2 * CELL
-"""Radius of the point [m]: less than half a cell, so that it fits in every free cell."""
+SPEED = 1.0
+"""Speed of the point [m/s]."""
 MOST_CELLS = 20_000
 """Way after which a run ends that is not done [cells], far beyond a sweep of each plan."""
 
-DUNGEON, START_GREY, START_INDEX, FREE_GREY, MOST_UNSEEN = (480, 640), 208, 127, 150, 250
-FRAME, STEPS = 500, 1000
-GRID, GRID_GREYS, GRID_START, GRID_END = (250, 250), (0, 205, 254), (45, 205), 0.98
+DUNGEON, MOST_UNSEEN = (480, 640), 250
+STEPS = 1000
+GRID, GRID_END = (250, 250), 0.98
 
 EXPLORERS: dict[str, Callable[[ExplorationScenario], Controller]] = {
     "explorer": ideal.explorer,
     "nearest-cluster": ideal.nearest_cluster,
     "nearest-frontier": ideal.nearest_frontier,
 }
-
-
-class Plan(NamedTuple):
-    """A floor plan with a start.
-
-    Args:
-        name: name of the plan.
-        is_free: (H, W) free cells, the top row first.
-        start: row and column of the start.
-        is_valid: (H, W) cells that the coverage of MapEx counts; None for another protocol.
-    """
-
-    name: str
-    is_free: np.ndarray
-    start: tuple[int, int]
-    is_valid: np.ndarray | None = None
 
 
 class Protocol(NamedTuple):
@@ -137,158 +128,6 @@ class Protocol(NamedTuple):
     num_steps: int
     target: Callable[[int], float | None]
     measure: Callable[[Plan, Run], dict[str, float | None]]
-
-
-def pngs(path: Path, layout: str) -> list[Path]:
-    """Return the PNG images of a folder by name."""
-    return _found(path, sorted(path.glob("*.png")), layout)
-
-
-def pgms(path: Path, layout: str) -> list[Path]:
-    """Return a file itself, or the PGM images of a folder by name."""
-    return [path] if path.is_file() else _found(path, sorted(path.glob("*.pgm")), layout)
-
-
-def plan_folders(path: Path, layout: str) -> list[Path]:
-    """Return the folders in a folder that have a plan, by name."""
-    return _found(path, sorted(each.parent for each in path.glob("*/occ_map.npy")), layout)
-
-
-def _found(path: Path, found: list[Path], layout: str) -> list[Path]:
-    if not found:
-        lack = "has none" if path.is_dir() else "is not there"
-        raise ValueError(f"{printable_path(path)} {lack}; accepted: {layout}")
-    return found
-
-
-def read_dungeon(path: Path, shape: tuple[int, int] | None) -> list[Plan]:
-    """Read a dungeon map of ARiADNE.
-
-    Args:
-        path: path of the image.
-        shape: rows and columns that it must have.
-
-    Raises:
-        ValueError: another image.
-    """
-    grey = _greys(path, shape)
-    marked = np.argwhere(grey == START_GREY)
-    if len(marked) <= START_INDEX:
-        raise ValueError(
-            f"{printable_path(path)} has {len(marked)} pixels of grey {START_GREY}, which mark the "
-            f"start; accepted: at least {START_INDEX + 1}"
-        )
-    row, column = marked[START_INDEX].tolist()
-    return [Plan(path.stem, grey > FREE_GREY, (row, column))]
-
-
-def read_grid(path: Path, shape: tuple[int, int] | None) -> list[Plan]:
-    """Read a grid of Explore-Bench.
-
-    Args:
-        path: path of the image.
-        shape: rows and columns that it must have.
-
-    Raises:
-        ValueError: another image, or one without a free cell.
-    """
-    grey = _greys(path, shape)
-    if others := sorted(set(np.unique(grey).tolist()) - set(GRID_GREYS)):
-        raise ValueError(
-            f"{printable_path(path)} has pixels of grey {others[0]}; accepted: 0 occupied, 205 "
-            "unknown, 254 free"
-        )
-    is_free = grey == GRID_GREYS[-1]
-    cells = np.argwhere(is_free)
-    if not len(cells):
-        raise ValueError(f"{printable_path(path)} has no free cell; accepted: some of grey 254")
-    row, column = cells[np.argmin(np.hypot(*(cells - GRID_START).T))].tolist()
-    return [Plan(path.stem, is_free, (row, column))]
-
-
-def _greys(path: Path, shape: tuple[int, int] | None) -> np.ndarray:
-    """Read an image as greys (H, W) from 0 to 255."""
-    read = read_greys(path)
-    if shape is not None and read.level.shape != shape:
-        rows, columns = read.level.shape
-        raise ValueError(
-            f"{printable_path(path)} has {rows} x {columns} pixels; accepted: {shape[0]} x "
-            f"{shape[1]}, rows x columns"
-        )
-    return np.rint(255.0 * read.level / read.full).astype(int)
-
-
-def read_kth(path: Path, shape: tuple[int, int] | None) -> list[Plan]:
-    """Read a KTH floor plan of MapEx, once for each of its starts.
-
-    Args:
-        path: folder of the plan, in a folder that may have `starts.csv`.
-        shape: rows and columns that the arrays must have; None for any.
-
-    Raises:
-        ValueError: other arrays, or a start that is no free cell.
-    """
-    occupancy, valid = (_array(path / f"{name}.npy") for name in ("occ_map", "valid_space"))
-    if occupancy.shape != (shape or valid.shape) or occupancy.shape != valid.shape:
-        raise ValueError(
-            f"{printable_path(path)} has arrays of {occupancy.shape} and {valid.shape}; accepted: "
-            f"{shape or 'one shape'} for both"
-        )
-    if not np.isin(occupancy, (0, 254)).all():
-        raise ValueError(f"{printable_path(path / 'occ_map.npy')}: accepted: 0 and 254 only")
-    is_free, is_valid = ~_halved(occupancy == 0, True), _halved(valid > 0, False)
-    if not (is_free & is_valid).any():
-        raise ValueError(f"{printable_path(path)} has no free cell that is valid; accepted: some")
-    starts = _starts(path.parent / "starts.csv").get(path.name)
-    if starts is None:
-        inside = OccupancyGrid((~(is_free & is_valid)).astype(np.float32), CELL)
-        x, y = open_spot(inside, RADIUS)
-        return [Plan(path.name, is_free, (int(y / CELL), int(x / CELL)), is_valid)]
-    plans = []
-    for row, column in starts:
-        here = (row - FRAME, column - FRAME)
-        is_inside = all(0 <= at < side for at, side in zip(here, is_free.shape, strict=True))
-        if not (is_inside and is_free[here]):
-            raise ValueError(
-                f"{printable_path(path.parent / 'starts.csv')}: {path.name},{row},{column} is no "
-                f"free cell; accepted: one, counted from a frame of {FRAME} cells"
-            )
-        plans.append(Plan(f"{path.name},{row},{column}", is_free, here, is_valid))
-    return plans
-
-
-def _array(path: Path) -> np.ndarray:
-    """Read an array (H, W)."""
-    try:
-        values: np.ndarray = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
-        raise ValueError(
-            f"{printable_path(path)} cannot be read ({error}); accepted: an array in a .npy file"
-        ) from None
-    if not isinstance(values, np.ndarray) or values.ndim != 2 or values.dtype.kind not in "biuf":
-        raise ValueError(f"{printable_path(path)}: accepted: an array (H, W) of numbers")
-    return values
-
-
-def _halved(mask: np.ndarray, outside: bool) -> np.ndarray:
-    """Return whether any cell of each block of 2 x 2 is set; `outside` fills the last blocks."""
-    rows, columns = mask.shape
-    even = np.pad(mask, ((0, rows % 2), (0, columns % 2)), constant_values=outside)
-    blocks: np.ndarray = even.reshape(len(even) // 2, 2, -1, 2).any(axis=(1, 3))
-    return blocks
-
-
-def _starts(path: Path) -> dict[str, list[tuple[int, int]]]:
-    """Read the starts of plans from a file of lines `plan,row,column`; none without a file."""
-    starts: dict[str, list[tuple[int, int]]] = {}
-    for number, line in enumerate(path.read_text().splitlines() if path.exists() else (), 1):
-        name, *cell = (word.strip() for word in line.split(","))
-        if len(cell) != 2 or not all(word.isdecimal() for word in cell):
-            raise ValueError(
-                f"{printable_path(path)}: line {number} is {line!r}; accepted: plan,row,column"
-            )
-        starts.setdefault(name, []).append((int(cell[0]), int(cell[1])))
-    return starts
 
 
 def unseen_target(number: int) -> float:

@@ -10,11 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 from benchmarks.protocols.floor_plans import (
-    CELL,
-    FRAME,
     GRID_END,
     PROTOCOLS,
-    Plan,
     Protocol,
     explore,
     main,
@@ -22,6 +19,7 @@ from benchmarks.protocols.floor_plans import (
     summarise,
     unseen_target,
 )
+from benchmarks.protocols.plan_files import CELL, FRAME, Plan
 from PIL import Image
 
 from jaxplore.report.exploration.recording import ExplorationRecording
