@@ -284,6 +284,27 @@ def test_descent_is_zero_at_a_minimum_and_continued_into_what_is_closed() -> Non
     assert np.isfinite(np.asarray(downhill(jnp.full((3, 3), jnp.inf), 2))).all()
 
 
+@given(
+    wanted=st.floats(1e-3, 10.0),
+    resolution=st.floats(1e-3, 1.0),
+    radius=st.floats(0.01, 3.0),
+    margin=st.floats(0.0, 0.5),
+)
+def test_the_stride_is_the_largest_one_that_is_safe(wanted, resolution, radius, margin) -> None:
+    """By counting down from the wanted one."""
+    nearest = (radius + margin) / resolution + 0.5
+    apart = 2.0 * math.sqrt(max(0.0, nearest**2 - 0.5)) - 1e-6
+    apart = min(2.0 * radius / resolution + 1.0, apart)
+    expected = max(1, round(wanted / resolution))
+    while expected > 1 and math.sqrt(2.0) * (2 * expected - 1) >= apart:
+        expected -= 1
+    assert safe_stride(wanted, resolution, radius, radius + margin) == expected
+
+
+def test_the_stride_of_tiny_cells_is_found_at_once() -> None:
+    assert safe_stride(0.2, 1e-12, 0.2) == pytest.approx(1.4e11, rel=0.02)
+
+
 @given(st.floats(0, math.pi), st.floats(-1, 1), st.sampled_from([0.05, 0.1]), st.floats(0.15, 0.5))
 def test_no_path_jumps_a_wall(
     angle: float, offset: float, resolution: float, radius: float
