@@ -33,7 +33,7 @@ REVERSE_PENALTY = 1.25
 """Factor on the cost of what a car drives backwards.
 
 It pays to turn around for a way of more than about ten metres. With 2, as in Nav2's Smac planner,
-a car stood for ever in one of seven runs: where a pose beside its own has no way but backwards,
+a car stood for ever in one of eleven runs: where a pose beside its own has no way but backwards,
 the cost between two motions of the lattice is a ridge, and the higher the dearer the way backwards
 is."""
 
