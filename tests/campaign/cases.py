@@ -56,6 +56,7 @@ def all_cases(category: str) -> list[Case]:
 
 
 def some_cases(category: str, number: int) -> list[Case]:
-    """Return at least a number of cases of a category, spread evenly over it."""
+    """Return a number of cases of a category, spread evenly over it, or all if it has fewer."""
     found = all_cases(category)
-    return found[:: max(1, len(found) // number)]
+    number = min(number, len(found))
+    return [found[index * len(found) // number] for index in range(number)]

@@ -14,7 +14,7 @@ from .mutations import FORMATS, MUTATIONS
 from .outcomes import Call, Judged, Outcome, judge, judge_stop
 from .trials import Trials
 
-NUM_CASES, NUM_MUTATIONS = 40, 10
+NUM_CASES, NUM_MUTATIONS = 34, 10
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxplore.maps.files.images import PIXEL_LIMIT, read_greys
+from jaxplore.maps.files.images import HEADER_LIMIT, PIXEL_LIMIT, read_greys
 
 GREYS = np.array([[0, 51, 102], [153, 204, 255]], np.uint8)
 EIGHT = GREYS / 255
@@ -94,6 +94,24 @@ def test_images_refused(tmp_path, data, culprit) -> None:
         read_greys(path)
     assert str(path) in str(error.value)
     assert "accepted" in str(error.value)
+
+
+@pytest.mark.parametrize("begin", [b"P5\n", b"P5 3\n", b"P5 3 2 ", b"P4 3 "])
+@pytest.mark.parametrize("rest", [b"#" + b"x" * HEADER_LIMIT, b"# x\r\n" * HEADER_LIMIT])
+def test_a_long_header_is_refused(tmp_path, begin, rest) -> None:
+    (tmp_path / "x.pgm").write_bytes(begin + rest + b"\n3 2 255\n" + bytes(6))
+    with pytest.raises(ValueError, match=f"its header has more than {HEADER_LIMIT} bytes"):
+        read_greys(tmp_path / "x.pgm")
+
+
+@pytest.mark.parametrize("value", [b"\n", b" ", b"#", b"7", b"\0"])
+def test_pixels_are_no_header(tmp_path, value) -> None:
+    comment = b"#" + b"x" * (HEADER_LIMIT // 2) + b"\n"
+    header = b"P5 " + comment + b"300\n300 # rows\n255\n"
+    (tmp_path / "x.pgm").write_bytes(header + value * 90_000)
+    np.testing.assert_array_equal(
+        read_greys(tmp_path / "x.pgm").shade, np.full((300, 300), np.float32(value[0] / 255))
+    )
 
 
 def test_what_is_no_file_is_refused(tmp_path) -> None:

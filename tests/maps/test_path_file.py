@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxplore.geometry.curves import path_through
+from jaxplore.maps.files import path_file
 from jaxplore.maps.files.path_file import read_path
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)]
@@ -88,6 +89,21 @@ def test_bad_files_are_named(tmp_path: Path, name: str, text: str, message: str)
     with pytest.raises(ValueError, match=message) as error:
         read_path(file)
     assert str(file) in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.csv", "x,y\n0,0\n1,1\n\n2,2\n3,nonsense\n", "line 5 is one waypoint too many"),
+        ("a.yaml", f"poses: [{', '.join(['{position: {x: 0, y: 0}}'] * 3)}]", "has 3 waypoints"),
+    ],
+)
+def test_a_path_has_at_most_so_many_waypoints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, text: str, message: str
+) -> None:
+    monkeypatch.setattr(path_file, "MOST_WAYPOINTS", 2)
+    with pytest.raises(ValueError, match=f"{message}; accepted: at most 2"):
+        read_path(written(tmp_path, text, name))
 
 
 def test_a_file_that_is_not_there_or_no_text(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -240,9 +241,13 @@ class World:
             mask |= self._cells(kind, getattr(shapes, kind))
         return mask
 
+    @cached_property
+    def _frame(self) -> GridFrame:
+        """The frame relative to the lower corner: a frame keeps its origin in single precision."""
+        return GridFrame(self.resolution)
+
     def _cells(self, kind: str, rows: tuple[Row, ...]) -> NDArray[np.bool_]:
-        # Work relative to the lower corner, because a frame keeps its origin in single precision.
-        frame, shape, corner = GridFrame(self.resolution), self.shape, np.array(self.origin)
+        frame, shape, corner = self._frame, self.shape, np.array(self.origin)
         if kind == "discs":
             return disc_mask([(*(row[:2] - corner).tolist(), row[2]) for row in rows], frame, shape)
         local = np.reshape(rows, (-1, 4)) - np.tile(corner, 2)
@@ -311,7 +316,7 @@ class World:
                 f"{name} is {list(place)}; accepted: a point on the map, {self._extent()}"
             )
         # A point within rounding of the far edge belongs to the cell beyond: clip it to the map.
-        row, column = cell_at((x, y), GridFrame(self.resolution))
+        row, column = cell_at((x, y), self._frame)
         if solid[min(row, solid.shape[0] - 1), min(column, solid.shape[1] - 1)]:
             raise ValueError(
                 f"{name} is {list(place)}, in something solid; accepted: a point in a cell that is "

@@ -1,9 +1,10 @@
 """Read grey images that are not trusted, for maps and elevations."""
 
+import re
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ PIXEL_LIMIT = 64_000_000
 """Largest image that is read or written [pixels]."""
 BYTE_LIMIT = 2**30
 """Largest file of an image that is copied [bytes]: that many pixels as text."""
+HEADER_LIMIT = 2**16
+"""Longest header of a portable map, with its comments [bytes]."""
 
 _FORMATS = ("PPM", "PNG", "BMP")
 _MODES = ("1", "L", "LA", "P", "RGB", "RGBA", "I", "I;16")
@@ -83,6 +86,7 @@ def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
             if file is None:
                 raise ValueError("it is not there or not a file")
             with file:
+                _check_header(file)
                 image = Image.open(file, formats=_FORMATS)
                 if image.mode == "P" and image.palette is None:
                     # Pillow takes all its pixels for black.
@@ -99,6 +103,21 @@ def _opened[T](path: Path, read: Callable[["ImageFile.ImageFile"], T]) -> T:
     if large:
         raise ValueError(too_large)
     raise ValueError(f"{where} has pixels of type {image.mode}; accepted: {accepted}")
+
+
+def _check_header(file: BinaryIO) -> None:
+    """Refuse the long header of a portable map, which Pillow reads byte by byte.
+
+    A million bytes take it a second. They may be one comment.
+    """
+    head = file.read(HEADER_LIMIT)
+    file.seek(0)
+    # The kind, the columns and the rows, and but for bitmaps the greatest value.
+    count = 3 if head[:2] in (b"P1", b"P4") else 4
+    between, word = rb"(?:\s|#[^\r\n]*+[\r\n])++", rb"[^\s#]++"
+    header = word + (between + word) * (count - 1) + rb"[\s#]"
+    if head[:1] == b"P" and len(head) == HEADER_LIMIT and not re.match(header, head):
+        raise ValueError(f"its header has more than {HEADER_LIMIT} bytes")
 
 
 def _levels(image: "ImageFile.ImageFile", alpha_is_shade: bool) -> Greys:

@@ -116,8 +116,6 @@ def _rows(path: str | PathLike[str]) -> np.ndarray:
         rows = _ros_rows(file)
     else:
         raise ValueError(f"path is {where}; accepted: a .csv, .txt, .yaml or .yml file")
-    if len(rows) > MOST_WAYPOINTS:
-        raise ValueError(f"{where} has {len(rows)} waypoints; accepted: at most {MOST_WAYPOINTS}")
     if not np.isfinite(rows).all():
         index = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
         raise ValueError(
@@ -164,6 +162,11 @@ def _csv_rows(file: FilePath) -> np.ndarray:
                 f"{where}, line {number} has {len(row)} columns; accepted: "
                 + "; ".join(f"{count}: {names}" for count, names in COLUMNS.items())
             )
+        if len(rows) == MOST_WAYPOINTS:
+            raise ValueError(
+                f"{where}, line {number} is one waypoint too many; accepted: at most "
+                f"{MOST_WAYPOINTS} waypoints"
+            )
         rows.append(row)
     if not rows:
         raise ValueError(f"{where} has no waypoints; accepted: two or more")
@@ -185,6 +188,8 @@ def _ros_rows(file: FilePath) -> np.ndarray:
         raise ValueError(
             f"{where} has poses {short_repr(poses)}; accepted: a list, as in nav_msgs/Path"
         )
+    if len(poses) > MOST_WAYPOINTS:
+        raise ValueError(f"{where} has {len(poses)} waypoints; accepted: at most {MOST_WAYPOINTS}")
     rows = []
     for index, stamped in enumerate(poses):
         pose = stamped.get("pose", stamped) if isinstance(stamped, dict) else None
