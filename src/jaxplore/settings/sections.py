@@ -262,7 +262,7 @@ def _one_line(
     if kind == "too_long":
         most = re.search(r"at most (\d+)", message)
         message = f"at most {most[1]} entries" if most else message
-    accepted = message.removeprefix("Input should be ")
+    accepted = "a list" if kind == "tuple_type" else message.removeprefix("Input should be ")
     return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
 
 

@@ -260,7 +260,9 @@ def _interval(
     if low > high or is_low or (below is not None and high >= below):
         bounds = "" if least is None else f", {least:g} {'<' if is_open else '<='} low"
         bounds += "" if below is None else f", high < {below:g}"
-        raise ValueError(f"{name} is {[low, high]}; accepted: two numbers, low <= high{bounds}")
+        raise ValueError(
+            f"{name} is [{low:.6g}, {high:.6g}]; accepted: two numbers, low <= high{bounds}"
+        )
     return given
 
 
