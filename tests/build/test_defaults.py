@@ -377,15 +377,44 @@ def test_entries_say_which_kind_of_run_they_are(entries: dict[str, Any], kind: t
         assert found.path == entries.get("path", "track")
 
 
+DETECTOR = {"classes": ["door", "shelf"], "confusion": [[0.9, 0.1], [0.1, 0.9]]}
+
+
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ({}, "setting map is missing"),
+        ({}, "setting map is missing; accepted: the YAML file of a ROS map, or office"),
         ({"coverage": 0.9}, "unknown setting coverage; accepted here"),
         (
             {"map": "office", "parameters": {"cost.x": "a"}},
-            "setting parameters.cost.x is 'a'; accepted: a number or a list of numbers",
+            "setting parameters.cost.x is 'a'; accepted: number or list of number$",
         ),
+        (
+            {"map": "office", "goal": [1]},
+            r"setting goal is \[1\]; accepted: \[number, number\] or \[number, number, number\] or",
+        ),
+        (
+            {"map": "office", "detector": DETECTOR | {"recall": [0.5, 2]}},
+            r"setting detector.recall is \[0.5, 2\]; accepted: number in \(0, 1\] or list of",
+        ),
+        (
+            {"map": "office", "detector": {"classes": ["door"]}},
+            "setting detector.confusion is missing; accepted: list of list of number",
+        ),
+        (
+            {"map": "office", "portfolio": {"weights": {"near": 3}}},
+            "setting portfolio.weights.near is 3; accepted: mapping of names to number >= 0",
+        ),
+        (
+            {"map": "office", "variation": {"parameters": {"drag": 1}}},
+            r"setting variation.parameters.drag is 1; accepted: \[number, number\]$",
+        ),
+        (
+            {"map": "office", "start": ["x", 1, 2]},
+            "setting start.0 is 'x'; accepted: a valid number",
+        ),
+        ({"map": "office", "faults": 3}, "setting faults is 3; accepted: a mapping of settings$"),
+        ({"map": "office", 3: 4}, "a setting is named 3; accepted: text in UTF-8"),
         ({"map": ["path"]}, "setting map is .'path'."),
         ({"map": "office", "path": "a.csv"}, "the map 'office' beside the path 'a.csv'; accepted"),
         ({"path": "track", "goal": [1, 2]}, "unknown setting goal; accepted here"),

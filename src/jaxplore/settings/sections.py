@@ -2,6 +2,7 @@
 
 import os
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_origin
 
@@ -14,7 +15,7 @@ from pydantic import (
     ValidationInfo,
     field_validator,
 )
-from pydantic_core import PydanticCustomError
+from pydantic_core import ErrorDetails, PydanticCustomError
 
 from jaxplore._files import parse_yaml, read_bytes
 from jaxplore._limits import (
@@ -44,6 +45,7 @@ from jaxplore._limits import (
 )
 from jaxplore._spelling import spelled
 from jaxplore._text import printable_path, short_repr
+from jaxplore.settings.accepted import accepted_values
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.own import check_trusted
 from jaxplore.simulation.faults import Faults
@@ -229,41 +231,73 @@ def checked_section[Checked: BaseModel](kind: type[Checked], entries: dict[str, 
         errors = error.errors()
         unknown = (each for each in errors if each["type"] == "extra_forbidden")
         first = next(unknown, errors[0])
-        where, given = first["loc"], (first["type"], first["input"], first["msg"])
-        raise ValueError(_one_line(kind, where, *given)) from None
+        raise ValueError(_one_line(kind, entries, first)) from None
 
 
-def _one_line(
-    settings: type[BaseModel],
-    where: tuple[int | str, ...],
-    kind: str,
-    value: object,
-    message: str,
-) -> str:
-    if not where:
+def _one_line(settings: type[BaseModel], entries: dict[str, Any], error: ErrorDetails) -> str:
+    where, kind, value, message = error["loc"], error["type"], error["input"], error["msg"]
+    if not where or kind == "invalid_key":
         # A name that is no text, or no mapping at all.
         names = value if isinstance(value, dict) else {}
         wrong = next((each for each in names if not _is_text(each)), value)
         return f"a setting is named {short_repr(wrong)}; accepted: text in UTF-8"
-    if where[0] == "parameters" and len(where) > 2:
-        # Behind the path of a parameter there is the type that was tried, one of two.
-        where, message = where[:2], "a number or a list of numbers"
-    name = ".".join(str(part) for part in where)
+    section, depth = _holder(settings, where)
+    name = ".".join(map(str, where[:depth]))
     if kind == "extra_forbidden":
         # The accepted names are those of the section that holds the unknown one.
-        section = settings
-        for part in where[:-1]:
-            inner = section_class(section.model_fields[str(part)].annotation)
-            assert inner is not None
-            section = inner
         return f"unknown setting {name}; accepted here: {', '.join(section.model_fields)}"
-    if kind == "missing":
-        return f"setting {name} is missing; accepted: the YAML file of a ROS map, or office"
-    if kind == "too_long":
+    accepted = accepted_values(section, str(where[depth - 1]))
+    if kind == "missing" and depth == len(where):
+        accepted = "the YAML file of a ROS map, or office" if where == ("map",) else accepted
+        return f"setting {name} is missing; accepted: {accepted}"
+    # Behind the setting, a place has the keys and indices of its value. Where several types are
+    # accepted, the name of the one that was tried comes first, which is none of them.
+    found = _at(entries, where[:depth])
+    for part in where[depth:]:
+        if not _has(found, part):
+            return f"setting {name} is {short_repr(found)}; accepted: {accepted}"
+        found, name = found[part], f"{name}.{part}"
+        accepted = accepted.removeprefix("mapping of names to ")
+    if kind == "model_type":
+        accepted = "a mapping of settings"
+    elif kind == "too_long":
         most = re.search(r"at most (\d+)", message)
-        message = f"at most {most[1]} entries" if most else message
-    accepted = "a list" if kind == "tuple_type" else message.removeprefix("Input should be ")
+        accepted = f"at most {most[1]} entries" if most else message
+    elif kind not in _OF_ANOTHER_TYPE or isinstance(where[-1], int):
+        accepted = message.removeprefix("Input should be ")
     return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
+
+
+def _holder(section: type[BaseModel], where: tuple[int | str, ...]) -> tuple[type[BaseModel], int]:
+    """Return the section that holds a setting, and how many parts of a place name the setting."""
+    for depth, part in enumerate(where, start=1):
+        field = section.model_fields.get(str(part))
+        inner = None if field is None else section_class(field.annotation)
+        if inner is None or depth == len(where):
+            break
+        section = inner
+    return section, depth
+
+
+_OF_ANOTHER_TYPE = ("tuple_type", "list_type", "dict_type", "string_type")
+"""Errors of pydantic for a value that is no tuple, list, mapping or text."""
+
+
+def _at(entries: Any, where: Iterable[int | str]) -> Any:
+    """Return the entry at a place; None where the entries do not lead on, as below a section that
+    was given as an object."""
+    for part in where:
+        if not _has(entries, part):
+            return None
+        entries = entries[part]
+    return entries
+
+
+def _has(entries: object, part: int | str) -> bool:
+    """Check whether a mapping has a key, or a list or tuple an index."""
+    if isinstance(part, int):
+        return isinstance(entries, (list, tuple)) and part < len(entries)
+    return isinstance(entries, dict) and part in entries
 
 
 def _is_text(name: object) -> bool:
