@@ -14,8 +14,9 @@ from scipy.sparse.csgraph import dijkstra
 
 import jaxplore as jx
 from jaxplore.belief import CarMotion
-from jaxplore.belief.car import car_motion
-from jaxplore.belief.guidance import TurnsOnTheSpot
+from jaxplore.belief.car import car_motion, in_passage
+from jaxplore.belief.car_paths import CHANNEL_LENGTH, CHANNEL_WIDTH, STRAYING
+from jaxplore.belief.guidance import NARROW_PRICE, TurnsOnTheSpot
 from jaxplore.geometry import Rectangle
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.clearance import clearance_field
@@ -33,9 +34,9 @@ def lattice_of(radius=0.7, **options):
 
 
 @eqx.filter_jit
-def roads_of(blocked, lattice):
+def roads_of(blocked, lattice, required=REQUIRED):
     grid = jx.OccupancyGrid(blocked.astype(jnp.float32), CELL)
-    return lattice.roadmap(clearance_field(blocked, grid.frame, 1.0), jnp.asarray(REQUIRED), STRIDE)
+    return lattice.roadmap(clearance_field(blocked, grid.frame, 1.0), jnp.asarray(required), STRIDE)
 
 
 @eqx.filter_jit
@@ -275,6 +276,88 @@ def test_a_car_drives_down_the_cost_as_far_as_it_says() -> None:
     np.testing.assert_allclose(errors, 0.0, atol=2.0 * STEP * PENALTY)
 
 
+@eqx.filter_jit
+def ahead_of(field, pose, speed):
+    """Return the path ahead of a car, the field with its channel, and its costs along the path."""
+    steps = jnp.full(2, field.frame.resolution)
+    path = field._path(pose, speed, steps, CHANNEL_LENGTH)
+    channel = field.from_pose(pose)
+
+    def along(each, towards):
+        return jax.vmap(lambda at, v: each.at_pose(at[:2], at[2], v)[0])(path.poses, towards)
+
+    towards = jnp.where(path.directions == 1, -1.0, 1.0)
+    return path, channel, along(field, towards), along(channel, towards)
+
+
+def test_the_channel_leads_a_car_along_its_path() -> None:
+    """Along the path the cost is that of the rest of the path, where it was a ridge without."""
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
+    field = field_of(roads, source)
+    costs = np.asarray(field.at_nodes)
+    begins = np.argwhere(np.isfinite(costs) & (costs > 4.0))
+    ridges, rises = [], []
+    for direction, heading, row, column in np.random.default_rng(3).permutation(begins)[:150]:
+        place = field.frame.cell_centre(jnp.asarray([row, column]))
+        pose = jnp.append(place, jnp.asarray(HEADINGS[heading], jnp.float32))
+        path, _, before, after = ahead_of(field, pose, jnp.asarray(1.0 - 2.0 * direction))
+        rest = np.asarray(path.costs)
+        assert (np.diff(rest) <= 1e-4).all()
+        ridges.append((np.asarray(before) - rest).max())
+        rises.append((np.asarray(after) - rest).max())
+    # The cost is interpolated over a node and a heading, at whose ends the car strays by half.
+    node, turn = SPACING / 2.0, roads.radius * SPACING * math.radians(14.0)
+    assert max(rises) < STRAYING * (2.0 * node**2 + turn**2)
+    # What no rollout crosses: a rise on the way of more than two metres.
+    assert max(ridges) > 2.0
+
+
+@pytest.mark.parametrize("can_reverse", [True, False])
+def test_the_channel_is_the_cost_of_straying_from_the_path(can_reverse: bool) -> None:
+    lattice = lattice_of(can_reverse=can_reverse)
+    roads = roads_of(jnp.asarray(rooms()), lattice)
+    field = field_of(roads, jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0))
+    lowered = []
+    # The last pose is beside the edge of the map, where a part of the channel would be off it.
+    for x, y, yaw in ((5.3, 4.4, 0.4), (1.1, 5.2, -2.9), (7.0, 0.9, 3.0), (0.35, 4.0, 1.6)):
+        pose = jnp.asarray([x, y, yaw])
+        expected = np.asarray(field.by_heading, np.float64).copy()
+        count, _, height, width = expected.shape
+        rows, columns = np.mgrid[:height, :width]
+        for speed in (1.0, -1.0)[:count]:
+            path, channel, _, _ = ahead_of(field, pose, jnp.asarray(speed))
+            for point, way, rest in zip(*(np.asarray(each) for each in path), strict=True):
+                # Nodes are the centres of the cells of the lattice.
+                down, right = point[1] / SPACING - 0.5, point[0] / SPACING - 0.5
+                squared = SPACING**2 * ((rows - down) ** 2 + (columns - right) ** 2)
+                is_beside = np.maximum(
+                    np.abs(rows - np.floor(down + 0.5)), np.abs(columns - np.floor(right + 0.5))
+                )
+                for direction, heading in np.ndindex(count, NUM_HEADINGS):
+                    turn = (HEADINGS[heading] - point[2] + math.pi) % math.tau - math.pi
+                    bound = rest + STRAYING * (squared + (roads.radius * SPACING * turn) ** 2)
+                    bound = bound + REVERSAL * (direction != way)
+                    at = expected[direction, heading]
+                    is_lower = (is_beside <= CHANNEL_WIDTH) & (bound < at)
+                    at[is_lower] = bound[is_lower]
+        lowered.append((np.asarray(field.by_heading) - expected).max())
+        np.testing.assert_allclose(np.asarray(channel.channelled), expected, atol=2e-3)
+        # What the path follows is the cost-to-go itself.
+        np.testing.assert_array_equal(channel.by_heading, field.by_heading)
+    assert max(lowered) > 0.1
+
+
+def test_a_car_that_is_lost_or_shut_in_has_no_channel() -> None:
+    roads = roads_of(jnp.asarray(rooms()), lattice_of())
+    field = field_of(roads, jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0))
+    shut_in = field_of(roads, jnp.full(roads.is_open.shape, jnp.inf))
+    pose = jnp.asarray([5.3, 4.4, 0.4])
+    for each, at in ((field, jnp.asarray([jnp.nan, 4.4, 0.0])), (shut_in, pose)):
+        channel = ahead_of(each, at, jnp.asarray(1.0))[1]
+        np.testing.assert_array_equal(channel.channelled, each.by_heading)
+
+
 def test_a_car_that_is_nowhere_or_at_its_end_stands() -> None:
     roads = roads_of(jnp.asarray(rooms()), lattice_of())
     source = jnp.full(roads.is_open.shape, jnp.inf).at[22, 10].set(0.0)
@@ -314,6 +397,70 @@ def test_robots_that_turn_on_the_spot_have_no_car_motion() -> None:
     assert car_motion(reversing).can_reverse
     lidar = jx.Lidar(num_beams=8, max_range=2.0)
     assert isinstance(jx.Perception(lidar, 0.1, 0.2).locomotion, TurnsOnTheSpot)
+
+
+def rooms_with_passage(width: int) -> np.ndarray:
+    """Return two rooms with a wall between them, and a passage of a metre with a width [cells]."""
+    blocked = np.pad(np.zeros((SHAPE[0] - 2, SHAPE[1] - 2), bool), 1, constant_values=True)
+    blocked[:, 35:45] = True
+    blocked[30 : 30 + width, 35:45] = False
+    return blocked
+
+
+def test_a_car_takes_a_passage_without_its_margin() -> None:
+    """A passage with 0.25 m beside its middle is none for a car that keeps 0.3 m, and 0.21 m is."""
+    wide, narrow = 0.3, 0.21
+    with_margin = lattice_of()
+    without = CarMotion(0.7, BODY, reversal_cost=REVERSAL, reverse_penalty=PENALTY).lattice(
+        SPACING, jnp.asarray(narrow)
+    )
+    for width, is_wide, is_open in ((4, False, False), (5, False, True), (7, True, True)):
+        blocked = jnp.asarray(rooms_with_passage(width))
+        costs = []
+        for lattice in (with_margin, without):
+            roads = roads_of(blocked, lattice, wide)
+            source = jnp.full(roads.is_open_at.shape, jnp.inf).at[:, 15, 10].set(0.0)
+            costs.append(np.asarray(costs_of(roads, source)))
+        left, right = np.s_[:, :, :, :12], np.s_[:, :, :, 24:]
+        assert [np.isfinite(each[right]).any() for each in costs] == [is_wide, is_open]
+        # A pose beside a wall is in no passage, and another way never costs more.
+        np.testing.assert_allclose(costs[1][left], costs[0][left], atol=1e-4)
+        assert (costs[1] <= costs[0] + 1e-4).all()
+        if is_open and not is_wide:
+            # A metre of it has the price of narrow places.
+            assert 0.7 * NARROW_PRICE < costs[1][right].min() < 2.0 * NARROW_PRICE
+
+
+def test_passages_are_those_of_their_definition() -> None:
+    rng = np.random.default_rng(5)
+    shape = (NUM_HEADINGS, 9, 11)
+    fits = rng.random(shape) < 0.7
+    is_open = fits & (rng.random(shape) < 0.4)
+    found = np.asarray(jax.jit(in_passage)(jnp.asarray(is_open), jnp.asarray(fits)))
+
+    def at(poses, heading, row, column) -> bool:
+        return 0 <= row < shape[1] and 0 <= column < shape[2] and bool(poses[heading, row, column])
+
+    inside = np.zeros(shape, bool)
+    for k, row, column in np.ndindex(shape):
+        down, right = round(math.sin(HEADINGS[k])), round(math.cos(HEADINGS[k]))
+
+        def leads_on(r, c, k=k, down=down, right=right) -> bool:
+            return at(fits, k, r + down, c + right) and at(fits, k, r - down, c - right)
+
+        sides = [(row - right, column + down), (row + right, column - down)]
+        has_room = any(at(is_open, k, *side) and leads_on(*side) for side in sides)
+        is_tight = at(fits, k, row, column) and not at(is_open, k, row, column)
+        inside[k, row, column] = is_tight and leads_on(row, column) and not has_room
+    expected = np.zeros(shape, bool)
+    for k, row, column in np.argwhere(inside):
+        for turn, down, right in itertools.product((-1, 0, 1), repeat=3):
+            if 0 <= row + down < shape[1] and 0 <= column + right < shape[2]:
+                expected[(k + turn) % NUM_HEADINGS, row + down, column + right] = True
+    expected &= fits & ~is_open
+    assert inside.mean() > 0.02
+    assert expected.mean() < (fits & ~is_open).mean()
+    np.testing.assert_array_equal(found, expected)
 
 
 @pytest.mark.parametrize(

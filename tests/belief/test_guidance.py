@@ -358,9 +358,10 @@ def test_no_block_is_beside_one_on_the_other_side_of_a_thin_wall(
     st.integers(2, 6),
     st.booleans(),
     st.floats(0.0, 1.0),
+    st.booleans(),
 )
 def test_no_narrow_block_is_beside_one_on_the_other_side_of_a_wall(
-    angle: float, offset: float, stride: int, is_thick: bool, more: float
+    angle: float, offset: float, stride: int, is_thick: bool, more: float, has_corners: bool
 ) -> None:
     """With free cells at the corner of a diagonal step, a smaller clearance is safe."""
     size = 8 * stride
@@ -368,7 +369,8 @@ def test_no_narrow_block_is_beside_one_on_the_other_side_of_a_wall(
     across = rows * math.sin(angle) + columns * math.cos(angle) - offset
     steep = max(abs(math.sin(angle)), abs(math.cos(angle)))
     wall = np.abs(across) <= (0.75 if is_thick else 0.5 * steep + 1e-9)
-    fits = distance_transform_edt(~wall) - 0.5 >= narrowest(stride, 1.0) + more - 1e-4
+    least = narrowest(stride, 1.0, has_corners=has_corners)
+    fits = distance_transform_edt(~wall) - 0.5 >= least + more - 1e-4
 
     def blocks(cells: np.ndarray) -> np.ndarray:
         return cells.reshape(8, stride, 8, stride).any(axis=(1, 3))
@@ -379,6 +381,7 @@ def test_no_narrow_block_is_beside_one_on_the_other_side_of_a_wall(
             r, c = row + down, column + over
             if 0 <= r < 8 and 0 <= c < 8 and right[r, c]:
                 # Only a diagonal step may lead there, and a cell at its corner is in the wall.
+                assert has_corners
                 assert down
                 assert over
                 y, x = max(row, r) * stride, max(column, c) * stride

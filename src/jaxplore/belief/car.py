@@ -8,13 +8,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore.belief.car_roads import CarGuidance, CarRoadmap, with_headings
 from jaxplore.belief.guidance import (
     LAYERS,
+    NARROW_PRICE,
     Locomotion,
     Price,
     block_maximum,
@@ -32,10 +33,9 @@ from jaxplore.maps.frame import GridFrame
 REVERSE_PENALTY = 1.25
 """Factor on the cost of what a car drives backwards.
 
-It pays to turn around for a way of more than about ten metres. With 2, as in Nav2's Smac planner,
-a car stood for ever in one of eleven runs: where a pose beside its own has no way but backwards,
-the cost between two motions of the lattice is a ridge, and the higher the dearer the way backwards
-is."""
+It pays to turn around for a way of more than about ten metres. Nav2's Smac planner has 2. With 2 a
+car stood for ever in one of eleven runs, before its cost had a channel (`with_channel`); 2 was not
+measured again with it."""
 
 
 class CarMotion(eqx.Module):
@@ -75,8 +75,12 @@ class CarMotion(eqx.Module):
         self.reverse_penalty = _checks.scalar("reverse_penalty", reverse_penalty, at_least=1.0)
         self.can_reverse = _kinds.flag("can_reverse", can_reverse)
 
-    def lattice(self, spacing: float) -> "CarLattice":
-        """Return the motions between nodes at a distance [m].
+    def lattice(self, spacing: float, narrow: Scalar | None = None) -> "CarLattice":
+        """Return the motions between nodes.
+
+        Args:
+            spacing: distance between nodes [m].
+            narrow: clearance from which paths lead through narrow passages [m]; none when absent.
 
         Raises:
             ValueError: a turning radius that is too large for the distance.
@@ -85,7 +89,7 @@ class CarMotion(eqx.Module):
         # Whole metres, because the reach is static: similar cars share a compiled program.
         reach = math.ceil(float(np.abs(np.asarray(self.footprint.offsets)).max()))
         prices = (self.reversal_cost, self.reverse_penalty)
-        return CarLattice(self.footprint, *prices, radius, reach, self.can_reverse)
+        return CarLattice(self.footprint, *prices, narrow, radius, reach, self.can_reverse)
 
 
 def car_motion(robot: Dynamics) -> CarMotion | None:
@@ -107,6 +111,9 @@ class CarLattice(Locomotion):
         footprint: area that it covers.
         reversal_cost: price of a change between forwards and backwards [m].
         reverse_penalty: factor on the cost of what is driven backwards.
+        narrow: clearance from which paths lead through passages that are too narrow for the
+            required clearance, at `NARROW_PRICE` [m]; no such paths when absent. It must be at
+            least `narrowest` without corners.
         radius: turning radius [node spacings]; static.
         reach: bound of the distance from its position to its discs [m]; static.
         can_reverse: whether it can drive backwards; static.
@@ -115,6 +122,7 @@ class CarLattice(Locomotion):
     footprint: Footprint
     reversal_cost: Scalar
     reverse_penalty: Scalar
+    narrow: Scalar | None
     radius: float = eqx.field(static=True)
     reach: int = eqx.field(static=True)
     can_reverse: bool = eqx.field(static=True)
@@ -129,8 +137,13 @@ class CarLattice(Locomotion):
     ) -> CarRoadmap:
         """Build the lattice of poses in which the car fits; see `Locomotion`."""
         frame = clearance.frame.coarsen(stride, stride / 2.0)
-        is_open, tightness = fit(self._room(clearance, stride), required)
+        room = self._room(clearance, stride)
+        is_open, tightness = fit(room, required)
         slowness = frame.resolution * price(tightness)
+        if self.narrow is not None:
+            is_narrow = in_passage(is_open, fit(room, self.narrow)[0])
+            slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
+            is_open = is_open | is_narrow
         slowness = slowness if factor is None else slowness * factor
         return CarRoadmap(
             frame,
@@ -182,3 +195,43 @@ class CarLattice(Locomotion):
 
         room: Array = jax.lax.map(at_heading, along)
         return room
+
+
+def in_passage(is_open: Bool[Array, "N H W"], fits: Bool[Array, "N H W"]) -> Bool[Array, "N H W"]:
+    """Return the poses (N, H, W) in narrow passages, where a car fits, but not with its margin.
+
+    In a passage it fits ahead and behind as well, and on neither side of it is there a pose that is
+    open and leads on: along a wall there is one. The poses next to those, by a node and a heading,
+    count as well, because the car turns where a passage begins. All others stay closed, so that a
+    wall costs the same as without passages.
+
+    Args:
+        is_open: poses by heading where the car fits with its margin.
+        fits: poses where it fits without it.
+    """
+    height, width = is_open.shape[1:]
+    angles = jnp.asarray(HEADINGS, jnp.float32)
+    step = jnp.round(jnp.stack([jnp.sin(angles), jnp.cos(angles)], axis=-1)).astype(jnp.int32)
+
+    def at_heading(each: tuple[Array, Array, Array]) -> Array:
+        opened, fitting, ahead = jnp.pad(each[0], 2), jnp.pad(each[1], 2), each[2]
+
+        def at(poses: Array, shift: Array) -> Array:
+            return jax.lax.dynamic_slice(poses, 2 + shift, (height, width))
+
+        def leads_on(shift: Array) -> Array:
+            return at(fitting, shift + ahead) & at(fitting, shift - ahead)
+
+        right = jnp.stack([-ahead[1], ahead[0]])
+        has_room = [at(opened, side) & leads_on(side) for side in (right, -right)]
+        return leads_on(jnp.zeros_like(ahead)) & ~functools.reduce(jnp.logical_or, has_room)
+
+    is_tight = fits & ~is_open
+    inside = is_tight & jax.lax.map(at_heading, (is_open, fits, step))
+    # Headings go round; nodes do not.
+    around = jnp.pad(inside, ((1, 1), (0, 0), (0, 0)), mode="wrap")
+    padding = ((0, 0), (1, 1), (1, 1))
+    near: Array = jax.lax.reduce_window(
+        around, False, jax.lax.bitwise_or, (3, 3, 3), (1, 1, 1), padding
+    )
+    return is_tight & near

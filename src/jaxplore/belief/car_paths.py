@@ -9,9 +9,15 @@ from jaxtyping import Bool, Float, Int
 
 from jaxplore._types import Count, Flag, Pose, Scalar
 from jaxplore.belief.car_motions import continuations, motion_table
-from jaxplore.geometry.state_lattice import NUM_HEADINGS
+from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS
 from jaxplore.maps.frame import GridFrame
 
+CHANNEL_LENGTH = 20
+"""Length of the path ahead along which the cost has a channel [nodes]."""
+CHANNEL_WIDTH = 3
+"""Width of the channel on either side of the path [nodes]."""
+STRAYING = 4.0
+"""Cost of straying from the path ahead; it grows with the square of the distance [1/m]."""
 SLACK = 0.01
 """Rise of the cost-to-go along a motion that rounding may cause [m]."""
 
@@ -45,6 +51,8 @@ class Moving(NamedTuple):
         corner: (2,) row and column where the motion begins.
         along: length of the motion up to here [node spacings].
         moves: whether the car goes on.
+        beyond: cost-to-go at the end of the motion [m].
+        price: cost of a node spacing of the motion [m].
     """
 
     direction: Count
@@ -52,6 +60,22 @@ class Moving(NamedTuple):
     corner: Int[Array, "2"]
     along: Scalar
     moves: Flag
+    beyond: Scalar
+    price: Scalar
+
+
+class DrivenPath(NamedTuple):
+    """Poses of a car along its motions.
+
+    Args:
+        poses: (..., 3) poses (x, y, yaw) [m, m, rad].
+        directions: (...) 0 forwards, 1 backwards.
+        costs: (...) cost-to-go there [m]; infinite without a motion.
+    """
+
+    poses: Float[Array, "*points 3"]
+    directions: Int[Array, "*points"]
+    costs: Float[Array, "*points"]
 
 
 def driven(
@@ -62,8 +86,8 @@ def driven(
     away: Float[Array, "N H W"],
     steps: Float[Array, "2"],
     num_steps: int,
-) -> Float[Array, "T 3"]:
-    """Return the poses (x, y, yaw) after 1 ... T steps along the cheapest motions (T, 3).
+) -> DrivenPath:
+    """Return the path after 1 ... T steps along the cheapest motions.
 
     The first motion may be the rest of one that passes the start. The path ends where no motion
     lowers the cost. Without a motion the car stands at its pose.
@@ -105,13 +129,61 @@ def driven(
         after: Moving = jax.lax.cond(is_over, turn_over, lambda at: at._replace(along=along), at)
         return after
 
-    def step(at: Moving, _: None) -> tuple[Moving, Array]:
+    def step(at: Moving, _: None) -> tuple[Moving, DrivenPath]:
         at = jax.lax.fori_loop(0, pieces.astype(jnp.int32), piece, at)
-        return at, _pose(tree, frame, at)
+        cost = at.beyond + (lengths[at.number] - at.along) * at.price
+        return at, DrivenPath(_pose(tree, frame, at), at.direction, cost)
 
-    poses: Array
-    _, poses = jax.lax.scan(step, first, length=num_steps)
-    return jnp.where(first.moves, poses, pose)
+    path: DrivenPath
+    _, path = jax.lax.scan(step, first, length=num_steps)
+    return DrivenPath(
+        jnp.where(first.moves, path.poses, pose),
+        path.directions,
+        jnp.where(first.moves, path.costs, jnp.inf),
+    )
+
+
+def with_channel(
+    costs: Float[Array, "D N H W"],
+    path: DrivenPath,
+    frame: GridFrame,
+    radius: float,
+    reversal_cost: Scalar,
+) -> Float[Array, "D N H W"]:
+    """Lower a cost-to-go beside a path to that of straying from the path and driving along it.
+
+    At a pose x of the lattice, at most `CHANNEL_WIDTH` nodes beside a point p of the path, the cost
+    becomes at most
+
+        U(p) + STRAYING (|x - p|^2 + (R turn)^2)
+
+    with R the turning radius, plus the price of a change of the direction of travel if it is not
+    that at p.
+
+    Args:
+        costs: cost-to-go by direction of travel and heading of the body [m].
+        path: points with their costs, of shape (P,).
+        frame: frame of the lattice.
+        radius: turning radius [node spacings].
+        reversal_cost: price of a change between forwards and backwards [m].
+    """
+    spacing = frame.resolution
+    # A car without a path has infinite costs, and may have a pose that is not finite.
+    poses = jnp.where(jnp.isfinite(path.costs)[:, None], path.poses, 0.0)
+    beside = jnp.arange(-CHANNEL_WIDTH, CHANNEL_WIDTH + 1)
+    nodes = frame.to_cell(poses[:, :2])[..., None] + beside
+    row, column = nodes[:, 0, :, None], nodes[:, 1, None, :]
+    away = nodes.astype(jnp.float32) + 0.5 - frame.to_grid(poses[:, :2])[..., None]
+    squared = spacing**2 * (away[:, 0, :, None] ** 2 + away[:, 1, None, :] ** 2)
+    turn = jnp.asarray(HEADINGS, jnp.float32)[:, None] - (poses[:, 2] - frame.origin[2])
+    arc = radius * spacing * (jnp.mod(turn + jnp.pi, 2.0 * jnp.pi) - jnp.pi)
+    # All bounds have the axes direction, heading, point, row and column.
+    is_other = jnp.arange(costs.shape[0])[:, None] != path.directions
+    along = path.costs + jnp.where(is_other, reversal_cost, 0.0)
+    straying = STRAYING * (arc[..., None, None] ** 2 + squared)
+    bounds = along[:, None, :, None, None] + straying
+    # An index below 0 is off the map, not counted from its far side.
+    return costs.at[:, :, row, column].min(bounds, mode="drop", wrap_negative_indices=False)
 
 
 def _next(
@@ -146,7 +218,7 @@ def _next(
         )
         return jnp.where(inside, values[heading, row, column], outside)
 
-    def options(travel: Array) -> tuple[Array, Array]:
+    def options(travel: Array) -> tuple[Array, Array, Array, Array]:
         # Backwards, the body is the other way round than the motion.
         half_turn = travel * (NUM_HEADINGS // 2)
         motion = jnp.mod(body + half_turn, NUM_HEADINGS)
@@ -162,9 +234,10 @@ def _next(
         places = (corner - back)[:, None] + passed[..., :2]
         is_open = at(tree.is_open, bodies, places, False).all(axis=-1)
         cost = jnp.where(is_open & jnp.isfinite(left), after + left * price, jnp.inf)
-        return jnp.where(travel == direction, cost, cost + tree.reversal_cost), left
+        cost = jnp.where(travel == direction, cost, cost + tree.reversal_cost)
+        return cost, left, after, price
 
-    costs, left = jax.vmap(options)(jnp.arange(directions, dtype=jnp.int32))
+    costs, left, after, price = jax.vmap(options)(jnp.arange(directions, dtype=jnp.int32))
     best = jnp.argmin(costs)
     least = costs.reshape(-1)[best]
     travel, place = (each.astype(jnp.int32) for each in jnp.unravel_index(best, costs.shape))
@@ -175,7 +248,8 @@ def _next(
     here = tree.costs[direction, body, corner[0], corner[1]]
     moves = jnp.isfinite(least) & (least <= here + SLACK)
     along = jnp.where(moves, length - left[travel, place], 0.0)
-    return Moving(travel, row[0], corner - row[2:4], along, moves)
+    rest = (after[travel, place], price[travel, place])
+    return Moving(travel, row[0], corner - row[2:4], along, moves, *rest)
 
 
 def _end(tree: DescentTree, at: Moving) -> tuple[Int[Array, "2"], Count]:

@@ -1,5 +1,6 @@
 """Costs to go of a car over position, heading and direction of travel."""
 
+import dataclasses
 import functools
 import math
 
@@ -12,7 +13,7 @@ from jaxtyping import Bool, Float
 
 from jaxplore._types import Pose, Position, Scalar
 from jaxplore.belief.car_motions import motion_table, rests
-from jaxplore.belief.car_paths import DescentTree, driven
+from jaxplore.belief.car_paths import CHANNEL_LENGTH, DescentTree, DrivenPath, driven, with_channel
 from jaxplore.belief.guidance import (
     LAYERS,
     GuidanceField,
@@ -230,7 +231,7 @@ class CarRoadmap(Roadmap):
     ) -> tuple["CarGuidance", Scalar]:
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         field, costs = self._field(source)
-        return field, (self.starts(pose) + costs.min(axis=0)).min()
+        return field.from_pose(pose), (self.starts(pose) + costs.min(axis=0)).min()
 
     def _field(self, source: Float[Array, "H W"]) -> tuple["CarGuidance", Float[Array, "D N H W"]]:
         """Return the field, and the cost-to-go that it extends into closed poses."""
@@ -253,16 +254,41 @@ class CarGuidance(GuidanceField):
         roads: lattice of the poses in which the car fits.
         at_nodes: cost-to-go (D, N, H, W) of the motions that begin at the poses [m]; infinite where
             there is none.
+        channelled: `by_heading` with a channel along the paths of a car; see `from_pose`.
     """
 
     by_heading: Float[Array, "D N H W"]
     roads: CarRoadmap
     at_nodes: Float[Array, "D N H W"]
+    channelled: Float[Array, "D N H W"]
+
+    def from_pose(self, pose: Pose) -> "CarGuidance":
+        """Return the field with a channel along the paths of a car from its pose.
+
+        Interpolated between poses of the lattice, the cost may have a ridge across a path: closed
+        poses and those of other paths beside it count as much as its own. No rollout of MPPI
+        crosses a ridge, so the car would stand before it. There are two paths, one for each
+        direction of travel that the car may have. See `with_channel`.
+        """
+        roads = self.roads
+        steps = jnp.full(2, self.frame.resolution)
+        speeds = jnp.asarray((1.0, -1.0)[: self.by_heading.shape[0]])
+        paths = jax.vmap(lambda speed: self._path(pose, speed, steps, CHANNEL_LENGTH))(speeds)
+        path = DrivenPath(*(each.reshape(-1, *each.shape[2:]) for each in paths))
+        prices = (roads.radius, roads.reversal_cost)
+        costs = with_channel(self.by_heading, path, self.frame, *prices)
+        return dataclasses.replace(self, channelled=costs)
 
     def driven(
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> Float[Array, "T 3"]:
         """Return the poses of the car along its motions on the lattice; see `GuidanceField`."""
+        return self._path(pose, speed, steps, num_steps).poses
+
+    def _path(
+        self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
+    ) -> DrivenPath:
+        """Return the path of the car along its motions; see `driven`."""
         roads = self.roads
         tree = DescentTree(
             roads.is_open_at,
@@ -280,7 +306,7 @@ class CarGuidance(GuidanceField):
         self, position: Position, heading: Scalar, speed: Scalar
     ) -> tuple[Scalar, Scalar, Scalar]:
         """Return the cost-to-go of a car [m], and twice 1: the cost depends on the heading."""
-        directions, count, height, width = self.by_heading.shape
+        directions, count, height, width = self.channelled.shape
         around = stencil((height, width), self.frame.to_grid(position))
         angle = heading - self.frame.origin[2]
         # An angle that is not finite has no index; its cost is that off the lattice.
@@ -298,7 +324,7 @@ class CarGuidance(GuidanceField):
         second = jnp.mod(first + 1, count)
         share = (rest - lower) / gap
         layer = jnp.where(speed < 0.0, count * (directions - 1), 0)
-        values = self.by_heading.reshape(directions * count, height, width)
+        values = self.channelled.reshape(directions * count, height, width)
         before, after = (
             gather(values, around, self.outside, layer + each) for each in (first, second)
         )
@@ -314,7 +340,7 @@ def with_headings(
 ) -> CarGuidance:
     """Return a field with the costs by direction of travel and heading beside the planar ones."""
     parts = (planar.values, planar.descent, planar.frame, planar.outside)
-    return CarGuidance(*parts, costs, roads, at_nodes)
+    return CarGuidance(*parts, costs, roads, at_nodes, costs)
 
 
 def _relax(radius: float, margin: int, value: Array, prices: Array, reversal: Array) -> Array:

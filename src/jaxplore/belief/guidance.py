@@ -68,6 +68,14 @@ class GuidanceField(eqx.Module):
         along = cos * direction[0] + sin * direction[1]
         return self(position), along, length(direction[0], direction[1])
 
+    def from_pose(self, pose: Pose) -> "GuidanceField":
+        """Return the field for a robot at a pose; it is the same one for any pose by default.
+
+        Args:
+            pose: pose of the robot (x, y, yaw) [m, m, rad].
+        """
+        return self
+
     def driven(
         self, pose: Pose, speed: Scalar, steps: Float[Array, "2"], num_steps: int
     ) -> Float[Array, "T 3"] | None:

@@ -75,7 +75,7 @@ class Perception(eqx.Module):
         node_spacing: distance between the nodes of the fields [m]; rounded to whole cells, and
             reduced so that no path can jump a wall.
         max_clearance: upper bound of the clearance field [m]; raised if the robot needs more.
-        margin: clearance that a path needs beyond the radius [m]. A robot that turns on the spot
+        margin: clearance that a path needs beyond the radius [m]. A robot
             takes passages with 40 % of it when little else is left (`NARROW_PRICE`).
         decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat]; below 3 % of it, a place
@@ -172,8 +172,10 @@ class Perception(eqx.Module):
             safe_stride(spacing, resolution, float(radius), float(self.required_clearance)),
         )
         nodes = self.field_sensor.stride * self.resolution
-        narrow = narrow_clearance(radius, margin, self.field_sensor.stride, self.resolution)
-        self.locomotion = TurnsOnTheSpot(narrow) if car is None else car.lattice(nodes)
+        narrow = narrow_clearance(
+            radius, margin, self.field_sensor.stride, self.resolution, has_corners=car is None
+        )
+        self.locomotion = TurnsOnTheSpot(narrow) if car is None else car.lattice(nodes, narrow)
         # The clearance field must resolve the clearance at which paths have no extra cost. Whole
         # metres, because the bound is static: robots of similar radius share a compiled program.
         self.max_clearance = max(
@@ -227,7 +229,7 @@ class Perception(eqx.Module):
         information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
         is_known = self._is_known(grid)
-        guidance = self._guidance(clearance, information, dwell, is_known)
+        guidance = self._guidance(clearance, information, dwell, is_known).from_pose(pose)
         is_explored = is_known | self._is_goal_next(guidance, pose)
         return Belief(
             grid,
@@ -239,7 +241,7 @@ class Perception(eqx.Module):
             self.patience,
             pose,
             self.ground,
-            self._to_goal(grid),
+            self._to_goal(grid, pose),
             None,
             idleness,
             anomalies,
@@ -317,7 +319,7 @@ class Perception(eqx.Module):
             )
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         is_known = self._is_known(belief.grid)
-        guidance = self._guidance(belief.clearance, information, dwell, is_known)
+        guidance = self._guidance(belief.clearance, information, dwell, is_known).from_pose(pose)
         is_explored = is_known | self._is_goal_next(guidance, pose)
         return dataclasses.replace(
             belief,
@@ -327,7 +329,7 @@ class Perception(eqx.Module):
             is_explored=is_explored,
             # A lost robot has no finite pose. Costs measure from the last finite one.
             pose=jnp.where(jnp.isfinite(pose).all(), pose, belief.pose),
-            to_goal=self._to_goal(belief.grid),
+            to_goal=self._to_goal(belief.grid, pose),
         )
 
     def _information(
@@ -343,7 +345,7 @@ class Perception(eqx.Module):
             return self.field_sensor.field(grid, self.sensor_model)
         return self.field_sensor.update(before, grid, self.sensor_model)
 
-    def _to_goal(self, grid: OccupancyGrid) -> GuidanceField | None:
+    def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:
             return None
         return goal_field(
@@ -355,7 +357,7 @@ class Perception(eqx.Module):
             unknown_factor=self.unknown_factor,
             max_clearance=self.max_clearance,
             stride=self.field_sensor.stride,
-        )
+        ).from_pose(pose)
 
     def _is_known(self, grid: OccupancyGrid) -> Flag:
         """Return whether the map counts as explored; never without a goal."""

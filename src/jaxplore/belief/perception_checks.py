@@ -112,7 +112,9 @@ def safe_stride(
     return max(1, min(stride, math.ceil(0.5 * (apart / math.sqrt(2.0) + 1.0)) - 1))
 
 
-def narrow_clearance(radius: Scalar, margin: Scalar, stride: int, resolution: float) -> Scalar:
+def narrow_clearance(
+    radius: Scalar, margin: Scalar, stride: int, resolution: float, *, has_corners: bool
+) -> Scalar:
     """Return the clearance from which a robot takes narrow passages [m].
 
     It is `radius + NARROW_SHARE margin`, and at least `narrowest`.
@@ -122,27 +124,30 @@ def narrow_clearance(radius: Scalar, margin: Scalar, stride: int, resolution: fl
         margin: clearance that other paths keep beyond the radius [m].
         stride: number of cells between nodes.
         resolution: side of a map cell [m].
+        has_corners: whether its paths are checked at the corners of blocks.
     """
-    least = narrowest(stride, resolution)
+    least = narrowest(stride, resolution, has_corners=has_corners)
     return computed(
         lambda xp, *each: xp.maximum(each[0] + NARROW_SHARE * each[1], xp.float32(least)),
         *(radius, margin),
     )
 
 
-def narrowest(stride: int, resolution: float) -> float:
-    """Return the least clearance at which no path can jump a wall whose corners are checked [m].
+def narrowest(stride: int, resolution: float, *, has_corners: bool = True) -> float:
+    """Return the least clearance at which no path can jump a wall [m].
 
     It is that of `safe_stride` for a stride s: with R the clearance plus half a cell, two open
     cells on two sides of a wall are at least `2 sqrt(R^2 - 1/2)` cells apart. Two such cells in
     adjacent blocks that are `sqrt(2) (2 s - 1)` cells apart have the wall at the corner between
-    the blocks, where a step needs free cells. All others are at most
+    the blocks. Where corners are checked, a step needs free cells there, and all others are at most
     `sqrt((2 s - 1)^2 + (2 s - 2)^2)` cells apart.
 
     Args:
         stride: number of cells between nodes.
         resolution: side of a map cell [m].
+        has_corners: whether paths are checked at the corners of blocks.
     """
-    apart = math.hypot(2.0 * stride - 1.0, 2.0 * stride - 2.0)
+    across = 2.0 * stride - 1.0
+    apart = math.hypot(across, across - 1.0 if has_corners else across)
     # The tolerance counts equal lengths as a path that jumps.
     return resolution * (math.sqrt(0.25 * apart**2 + 0.5) - 0.5 + 1e-3)

@@ -163,7 +163,7 @@ class WaypointMode(ActionMode):
             max_clearance=perception.max_clearance,
             stride=perception.field_sensor.stride,
         )
-        return WaypointController(self.drive, way)
+        return WaypointController(self.drive, way.from_pose(pose))
 
     def at_period(self, control_period: ArrayLike) -> "WaypointMode":
         """Return this mode for commands that are `control_period` seconds apart."""

@@ -124,11 +124,12 @@ def drivable_cells(
     if isinstance(perception.locomotion, TurnsOnTheSpot):
         return cells
     padded = world.padded()
+    # With the clearance of its paths, so that coverage asks for nothing that they do not enter.
     lengths = np.asarray(
         _car_lengths(
             padded,
             jnp.asarray(start, jnp.float32),
-            robot.footprint.radius,
+            perception.required_clearance,
             perception.locomotion,
             perception.max_clearance,
             perception.field_sensor.stride,
@@ -163,13 +164,13 @@ def _size(footprint: Footprint) -> tuple[float, float]:
 def _car_lengths(
     world: OccupancyGrid,
     pose: Array,
-    radius: Array,
+    required: Array,
     locomotion: Locomotion,
     reach: float,
     stride: int,
 ) -> Array:
     clearance = clearance_field(~world.is_free, world.frame, reach)
-    return locomotion.roadmap(clearance, radius, stride).lengths_from(pose)
+    return locomotion.roadmap(clearance, required, stride).lengths_from(pose)
 
 
 to_grid = jax.jit(GridFrame.to_grid)
