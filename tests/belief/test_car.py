@@ -16,7 +16,7 @@ import jaxplore as jx
 from jaxplore.belief import CarMotion
 from jaxplore.belief.car import car_motion, in_passage
 from jaxplore.belief.car_paths import CHANNEL_LENGTH, CHANNEL_WIDTH, STRAYING
-from jaxplore.belief.guidance import NARROW_PRICE, TurnsOnTheSpot
+from jaxplore.belief.roadmap import NARROW_PRICE, TurnsOnTheSpot
 from jaxplore.geometry import Rectangle
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.clearance import clearance_field

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import OccupancyGrid
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import TurnsOnTheSpot
+from jaxplore.belief.roadmap import TurnsOnTheSpot
 
 SHAPE, RESOLUTION, STRIDE, LAYERS = (22, 29), 0.1, 2, 3
 REQUIRED, FACTOR, MOST = 0.15, 0.5, 1.0

@@ -21,7 +21,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer
-from jaxplore.belief.guidance import TurnsOnTheSpot
+from jaxplore.belief.roadmap import TurnsOnTheSpot
 from jaxplore.planning.strategy.frontiers import cluster_sizes, find_frontiers
 from jaxplore.planning.strategy.target_explorer import TargetExplorer
 from jaxplore.planning.strategy.target_rules import (

@@ -13,14 +13,13 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore.belief.car_roads import CarGuidance, CarRoadmap, with_headings
-from jaxplore.belief.guidance import (
-    LAYERS,
+from jaxplore.belief.guidance import LAYERS, descent_field
+from jaxplore.belief.roadmap import (
     NARROW_PRICE,
     Locomotion,
     Price,
     block_maximum,
     clear_corners,
-    descent_field,
     doubled_where_tight,
     fit,
 )

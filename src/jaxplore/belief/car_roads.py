@@ -14,13 +14,8 @@ from jaxtyping import Bool, Float
 from jaxplore._types import Pose, Position, Scalar
 from jaxplore.belief.car_motions import motion_table, rests
 from jaxplore.belief.car_paths import CHANNEL_LENGTH, DescentTree, DrivenPath, driven, with_channel
-from jaxplore.belief.guidance import (
-    LAYERS,
-    GuidanceField,
-    Roadmap,
-    descent_field,
-    nearest_open,
-)
+from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field
+from jaxplore.belief.roadmap import Roadmap, nearest_open
 from jaxplore.belief.tiles import Part, Tiling, relaxed
 from jaxplore.geometry.state_lattice import HEADINGS, NUM_HEADINGS, motions
 from jaxplore.maps.field import gather, stencil

@@ -5,7 +5,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxplore._types import Flag, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, Locomotion, Roadmap
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.roadmap import Locomotion, Roadmap
 from jaxplore.maps.field import ScalarField
 
 LEFTOVER_DETOUR = 1e3

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 
 from jaxplore._types import GridMask, Position, Scalar
-from jaxplore.belief.guidance import GuidanceField, Locomotion
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.roadmap import Locomotion
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 

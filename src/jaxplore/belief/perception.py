@@ -18,7 +18,7 @@ from jaxplore.belief.car import CarMotion
 from jaxplore.belief.dwell import add_dwell, dwell_discount
 from jaxplore.belief.exploration_field import exploration_field, leads_to_goal
 from jaxplore.belief.goal_field import goal_field
-from jaxplore.belief.guidance import ROOMY, GuidanceField, Locomotion, TurnsOnTheSpot
+from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception_checks import (
     as_scans,
@@ -28,6 +28,7 @@ from jaxplore.belief.perception_checks import (
     safe_stride,
 )
 from jaxplore.belief.recognition import Recognition
+from jaxplore.belief.roadmap import ROOMY, Locomotion, TurnsOnTheSpot
 from jaxplore.belief.standing import freed_below
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField

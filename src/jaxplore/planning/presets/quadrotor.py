@@ -7,8 +7,8 @@ from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike, Vector
 from jaxplore._xla import computed
-from jaxplore.belief.guidance import TurnsOnTheSpot
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.roadmap import TurnsOnTheSpot
 from jaxplore.belief.zones import Zones
 from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import Pose, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import Locomotion, Roadmap
+from jaxplore.belief.roadmap import Locomotion, Roadmap
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 

@@ -13,7 +13,8 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
-from jaxplore.belief.guidance import GuidanceField, Locomotion, TurnsOnTheSpot
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.roadmap import Locomotion, TurnsOnTheSpot
 from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
 from jaxplore.control.model_checks import checked_call
 from jaxplore.maps.frame import GridFrame

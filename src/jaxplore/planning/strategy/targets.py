@@ -11,12 +11,8 @@ from jaxtyping import Bool, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, GridMask, Pose, Position, Scalar, Vector
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.guidance import (
-    GuidanceField,
-    Locomotion,
-    Roadmap,
-    TurnsOnTheSpot,
-)
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.belief.roadmap import Locomotion, Roadmap, TurnsOnTheSpot
 from jaxplore.belief.zones import Zones
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid

@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxplore.belief.guidance import Locomotion, TurnsOnTheSpot
 from jaxplore.belief.perception import Perception
+from jaxplore.belief.roadmap import Locomotion, TurnsOnTheSpot
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.footprint import Footprint, Rectangle
 from jaxplore.maps.clearance import clearance_field

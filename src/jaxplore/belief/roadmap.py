@@ -1,0 +1,287 @@
+"""Road maps: the nodes of a lattice at which a robot fits, with the paths between them."""
+
+import abc
+import functools
+from collections.abc import Callable
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxplore._types import Pose, Position, Scalar
+from jaxplore.belief.descent import NEIGHBOURS, stepped
+from jaxplore.belief.geodesic import geodesic, narrow_passages
+from jaxplore.belief.guidance import LAYERS, GuidanceField, descent_field
+from jaxplore.maps.field import ScalarField
+from jaxplore.maps.frame import GridFrame
+
+ROOMY = 3.0
+"""Ratio of clearance to required clearance above which a path has no extra cost."""
+NARROW_PRICE = 30.0
+"""Cost of a metre in a passage without the margin: such a passage is taken when little else is
+left, and still before the places with little information."""
+
+
+class Roadmap(eqx.Module):
+    """Lattice of the places in which a robot fits that can turn on the spot, with paths on it.
+
+    Args:
+        frame: pose and node spacing of the lattice.
+        slowness: cost (H, W) of a step of one node spacing [m].
+        is_open: mask (H, W) of the nodes at which the robot fits.
+        corners: mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`;
+            None for all.
+        is_narrow: mask (H, W) of the further nodes at which the robot fits without its margin.
+            Paths lead through them, at a high price, and do not end there. None without such.
+    """
+
+    frame: GridFrame
+    slowness: Float[Array, "H W"]
+    is_open: Bool[Array, "H W"]
+    corners: Bool[Array, "H W"] | None
+    is_narrow: Bool[Array, "H W"] | None = eqx.field(default=None, kw_only=True)
+
+    def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
+        """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
+
+        Args:
+            source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
+        """
+        if self.is_narrow is None:
+            return geodesic(source, self.slowness, self.is_open, self.corners)
+        source = jnp.where(self.is_open, source, jnp.inf)
+        passable = self.is_open | self.is_narrow
+        return geodesic(source, self.slowness, passable, self.corners)
+
+    def lengths_from(self, pose: Pose) -> Float[Array, "H W"]:
+        """Return the cost of the path from a pose (x, y, yaw) to each node [m]."""
+        return self.lengths(self.sources_at(pose[:2]))
+
+    def sources_at(self, point: Position) -> Float[Array, "H W"]:
+        """Return the sources (H, W) of paths that end at a point, see `point_sources` [m]."""
+        return point_sources(point, self.frame, self.is_open, self.corners)
+
+    def field(self, source: Float[Array, "H W"]) -> GuidanceField:
+        """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
+        return self._extended(self.lengths(source))
+
+    def field_and_cost(
+        self, source: Float[Array, "H W"], pose: Pose
+    ) -> tuple[GuidanceField, Scalar]:
+        """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
+        lengths = self.lengths(source)
+        start = self.sources_at(pose[:2])
+        return self._extended(lengths), (start + lengths).min()
+
+    def _extended(self, lengths: Float[Array, "H W"]) -> GuidanceField:
+        """Return a cost-to-go as a field, extended into closed nodes."""
+        if self.is_narrow is not None:
+            # Narrow nodes along walls are closed, so that a wall looks to the robot as without
+            # them.
+            half = 0.5 * jnp.where(jnp.isfinite(lengths), self.slowness, jnp.inf)
+            is_used = narrow_passages(lengths, half, self.is_narrow, self.corners)
+            lengths = jnp.where(self.is_narrow & ~is_used, jnp.inf, lengths)
+        return descent_field(lengths, self.frame, LAYERS, self.corners)
+
+
+Price = Callable[[Array], Array]
+"""Function that returns the cost of a metre for a tightness: 0 in open space, 1 where the robot
+just fits."""
+
+
+def doubled_where_tight(tightness: Array) -> Array:
+    """Return the cost of a metre that is doubled where the robot just fits."""
+    return 1.0 + tightness
+
+
+class Locomotion(eqx.Module):
+    """What paths a robot can drive between the nodes of a lattice."""
+
+    @abc.abstractmethod
+    def roadmap(
+        self,
+        clearance: ScalarField,
+        required: Scalar,
+        stride: int,
+        price: Price = doubled_where_tight,
+        factor: Float[Array, "H W"] | None = None,
+    ) -> Roadmap:
+        """Build the lattice of places in which the robot fits, with one node per block of cells.
+
+        A node is open if the robot fits at any cell of its block. The price keeps paths in the
+        middle of passages.
+
+        Args:
+            clearance: distance to the nearest blocked cell [m].
+            required: clearance that the robot's discs need [m].
+            stride: number of cells on a side of a block; static.
+            price: cost of a metre by tightness.
+            factor: further factor (H, W) of the cost of each node; 1 when absent.
+        """
+
+    @abc.abstractmethod
+    def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
+        """Return a field of such a road map that is 0 everywhere.
+
+        Args:
+            frame: pose and node spacing of the lattice.
+            shape: rows and columns of the lattice.
+        """
+
+
+class TurnsOnTheSpot(Locomotion):
+    """Locomotion of a robot whose paths do not depend on its heading.
+
+    Args:
+        narrow: clearance from which paths lead through passages that are too narrow for the
+            required clearance, at `NARROW_PRICE` [m]; no such paths when absent. It must be at
+            least `narrowest`.
+    """
+
+    narrow: Scalar | None = None
+
+    def level_field(self, frame: GridFrame, shape: tuple[int, int]) -> GuidanceField:
+        """Return a field that is 0 everywhere."""
+        return descent_field(jnp.zeros(shape), frame, LAYERS)
+
+    def roadmap(
+        self,
+        clearance: ScalarField,
+        required: Scalar,
+        stride: int,
+        price: Price = doubled_where_tight,
+        factor: Float[Array, "H W"] | None = None,
+    ) -> Roadmap:
+        """Build the lattice of places in which the robot fits; see `Locomotion`."""
+        frame = clearance.frame.coarsen(stride, stride / 2.0)
+        room = block_maximum(clearance.values, stride)
+        is_open, tightness = fit(room, required)
+        slowness = frame.resolution * price(tightness)
+        corners, is_narrow = clear_corners(clearance, stride), None
+        if self.narrow is not None:
+            is_narrow = fit(room, self.narrow)[0] & ~is_open
+            slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
+            corners = _corners_at(is_narrow, clearance, stride)
+        slowness = slowness if factor is None else slowness * factor
+        return Roadmap(frame, slowness, is_open, corners, is_narrow=is_narrow)
+
+
+def block_maximum(values: Float[Array, "H W"], stride: int) -> Float[Array, "rows columns"]:
+    """Return the maximum over each block of cells; the map's last blocks are completed with 0."""
+    height, width = values.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    padded = jnp.pad(values, ((0, rows * stride - height), (0, columns * stride - width)))
+    return padded.reshape(rows, stride, columns, stride).max(axis=(1, 3))
+
+
+def fit(room: Float[Array, "*S"], required: Scalar) -> tuple[Bool[Array, "*S"], Float[Array, "*S"]]:
+    """Return where a robot fits, and how tightly: 0 in open space, 1 where it just fits.
+
+    Args:
+        room: clearance [m].
+        required: clearance that the robot needs [m].
+    """
+    spare = (room - required) / required
+    # The tolerance absorbs rounding: a passage of exactly the required width is open.
+    return room >= required - 1e-4, jnp.clip(1.0 - spare / (ROOMY - 1.0), 0.0, 1.0)
+
+
+def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | None:
+    """Return the mask (H, W) of the corners that a diagonal step may pass; None for all.
+
+    Entry (r, c) is the corner between the nodes (r, c), (r, c + 1), (r + 1, c) and (r + 1, c + 1).
+    It is clear if none of these cells is blocked. Two cells on the two sides of a wall that touch
+    at a corner of it are both free, and where the robot needs no more room than half a cell they
+    are open nodes as well: only the cells beside the step show the wall.
+
+    Blocks of several cells need no mask: `safe_stride` takes them only for a robot so wide that no
+    two open blocks on two sides of a wall touch.
+
+    Args:
+        clearance: distance to the nearest blocked cell, 0 in blocked cells [m].
+        stride: number of cells on a side of a block; static.
+    """
+    return _block_corners(clearance.values > 0.0, 1) if stride == 1 else None
+
+
+def _corners_at(
+    is_narrow: Bool[Array, "H W"], clearance: ScalarField, stride: int
+) -> Bool[Array, "H W"]:
+    """Return the mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`.
+
+    Blocks of several cells may touch on two sides of a wall where one of them is narrow, with the
+    wall at the corner between them (`narrowest`). So there the cells at the corner must be free.
+    """
+    rows, columns = is_narrow.shape
+    is_clear = _block_corners(clearance.values > 0.0, stride)[:rows, :columns]
+    return is_clear if stride == 1 else is_clear | _block_corners(~is_narrow, 1)
+
+
+def _block_corners(is_clear: Bool[Array, "rows columns"], stride: int) -> Bool[Array, "H W"]:
+    """Return where all four cells at the corner after each block are clear; none off the map."""
+    height, width = is_clear.shape
+    rows, columns = -(-height // stride), -(-width // stride)
+    # The last blocks are completed, and followed by one more cell.
+    padded = jnp.pad(is_clear, ((0, rows * stride - height + 1), (0, columns * stride - width + 1)))
+    parts = [
+        padded[i + stride - 1 :: stride, j + stride - 1 :: stride][:rows, :columns]
+        for i in (0, 1)
+        for j in (0, 1)
+    ]
+    return functools.reduce(jnp.logical_and, parts)
+
+
+def point_sources(
+    point: Position,
+    frame: GridFrame,
+    is_open: Bool[Array, "H W"],
+    corners: Bool[Array, "H W"] | None = None,
+) -> Float[Array, "H W"]:
+    """Return the sources of `geodesic` for paths that end at a point.
+
+    These are the open nodes nearest to the point, within a node spacing, with their distance to the
+    point [m]. All other nodes are infinite. Nodes on the other side of a wall do not count, see
+    `nearest_open`.
+
+    Args:
+        point: position (x, y) at which paths end [m].
+        frame: pose and node spacing of the lattice.
+        is_open: mask (H, W) of the nodes that paths may use.
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    """
+    rows, columns = is_open.shape
+    centres = frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
+    offset = centres - point
+    distance = jnp.where(is_open, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+    return nearest_open(distance, distance, frame.resolution, corners)
+
+
+def nearest_open(
+    cost: Float[Array, "*N H W"],
+    distance: Float[Array, "H W"],
+    spacing: float,
+    corners: Bool[Array, "H W"] | None,
+) -> Float[Array, "*N H W"]:
+    """Return the costs within a node spacing of the least one; all others infinite.
+
+    With a mask of corners, and where the point is in the cell of an open node, only nodes count to
+    which at most two steps lead from that node. A node on the other side of a wall may be as near
+    as one on this side.
+
+    Args:
+        cost: cost (..., H, W) of the way from a point to the nodes [m]; infinite at closed ones.
+        distance: distance (H, W) of the nodes from the point [m]; infinite at closed ones.
+        spacing: distance between nodes [m].
+        corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+    """
+    if corners is not None:
+        is_reached = distance <= distance.min()
+        for _ in range(2):
+            around = [stepped(is_reached, step, corners) for step in NEIGHBOURS]
+            around.append(is_reached)
+            is_reached = jnp.isfinite(distance) & functools.reduce(jnp.logical_or, around)
+        # Farther than half the diagonal of a cell the point itself is in a closed place.
+        is_reached = is_reached | (distance.min() > 0.75 * spacing)
+        cost = jnp.where(is_reached, cost, jnp.inf)
+    # With the nearest node alone, paths from other sides would pass the point and come back.
+    return jnp.where(cost <= cost.min() + spacing, cost, jnp.inf)
