@@ -117,9 +117,10 @@ def _free_by_scans(
         seen = jnp.zeros(world.shape, bool)
         for sensor, source in zip(sensors, silent, strict=True):
             scan = source.scan(world, pose, key=jax.random.key(0), ground=ground)
-            hits, passes = sensor.sight(world, scan, pose, ground)
+            sighting = sensor.sight(world, scan, pose, ground)
+            hits, passes, _ = sighting
             is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)
-            seen = seen | ((passes > 0) & ~is_occupied)
+            seen = seen | sighting.on_map((passes > 0) & ~is_occupied)
         return seen
 
     return jax.vmap(free)(poses)

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from jaxplore.maps.clearance import clearance_field
+from jaxplore.maps.clearance import clearance_field, update_clearance
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.window import Window
 
 FRAME = GridFrame(0.1)
 field = jax.jit(lambda blocked: clearance_field(blocked, FRAME, 0.6).values)
@@ -43,3 +44,25 @@ def test_updates_inside_a_loop() -> None:
     _, distances = jax.lax.scan(step, nothing, jnp.arange(10))
     assert float(distances[-1]) == pytest.approx(0.05)
     assert (np.diff(distances) <= 0).all()
+
+
+@jax.jit
+def updated(before, blocked, corner):
+    """The clearance of a map after a change in a window of 5 x 40 cells, of which it has 24."""
+    window = Window.at(corner, (5, 40), blocked.shape)
+    values = clearance_field(before, FRAME, 0.6)
+    now = update_clearance(values, window, lambda part: part.read(blocked), 0.6)
+    return now.values, clearance_field(blocked, FRAME, 0.6).values
+
+
+@given(
+    st.integers(0, 2**32 - 1), st.integers(-3, 60), st.sampled_from([0.0, 0.002, 0.02, 0.2])
+)
+def test_an_update_is_the_field_of_the_changed_map(seed: int, row: int, density: float) -> None:
+    rng = np.random.default_rng(seed)
+    before, other = (rng.random((57, 24)) < density for _ in range(2))
+    first = int(np.clip(row, 0, 52))
+    blocked = before.copy()
+    blocked[first : first + 5] = other[first : first + 5]
+    found, expected = updated(before, blocked, jnp.asarray([row, 0], jnp.int32))
+    np.testing.assert_array_equal(found, expected)

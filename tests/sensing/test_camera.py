@@ -173,7 +173,8 @@ def corridor(wall: float | None = None, height: float | None = None, at: float =
 def row_of(camera: Camera, grid: OccupancyGrid, ground: Ground | None) -> tuple[Scan, Sighting]:
     scan = line_scan(camera, grid, AHEAD, ground)
     sighting = line_sight(camera, grid, scan, AHEAD, ground)
-    return jax.device_get((scan, Sighting(sighting.hits[2], sighting.passes[2])))
+    counts = (sighting.on_map(each)[2] for each in (sighting.hits, sighting.passes))
+    return jax.device_get((scan, Sighting(*counts, sighting.window)))
 
 
 def middles() -> np.ndarray:

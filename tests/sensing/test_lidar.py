@@ -46,10 +46,11 @@ def solid(world: np.ndarray, row: int, column: int) -> bool:
 
 def random_world(seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    world = rng.choice([0.0, 0.5, 1.0], (20, 25), p=[0.93, 0.03, 0.04]).astype(np.float32)
+    # Larger than what is within the range: a scan changes a window of the map.
+    world = rng.choice([0.0, 0.5, 1.0], (36, 45), p=[0.93, 0.03, 0.04]).astype(np.float32)
     grid = OccupancyGrid(world, RESOLUTION, ORIGIN)
     centre = np.asarray(
-        grid.frame.to_world(jnp.asarray(rng.uniform([3, 3], [17, 22]), jnp.float32))
+        grid.frame.to_world(jnp.asarray(rng.uniform([3, 3], [33, 42]), jnp.float32))
     )
     return world, np.array([*centre, rng.uniform(-4, 4)])
 

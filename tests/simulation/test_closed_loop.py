@@ -386,7 +386,7 @@ def test_the_end_is_the_goal_and_a_known_map(is_there, is_known, is_covered) -> 
         worst_idleness=nothing,
     )
     state = ExplorationState(
-        *(robot, None, progress, Gain(progress.coverage, nothing), jnp.zeros((), int)),
+        *(robot, None, None, progress, Gain(progress.coverage, nothing), jnp.zeros((), int)),
         *(jnp.zeros(0, bool), None, jnp.zeros(0)),
     )
     found = bool(scenario.is_finished(state))

@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 
@@ -10,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
-from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
@@ -33,10 +34,11 @@ from jaxplore.belief.standing import freed_below
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.maps.clearance import clearance_field
+from jaxplore.maps.clearance import clearance_field, update_clearance
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.maps.window import Window
 from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -258,6 +260,9 @@ class Perception(eqx.Module):
     ) -> Belief:
         """Update the map, the clearance and the idleness of the belief by a scan of each sensor.
 
+        Clearances are updated around the robot only, where scans can change the map (`window`).
+        Those of a belief with another map must be computed anew (`init`).
+
         With a test for anomalies, the first scan is tested as well.
 
         Args:
@@ -290,10 +295,25 @@ class Perception(eqx.Module):
                 now = anomalies.time + elapsed if time is None else time
                 args = (sensor, grid, scan, sighting.is_seen, pose, jnp.asarray(now, jnp.float32))
                 anomalies = self.anomalies.update(anomalies, *args)
-        clearance = self._clearance(grid)
+        clearance = update_clearance(
+            belief.clearance,
+            self.window(grid, pose),
+            functools.partial(self._closed, grid),
+            self.max_clearance,
+        )
         return dataclasses.replace(
             belief, grid=grid, clearance=clearance, idleness=idleness, anomalies=anomalies
         )
+
+    def window(self, grid: OccupancyGrid, pose: Pose) -> Window:
+        """Return the part of the map that scans from a pose may change.
+
+        Args:
+            grid: the robot's map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+        """
+        reach = max(sensor.max_range for sensor in self.sensors)
+        return Window.around(pose[:2], reach, grid.frame, grid.shape)
 
     def update_fields(self, belief: Belief, pose: Pose, elapsed: Scalar) -> Belief:
         """Update the information and guidance fields of the belief.
@@ -373,10 +393,15 @@ class Perception(eqx.Module):
         return leads_to_goal(guidance, pose[:2])
 
     def _clearance(self, grid: OccupancyGrid) -> ScalarField:
-        closed = ~grid.is_free
+        whole = Window(jnp.zeros(2, jnp.int32), grid.shape, grid.shape)
+        return clearance_field(self._closed(grid, whole), grid.frame, self.max_clearance)
+
+    def _closed(self, grid: OccupancyGrid, window: Window) -> GridMask:
+        """Return the mask of the cells of a part of the map that paths may not enter."""
+        closed = ~(window.read(grid.probability) < FREE_THRESHOLD)
         if self.ground is not None:
-            closed = closed | ~self.ground.is_traversable
-        return clearance_field(closed, grid.frame, self.max_clearance)
+            closed = closed | ~window.read(self.ground.is_traversable)
+        return closed
 
     def _guidance(
         self,

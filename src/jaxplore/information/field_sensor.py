@@ -20,6 +20,7 @@ from jaxplore.information.gain import CellSensor
 from jaxplore.information.noise import RangeNoise
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.window import Window
 from jaxplore.sensing.base import Sensor
 
 TILE = 40
@@ -151,9 +152,9 @@ class FieldSensor(eqx.Module):
             sectors = self.doubling.beams(belief, sensor, interest)
             empty, corner = jnp.zeros((sectors.shape[0] + 1, *shape)), jnp.zeros(2, jnp.int32)
             values = Values(sectors, _add_up(sectors, empty, corner, shape))
-            return self._field(values, belief, frame)
+            return self._field(values, belief.probability, frame)
         values = self._all(self._maps(belief, sensor, interest), self._first, shape)
-        return self._field(values, belief, frame)
+        return self._field(values, belief.probability, frame)
 
     def window(
         self,
@@ -185,7 +186,7 @@ class FieldSensor(eqx.Module):
         frame = belief.frame.coarsen(self.stride, 0.5, first)
         values = self._all(maps, corner, (rows, columns))
         values = Values(*(jnp.where(is_finite, part, 0.0) for part in values))
-        return self._field(values, belief, frame)
+        return self._field(values, belief.probability, frame)
 
     def update(
         self, field: InformationField, belief: OccupancyGrid, sensor: CellSensor
@@ -212,30 +213,62 @@ class FieldSensor(eqx.Module):
         if self.doubling is not None:
             # Doubling works on whole maps only.
             return self.field(belief, sensor)
-        tiles = tuple(-(-count // TILE) for count in shape)
+        tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
         changed = self._changed_blocks(field.source != belief.probability, tiles)
         # A tile is touched if any block within the reach of its beams has changed.
         size = self.nearby.shape[0]
         touched = jax.lax.reduce_window(
             changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
         )
-        count = jnp.sum(touched, dtype=jnp.int32)
-        # Shapes are static, so the list has room for all tiles. The loop visits only the first
-        # `count`.
-        (order,) = jnp.nonzero(touched.reshape(-1), size=tiles[0] * tiles[1], fill_value=0)
-        maps = self._maps(belief, sensor)
+        # The maps that beams read are computed for a group of tiles at a time: their cost is that
+        # of what is around the changes, and not of the whole map.
+        group = self._group(tiles)
 
-        def renew(number: Array, values: Values) -> Values:
-            tile = jnp.stack([order[number] // tiles[1], order[number] % tiles[1]])
-            # A direction is stale if one of its beams reaches a changed block: a sum of products
-            # over blocks is a fast way to take `any`.
-            blocks = jax.lax.dynamic_slice(changed, tuple(tile * BLOCKS), (size, size))
-            is_stale = jnp.tensordot(blocks.astype(jnp.float32), self.nearby, 2) > 0.0
-            return self._renew(maps, self._first, tile * TILE, (TILE, TILE), is_stale, values)
+        def renew_group(carry: tuple[Values, Array, Array]) -> tuple[Values, Array, Array]:
+            values, source, pending = carry
+            first = _first_group(pending, group)
+            here = jax.lax.dynamic_slice(pending, tuple(first), group)
+            # Shapes are static, so the list has room for all tiles. The loop visits only the first
+            # of them.
+            (order,) = jnp.nonzero(here.reshape(-1), size=here.size, fill_value=0)
+            nodes = group[0] * TILE, group[1] * TILE
+            cell = self.stride // 2 + self.stride * TILE * first
+            maps, corner = window_maps(self.table, belief, sensor, cell, nodes)
+            origin = corner - self.stride * TILE * first
 
-        start = Values(field.sectors, field.cumulative)
-        renewed: Values = jax.lax.fori_loop(0, count, renew, start)
-        return self._field(renewed, belief, self._frame(belief))
+            def renew(number: Array, values: Values) -> Values:
+                row, column = order[number] // group[1], order[number] % group[1]
+                tile = first + jnp.stack([row, column]).astype(jnp.int32)
+                # A direction is stale if one of its beams reaches a changed block: a sum of
+                # products over blocks is a fast way to take `any`.
+                blocks = jax.lax.dynamic_slice(changed, tuple(tile * BLOCKS), (size, size))
+                is_stale = jnp.tensordot(blocks.astype(jnp.float32), self.nearby, 2) > 0.0
+                return self._renew(maps, origin, tile * TILE, (TILE, TILE), is_stale, values)
+
+            count = jnp.sum(here, dtype=jnp.int32)
+            values = jax.lax.fori_loop(0, count, renew, values)
+            # The tile of a changed cell is touched, so all changed cells are in a group.
+            cells = Window.at(
+                self.stride * TILE * first, [self.stride * each for each in nodes], belief.shape
+            )
+            source = cells.write(source, cells.read(belief.probability))
+            rest = jax.lax.dynamic_update_slice(pending, jnp.zeros_like(here), tuple(first))
+            return values, source, rest
+
+        start = Values(field.sectors, field.cumulative), field.source, touched
+        values, source, _ = jax.lax.while_loop(lambda carry: carry[2].any(), renew_group, start)
+        return self._field(values, source, self._frame(belief))
+
+    def _group(self, tiles: tuple[int, int]) -> tuple[int, int]:
+        """Return the rows and columns of the tiles that are evaluated with the same maps.
+
+        A scan changes cells up to the reach of its beams from the robot, and the information of
+        nodes up to the reach of theirs from these cells.
+        """
+        most = 1 + -(-4 * self.table.reach // (TILE * self.stride))
+        # A last tile is moved inwards, into the one before it (`_renew`).
+        rows, columns = (min(count, max(2, most)) for count in tiles)
+        return rows, columns
 
     def _lattice(self, belief: OccupancyGrid) -> tuple[int, int]:
         height, width = belief.shape
@@ -325,11 +358,11 @@ class FieldSensor(eqx.Module):
         blocks = cells.reshape(tiles[0] * BLOCKS, side, tiles[1] * BLOCKS, side)
         return jnp.pad(blocks.any(axis=(1, 3)), margin)
 
-    def _field(self, values: Values, belief: OccupancyGrid, frame: GridFrame) -> InformationField:
+    def _field(self, values: Values, source: GridValues, frame: GridFrame) -> InformationField:
         return InformationField(
             sectors=values.sectors,
             cumulative=values.cumulative,
-            source=belief.probability,
+            source=source,
             frame=frame,
             field_of_view=self.field_of_view,
             num_beams=self.num_beams,
@@ -360,6 +393,15 @@ def _add_up(sectors: Array, cumulative: Array, node: Array, size: tuple[int, int
         (jnp.zeros((1, *size)), cumulative),
     )
     return add(jnp.asarray(blocks * SUMS, row.dtype), rest, carry)[1]
+
+
+def _first_group(pending: Bool[Array, "rows columns"], group: tuple[int, int]) -> Array:
+    """Return the first tile (row, column) of a group with the topmost of the pending tiles."""
+    rows, columns = pending.shape
+    row = jnp.minimum(jnp.argmax(pending.any(axis=1)), rows - group[0])
+    band = jax.lax.dynamic_slice_in_dim(pending, row, group[0])
+    column = jnp.minimum(jnp.argmax(band.any(axis=0)), columns - group[1])
+    return jnp.stack([row, column]).astype(jnp.int32)
 
 
 def _nearby(offset: np.ndarray, stride: int) -> np.ndarray:

@@ -255,6 +255,10 @@ class OccupancyGrid(eqx.Module):
 
     @property
     def entropy(self) -> GridValues:
-        """Entropy of each cell [nat]: `h(p) = -p ln p - (1 - p) ln(1 - p)`, with `0 ln 0 = 0`."""
-        p = self.probability
-        return jax.scipy.special.entr(p) + jax.scipy.special.entr(1.0 - p)
+        """Entropy of each cell [nat], see `entropy`."""
+        return entropy(self.probability)
+
+
+def entropy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    """Return the entropy `h(p) = -p ln p - (1 - p) ln(1 - p)` [nat], with `0 ln 0 = 0`."""
+    return jax.scipy.special.entr(probability) + jax.scipy.special.entr(1.0 - probability)

@@ -21,7 +21,7 @@ from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.recording import Frame
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.chunks import ChunkedRun
-from jaxplore.simulation.exploration.progress import map_progress
+from jaxplore.simulation.exploration.progress import map_progress, observed
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.loop import step_keys
@@ -222,10 +222,12 @@ def _measure(
     pose = scenario.robot.pose(state.robot)
     scans = truth.scans(scenario.sensors, pose, key)
     since = scenario.control_period * scenario.steps_per_scan.astype(jnp.float32)
-    belief = scenario.perception.observe(state.belief, scans, pose, since)
-    progress = map_progress(belief, scenario.map_arrays.reachable, moment.time)
+    perception, reachable = scenario.perception, scenario.map_arrays.reachable
+    belief, sums = observed(perception, state.belief, state.sums, scans, pose, reachable, since)
+    progress = map_progress(sums, belief, reachable, moment.time)
     ranges = jnp.concatenate([scan.ranges for scan in scans])
-    return state._replace(belief=belief, progress=progress, ranges=ranges), scans[0]
+    state = state._replace(belief=belief, sums=sums, progress=progress, ranges=ranges)
+    return state, scans[0]
 
 
 @eqx.filter_jit

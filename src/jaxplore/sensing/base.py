@@ -15,6 +15,7 @@ from jaxplore._types import GridMask, Key, Pose, Scalar
 from jaxplore.geometry.rays import RayCells
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.maps.window import Window
 from jaxplore.sensing.beams import ROUNDING, Beams, Scan
 from jaxplore.sensing.fan import disc_distance, fan, first_entry
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -24,15 +25,23 @@ ONE_HIT_IN = 3
 
 
 class Sighting(NamedTuple):
-    """Number of beams of a scan that hit and that passed each cell, (H, W) each."""
+    """Number of beams of a scan that hit and that passed each cell of a window, (h, w) each.
 
-    hits: Int[Array, "H W"]
-    passes: Int[Array, "H W"]
+    The window holds all cells of the map that are within the range of the sensor.
+    """
+
+    hits: Int[Array, "h w"]
+    passes: Int[Array, "h w"]
+    window: Window
 
     @property
     def is_seen(self) -> GridMask:
-        """Mask (H, W) of the cells that some beam hit or passed."""
-        return (self.hits + self.passes) > 0
+        """Mask (H, W) of the cells of the map that some beam hit or passed."""
+        return self.on_map((self.hits + self.passes) > 0)
+
+    def on_map(self, cells: Array) -> Array:
+        """Return an array (h, w) of the window as one of the map (H, W), 0 around the window."""
+        return self.window.write(jnp.zeros(self.window.map_shape, cells.dtype), cells)
 
 
 class Sensor(Beams):
@@ -160,7 +169,7 @@ class Sensor(Beams):
     def sight(
         self, grid: OccupancyGrid, scan: Scan, pose: Pose, ground: Ground | None = None
     ) -> Sighting:
-        """Count the beams of a scan that hit and that passed each cell of a grid.
+        """Count the beams of a scan that hit and that passed each cell within the range.
 
         A visible cell that the beam leaves before its reading was passed; without a return, the
         reading is the maximum range. The cell that contains the reading was hit. A reading lies on
@@ -199,10 +208,12 @@ class Sensor(Beams):
         is_hit = is_return & is_long & (cells.entry <= depth) & (depth < cells.exit)
         is_passed = is_long & (cells.exit <= reading + 1e-3)
         is_hit, is_passed = self.consistent(cells, is_hit, is_passed, reading, rise, resolution)
-        height, width = grid.shape
-        seen = cells.is_crossed & (is_hit | is_passed)
-        index = cells.cell[..., 0] * width + cells.cell[..., 1]
-        index = jnp.where(seen & grid.contains(cells.cell), index, height * width)
+        window = Window.around(pose[:2], self.max_range, grid.frame, grid.shape)
+        height, width = window.shape
+        row, column = jnp.unstack(cells.cell - window.corner, axis=-1)
+        is_in = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        seen = cells.is_crossed & (is_hit | is_passed) & is_in & grid.contains(cells.cell)
+        index = jnp.where(seen, row * width + column, height * width)
         # One scatter counts both: passes in the low half of the word, hits in the high half. Cells
         # that do not count are scattered to an index out of bounds, which is dropped.
         count = (
@@ -211,7 +222,7 @@ class Sensor(Beams):
             .add(jnp.where(is_hit, 1 << 16, 1).reshape(-1), mode="drop")
             .reshape(height, width)
         )
-        return Sighting(hits=count >> 16, passes=count & 0xFFFF)
+        return Sighting(count >> 16, count & 0xFFFF, window)
 
     def update(
         self,
@@ -323,8 +334,8 @@ def update_grid(
         sighting: hits and passes of the scan, from `Sensor.sight`.
         model: inverse sensor model.
     """
-    hits, passes = sighting
+    hits, passes, window = sighting
     is_occupied = (hits > 0) & (ONE_HIT_IN * hits >= hits + passes)
     change = jnp.where(is_occupied, model.occupied, jnp.where(passes > 0, model.free, 0.0))
-    probability = model.update(belief.probability, change)
-    return belief.with_probability(probability)
+    updated = model.update(window.read(belief.probability), change)
+    return belief.with_probability(window.write(belief.probability, updated))

@@ -1,36 +1,142 @@
 """Statistics of the known map."""
 
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 
-from jaxplore._types import GridMask, Scalar
+from jaxplore._types import Count, GridMask, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
-from jaxplore.belief.zones import is_unknown, unknown_fraction
+from jaxplore.belief.perception import Perception
+from jaxplore.belief.zones import entropy_proxy
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, entropy
 from jaxplore.report.exploration.data import MapProgress
+from jaxplore.sensing.beams import Scan
 
 
-def map_progress(belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:
+class MapSums(NamedTuple):
+    """Sums over the cells of a map, or over those of a window of it.
+
+    Args:
+        reachable: number of the cells that the robot's centre can reach.
+        free: number of these that are known to be free.
+        unknown: number of these that are unknown.
+        unknown_map: number of all cells that are unknown.
+        entropy: entropy of the reachable cells [nat].
+        rest: what rounding has left out of the entropy [nat].
+    """
+
+    reachable: Count
+    free: Count
+    unknown: Count
+    unknown_map: Count
+    entropy: Scalar
+    rest: Scalar
+
+    @classmethod
+    def of(cls, probability: GridValues, reachable: GridMask) -> "MapSums":
+        """Add up cells.
+
+        Args:
+            probability: probability of occupancy (h, w) on the robot's map.
+            reachable: (h, w) cells that the robot's centre can reach.
+        """
+
+        def count(cells: GridMask) -> Count:
+            return jnp.sum(cells, dtype=jnp.int32)
+
+        unknown = entropy_proxy(probability) > 0.5
+        return cls(
+            reachable=count(reachable),
+            free=count((probability < FREE_THRESHOLD) & reachable),
+            unknown=count(unknown & reachable),
+            unknown_map=count(unknown),
+            entropy=jnp.sum(jnp.where(reachable, entropy(probability), 0.0)),
+            rest=jnp.zeros(()),
+        )
+
+    def changed(self, before: "MapSums", after: "MapSums") -> "MapSums":
+        """Return the sums of a map of which a window has changed.
+
+        Args:
+            before: sums of the window before.
+            after: sums of the window after.
+        """
+        # A map has a million nat, of which a scan changes some hundred. What is rounded off is
+        # carried along (Kahan 1965), so that it does not add up over a run.
+        change = (after.entropy - before.entropy) + self.rest
+        total = self.entropy + change
+        return MapSums(
+            reachable=self.reachable,
+            free=self.free + (after.free - before.free),
+            unknown=self.unknown + (after.unknown - before.unknown),
+            unknown_map=self.unknown_map + (after.unknown_map - before.unknown_map),
+            entropy=total,
+            rest=change - (total - self.entropy),
+        )
+
+
+def observed(
+    perception: Perception,
+    belief: Belief,
+    sums: MapSums,
+    scans: Sequence[Scan],
+    pose: Pose,
+    reachable: GridMask,
+    elapsed: Scalar,
+    time: Scalar | None = None,
+) -> tuple[Belief, MapSums]:
+    """Update a belief by scans, and the sums over its map by what has changed.
+
+    Args:
+        perception: updates the belief.
+        belief: belief before the scans.
+        sums: sums over its map.
+        scans: one for each sensor.
+        pose: estimated pose (x, y, yaw) of the robot [m, m, rad].
+        reachable: (H, W) cells that the robot's centre can reach.
+        elapsed: time since the last scans [s].
+        time: time since the start [s]; the sum of the times elapsed when absent.
+    """
+    window = perception.window(belief.grid, pose)
+    counted = window.read(reachable)
+    before = MapSums.of(window.read(belief.grid.probability), counted)
+    # Behind the barrier nothing reads the old map any more, so it is changed in place: without it
+    # XLA would copy the map.
+    barrier = jax.lax.optimization_barrier
+    probability, before = barrier((belief.grid.probability, before))  # type: ignore[no-untyped-call]
+    belief = dataclasses.replace(belief, grid=belief.grid.with_probability(probability))
+    belief = perception.observe(belief, scans, pose, elapsed, time)
+    after = MapSums.of(window.read(belief.grid.probability), counted)
+    return belief, sums.changed(before, after)
+
+
+def map_progress(sums: MapSums, belief: Belief, reachable: GridMask, time: Scalar) -> MapProgress:
     """Compute coverage, entropy, the shares of unknown cells and the idleness.
 
     Args:
+        sums: sums over the cells of the robot's map.
         belief: the robot's belief.
         reachable: (H, W) cells that the robot's centre can reach.
         time: time since the start, an upper bound of the idleness [s].
     """
 
     def share(total: Scalar) -> Scalar:
-        return total / jnp.sum(reachable, dtype=jnp.float32)
+        return total / sums.reachable.astype(jnp.float32)
 
-    known = jnp.sum(belief.grid.is_free & reachable, dtype=jnp.float32)
     mean, worst = jnp.zeros(()), jnp.zeros(())
     if belief.idleness is not None:
         # The idleness of a cell that was never seen is infinite; here it counts from the start.
         idle = jnp.where(reachable, jnp.minimum(belief.idleness, time), 0.0)
         mean, worst = share(jnp.sum(idle)), jnp.max(idle)
+    height, width = (jnp.asarray(side, jnp.float32) for side in belief.grid.sides)
     return MapProgress(
-        coverage=share(known),
-        entropy=jnp.sum(jnp.where(reachable, belief.grid.entropy, 0.0)),
-        unknown=share(jnp.sum(is_unknown(belief.grid) & reachable, dtype=jnp.float32)),
-        unknown_map=unknown_fraction(belief.grid),
+        coverage=share(sums.free.astype(jnp.float32)),
+        entropy=sums.entropy,
+        unknown=share(sums.unknown.astype(jnp.float32)),
+        unknown_map=sums.unknown_map.astype(jnp.float32) / (height * width),
         mean_idleness=mean,
         worst_idleness=worst,
     )

@@ -17,7 +17,7 @@ from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.clock import when_due
-from jaxplore.simulation.exploration.progress import map_progress
+from jaxplore.simulation.exploration.progress import MapSums, map_progress, observed
 from jaxplore.simulation.exploration.scan_points import scan_points
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_objects import TrueObjects
@@ -73,16 +73,19 @@ class Senses(NamedTuple):
         at = self.robot.pose(state.robot)
 
         def sense(
-            belief: Belief, _: MapProgress, is_seen: Array, __: Array
-        ) -> tuple[Belief, MapProgress, Array, Array]:
+            belief: Belief, sums: MapSums, _: MapProgress, is_seen: Array, __: Array
+        ) -> tuple[Belief, MapSums, MapProgress, Array, Array]:
             scans = truth.scans(self.sensors, at, key) if guard is None else taken()
             since = period * self.steps_per_scan.astype(jnp.float32)
-            belief = perception.observe(belief, scans, pose, since, moment.time)
+            belief, sums = observed(
+                *(perception, belief, sums, scans, pose, self.reachable, since, moment.time)
+            )
             belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
             known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
             belief = dataclasses.replace(belief, obstacles=known)
             ranges = jnp.concatenate([scan.ranges for scan in scans])
-            return belief, map_progress(belief, self.reachable, moment.time), is_seen, ranges
+            progress = map_progress(sums, belief, self.reachable, moment.time)
+            return belief, sums, progress, is_seen, ranges
 
         def examine(
             _: ScanPoints, __: Array, ___: Array
@@ -124,11 +127,11 @@ class Senses(NamedTuple):
         # The tracker predicts the obstacles at every control period, also between scans.
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        belief, progress, is_seen, mapped = when_due(
+        belief, sums, progress, is_seen, mapped = when_due(
             is_due,
             ~moment.is_blind & is_placed & is_fit,
             sense,
-            (belief, state.progress, state.is_seen, state.ranges),
+            (belief, state.sums, state.progress, state.is_seen, state.ranges),
         )
         # The fields are derived one step before a strategic layer of the same rate runs: it reads
         # fresh fields, and no single step has the cost of both.
@@ -142,6 +145,7 @@ class Senses(NamedTuple):
         (belief,) = when_due(is_due, is_placed, derive, (belief,))
         return state._replace(
             belief=belief,
+            sums=sums,
             progress=progress,
             gain=state.gain.after(progress.coverage, period),
             is_seen=is_seen,

@@ -16,7 +16,7 @@ from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.finish import Gain
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
-from jaxplore.simulation.exploration.progress import map_progress
+from jaxplore.simulation.exploration.progress import MapSums, map_progress
 
 
 class ExplorationState(NamedTuple):
@@ -25,7 +25,8 @@ class ExplorationState(NamedTuple):
     Args:
         robot: (nx,) true state of the robot.
         belief: the robot's belief.
-        progress: statistics of the known map, as of the last map update.
+        sums: sums over the cells of the known map, as of the last map update.
+        progress: statistics of the known map, likewise.
         gain: the last rise of the coverage.
         finished: number of steps since the task was finished; 0 before.
         is_seen: (M,) whether each target has been found: seen, or recognised by a detector.
@@ -36,6 +37,7 @@ class ExplorationState(NamedTuple):
 
     robot: StateVector
     belief: Belief
+    sums: MapSums
     progress: MapProgress
     gain: Gain
     finished: Count
@@ -76,10 +78,12 @@ def initial_state(
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None:
         belief = dataclasses.replace(belief, obstacles=Obstacles.unseen(moving.radius))
-    progress = map_progress(belief, reachable, jnp.zeros(()))
+    sums = MapSums.of(belief.grid.probability, reachable)
+    progress = map_progress(sums, belief, reachable, jnp.zeros(()))
     return ExplorationState(
         robot=start,
         belief=belief,
+        sums=sums,
         progress=progress,
         gain=Gain(progress.coverage, jnp.zeros(())),
         finished=jnp.zeros((), jnp.int32),

@@ -1,0 +1,91 @@
+"""A rectangle of cells of a map, so that what changes around the robot costs no whole map."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Int
+
+from jaxplore._types import Position
+from jaxplore.maps.frame import GridFrame
+
+
+class Window(eqx.Module):
+    """A rectangle of cells of a map. Its shape is static, and its place may be traced.
+
+    A map that is no larger than the window is the window: nothing is cut out then.
+
+    Args:
+        corner: first cell (row, column).
+        shape: rows and columns of the window; static.
+        map_shape: rows and columns of the map's arrays; static.
+    """
+
+    corner: Int[Array, "2"]
+    shape: tuple[int, int] = eqx.field(static=True)
+    map_shape: tuple[int, int] = eqx.field(static=True)
+
+    @classmethod
+    def at(
+        cls, corner: Int[Array, "2"], shape: Sequence[int], map_shape: tuple[int, int]
+    ) -> "Window":
+        """Return a window of a map with a first cell; at the border of the map it is moved inwards.
+
+        Args:
+            corner: first cell (row, column).
+            shape: rows and columns, of which no more are taken than the map has; static.
+            map_shape: rows and columns of the map's arrays; static.
+        """
+        rows, columns = (min(own, size) for own, size in zip(shape, map_shape, strict=True))
+        farthest = jnp.asarray([map_shape[0] - rows, map_shape[1] - columns], jnp.int32)
+        return cls(jnp.clip(corner, 0, farthest), (rows, columns), map_shape)
+
+    @classmethod
+    def around(
+        cls, position: Position, reach: float, frame: GridFrame, map_shape: tuple[int, int]
+    ) -> "Window":
+        """Return the window that holds all cells of the map within a distance of a position.
+
+        Around a position that is not finite it is anywhere.
+
+        Args:
+            position: position (x, y) in the world [m].
+            reach: distance [m]; static.
+            frame: pose and cell size of the map.
+            map_shape: rows and columns of the map's arrays; static.
+        """
+        # One cell more: a reading at the greatest range is taken to lie behind it (`Sensor.sight`).
+        cells = math.ceil(reach / frame.resolution) + 1
+        return cls.at(frame.to_cell(position) - cells, [2 * cells + 1] * 2, map_shape)
+
+    def grown(self, margin: int) -> "Window":
+        """Return the window with as many rows and columns more on each side, as far as the map is.
+
+        Args:
+            margin: number of rows and columns; static.
+        """
+        shape = [size + 2 * margin for size in self.shape]
+        return Window.at(self.corner - margin, shape, self.map_shape)
+
+    def within(self, outer: "Window") -> "Window":
+        """Return this window as one of the part of a larger window."""
+        return Window(self.corner - outer.corner, self.shape, outer.shape)
+
+    def read(self, values: Array) -> Array:
+        """Return the part (..., h, w) of an array (..., H, W)."""
+        if self.shape == self.map_shape:
+            return values
+        leading = values.shape[:-2]
+        return jax.lax.dynamic_slice(values, self._start(leading), (*leading, *self.shape))
+
+    def write(self, values: Array, part: Array) -> Array:
+        """Return an array (..., H, W) with another part (..., h, w)."""
+        if self.shape == self.map_shape:
+            return part
+        return jax.lax.dynamic_update_slice(values, part, self._start(values.shape[:-2]))
+
+    def _start(self, leading: tuple[int, ...]) -> tuple[Array | int, ...]:
+        return (*(0 for _ in leading), self.corner[0], self.corner[1])
