@@ -31,7 +31,7 @@ def measure(steps: int) -> dict[str, Any]:
     def run(count: int) -> float:
         nonlocal state
         began = time.perf_counter()
-        state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(count), CHUNK)
+        state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(count)), state, CHUNK)
         state.step.block_until_ready()
         return time.perf_counter() - began
 

@@ -29,7 +29,7 @@ from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.information import GaussianNoise, LocalFieldSensor
 from jaxplore.information.trajectory import METHODS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 PEERS = Path(__file__).parent / ".peers"
 SIDE, RESOLUTION = 20.0, 0.1
@@ -67,7 +67,7 @@ def _exploration() -> list[OccupancyGrid]:
     beliefs = []
     for _ in range(NUM_SCANS):
         # Scans come at 10 Hz, controls at 50 Hz.
-        state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(5), 50)
+        state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(5)), copied(state), 50)
         beliefs.append(state.task.belief.grid)
     return beliefs
 

@@ -182,7 +182,7 @@ class _Loop:
         count = jnp.asarray(size)
         jax.block_until_ready((state, key, count))  # type: ignore[no-untyped-call]
         began = time.perf_counter()
-        result = run_chunk(self.controller, self.scenario, state, key, count, CHUNK)
+        result = run_chunk((self.controller, self.scenario, key, count), state, CHUNK)
         jax.block_until_ready(result)  # type: ignore[no-untyped-call]
         return result[0], time.perf_counter() - began, int(result[2])
 
@@ -260,7 +260,7 @@ def _compile_seconds(architecture: str) -> float:
     jax.block_until_ready((controller, scenario, key))  # type: ignore[no-untyped-call]
     began = time.perf_counter()
     state, program = initial_loop_state(controller, scenario, key), cast(Any, run_chunk)
-    program.lower(controller, scenario, state, key, jnp.asarray(0), CHUNK).compile()
+    program.lower((controller, scenario, key, jnp.asarray(0)), state, CHUNK).compile()
     return time.perf_counter() - began
 
 

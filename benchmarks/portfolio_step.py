@@ -39,7 +39,7 @@ def step_times(counts: tuple[int, ...], steps: int) -> list[dict[str, Any]]:
             for _ in range(CHUNK):
                 began = time.perf_counter()
                 state, _, done = cast(Any, run_chunk)(
-                    controller, scenario, state, key, jnp.asarray(1, jnp.int32), CHUNK
+                    (controller, scenario, key, jnp.asarray(1, jnp.int32)), state, CHUNK
                 )
                 int(done)
                 seconds[count].append(time.perf_counter() - began)
@@ -58,7 +58,7 @@ def parts() -> list[dict[str, Any]]:
     assert isinstance(scenario, ExplorationScenario)
     controller = controller.at_period(scenario.control_period)
     state = initial_loop_state(controller, scenario, key)
-    state, _, _ = run_chunk(controller, scenario, state, key, jnp.asarray(250, jnp.int32), 250)
+    state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(250, jnp.int32)), state, 250)
     belief, pose = state.task.belief, state.task.belief.pose
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     elapsed = jnp.asarray(0.2)

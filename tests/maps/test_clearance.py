@@ -55,9 +55,7 @@ def updated(before, blocked, corner):
     return now.values, clearance_field(blocked, FRAME, 0.6).values
 
 
-@given(
-    st.integers(0, 2**32 - 1), st.integers(-3, 60), st.sampled_from([0.0, 0.002, 0.02, 0.2])
-)
+@given(st.integers(0, 2**32 - 1), st.integers(-3, 60), st.sampled_from([0.0, 0.002, 0.02, 0.2]))
 def test_an_update_is_the_field_of_the_changed_map(seed: int, row: int, density: float) -> None:
     rng = np.random.default_rng(seed)
     before, other = (rng.random((57, 24)) < density for _ in range(2))

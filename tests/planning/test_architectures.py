@@ -34,7 +34,7 @@ from jaxplore.planning import InformativeMPPI, ReferenceStart
 from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.quadrotor import ARCHITECTURES, zone_choice
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 CHUNK, PERIOD = 50, 0.05
 WORLD = dataclasses.replace(three_zones(), resolution=0.2)
@@ -98,7 +98,7 @@ def run(
         if int(done) < CHUNK:
             break
         state, records, done = run_chunk(
-            controller, scenario, state, key, jnp.asarray(CHUNK), CHUNK
+            (controller, scenario, key, jnp.asarray(CHUNK)), copied(state), CHUNK
         )
         rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
@@ -216,7 +216,9 @@ def test_the_compiled_loop_is_a_plain_loop_over_the_parts(controllers, scenario)
     after, robots = initial_loop_state(controller, scenario), []
     for step in range(CHUNK):
         before = after
-        after, records, done = run_chunk(controller, scenario, before, key, jnp.asarray(1), CHUNK)
+        after, records, done = run_chunk(
+            (controller, scenario, key, jnp.asarray(1)), copied(before), CHUNK
+        )
         assert int(done) == 1
         scan_key, control_key = jax.random.split(jax.random.fold_in(key, step))
         belief, state = before.task.belief, before.task.robot
@@ -285,7 +287,7 @@ NUMBERS = {
 def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     controller = controllers[architecture]
     start, one, key = initial_loop_state(controller, scenario), jnp.asarray(1), jax.random.key(0)
-    first, _, _ = run_chunk(controller, scenario, start, key, one, CHUNK)
+    first, _, _ = run_chunk((controller, scenario, key, one), copied(start), CHUNK)
     compiled = run_chunk._cached._cache_size()
     flight = FLIGHT._replace(
         temperature=2.0,
@@ -300,7 +302,7 @@ def test_no_number_retraces(architecture: str, controllers, scenario) -> None:
     )
     fields = FIELDS._replace(field_period=0.4)
     other = controller_of(architecture, flight, fields=fields, **NUMBERS).at_period(PERIOD)
-    second, _, _ = run_chunk(other, scenario, start, key, one, CHUNK)
+    second, _, _ = run_chunk((other, scenario, key, one), copied(start), CHUNK)
     assert run_chunk._cached._cache_size() == compiled
     assert not np.array_equal(first.task.robot, second.task.robot)
 

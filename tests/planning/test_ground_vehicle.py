@@ -33,7 +33,7 @@ from jaxplore.planning import Average, Candidates, SafeFusion, Situation
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fused
 from jaxplore.planning.presets.ground_vehicle import COLLISION, REGIONS, ROLE_WEIGHTS, objectives
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 DRIVE = DifferentialDrive(max_speed=1.0)
 SMALL = {"horizon": 12, "num_samples": 64, "parameterisation": "direct"}
@@ -386,7 +386,7 @@ def test_two_seconds_without_a_collision(scenario) -> None:
     key, steps = jax.random.key(0), STEPS_OF_LOOP
     state = initial_loop_state(portfolio, scenario, key)
     count = jnp.asarray(steps, jnp.int32)
-    _, record, done = run_chunk(portfolio, scenario, state, key, count, steps)
+    _, record, done = run_chunk((portfolio, scenario, key, count), copied(state), steps)
     assert int(done) == steps
     assert not record.is_collision.any()
     assert record.is_finite.all()

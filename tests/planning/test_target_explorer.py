@@ -36,7 +36,7 @@ from jaxplore.planning.strategy.target_rules import (
     Wander,
 )
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 RESOLUTION, SHAPE, STRIDE, REQUIRED = 0.1, (50, 60), 2, 0.25
 KEY = jax.random.key(0)
@@ -335,7 +335,7 @@ def test_rules_explore_without_contact(name: str) -> None:
     controller = make(RULES[name](), shape).at_period(0.05)
     state = initial_loop_state(controller, scenario, KEY)
     state, records, done = run_chunk(
-        controller, scenario, state, KEY, jnp.asarray(800, jnp.int32), 800
+        (controller, scenario, KEY, jnp.asarray(800, jnp.int32)), copied(state), 800
     )
     steps = int(done)
     assert not np.asarray(records.is_collision)[:steps].any()
@@ -345,7 +345,7 @@ def test_rules_explore_without_contact(name: str) -> None:
     if name == "nearest-frontier":
         heavier = make(RULES[name](), shape, min_information=2.0, every=5).at_period(0.05)
         before = run_chunk._cached._cache_size()
-        run_chunk(heavier, scenario, state, KEY, jnp.asarray(1, jnp.int32), 800)
+        run_chunk((heavier, scenario, KEY, jnp.asarray(1, jnp.int32)), copied(state), 800)
         assert run_chunk._cached._cache_size() == before
 
 

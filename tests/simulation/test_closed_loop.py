@@ -25,7 +25,7 @@ from jaxplore.report.exploration.canvas import make_canvas
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.simulation.exploration.finish import Gain, default_give_up_after
 from jaxplore.simulation.exploration.state import ExplorationState
-from jaxplore.simulation.loop import _initial_task, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import _initial_task, copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import Run, record_run, simulate
 
 CHUNK = 25  # record_run's own, so that nothing is compiled twice
@@ -40,7 +40,7 @@ def run(experiment, steps: int, key: jax.Array, pieces: int = 1):
         for _ in range(0, steps // pieces, CHUNK):
             count = min(CHUNK, steps // pieces)
             state, records, done = run_chunk(
-                controller, scenario, state, key, jnp.asarray(count, jnp.int32), CHUNK
+                (controller, scenario, key, jnp.asarray(count, jnp.int32)), copied(state), CHUNK
             )
             rows.append(jax.tree.map(lambda leaf, n=int(done): np.asarray(leaf)[:n], records))
     return state, jax.tree.map(lambda *parts: np.concatenate(parts), *rows)
@@ -153,7 +153,7 @@ def test_senses_and_plans_at_the_rates_given(make) -> None:
     state, key = initial_loop_state(controller, scenario), jax.random.key(0)
     maps, guidances = [], []
     for _ in range(21):
-        state, _, _ = run_chunk(controller, scenario, state, key, ONE, CHUNK)
+        state, _, _ = run_chunk((controller, scenario, key, ONE), copied(state), CHUNK)
         belief: Belief = state.task.belief
         maps.append(np.asarray(belief.grid.probability))
         guidances.append(np.asarray(belief.guidance.values))
@@ -434,7 +434,7 @@ def test_a_wall_that_is_not_on_the_map_is_met_seen_and_solid() -> None:
     collisions = 0
     for _ in range(80):
         reach = float(state.task.robot[0]) + 1.0
-        state, records, _ = run_chunk(AHEAD, scenario, state, key, ONE, SHORT_CHUNK)
+        state, records, _ = run_chunk((AHEAD, scenario, key, ONE), copied(state), SHORT_CHUNK)
         known = np.asarray(state.task.belief.grid.unpadded().probability)
         assert reach > 2.8 or (known[:, 28:30] == HALL[:, 28:30]).all()
         assert float(state.task.robot[0]) <= 2.8 - 0.2 + 1e-4

@@ -22,7 +22,7 @@ from jaxplore import (
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
 from jaxplore.report.exploration.data import ExplorationRecord
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.scenario import LoopState
 
@@ -103,7 +103,7 @@ def run(
     state, key = initial_loop_state(controller, scenario), jax.random.key(seed)
     states, rows, one = [jax.tree.map(np.asarray, state)], [], jnp.asarray(1, jnp.int32)
     for _ in range(60):
-        state, records, _ = run_chunk(controller, scenario, state, key, one, CHUNK)
+        state, records, _ = run_chunk((controller, scenario, key, one), copied(state), CHUNK)
         states.append(jax.tree.map(np.asarray, state))
         rows.append(jax.tree.map(lambda leaf: np.asarray(leaf)[0], records))
     told = states[-1].controller[1] if isinstance(controller, Script) else np.zeros(0)

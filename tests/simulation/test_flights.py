@@ -15,7 +15,7 @@ from jaxplore.build.tasks import build, make_settings
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 SHORT: dict[str, Any] = {
     "map": "zones",
@@ -56,7 +56,7 @@ def fly(flight: Experiment, faults: Faults | None = None, steps: int = STEPS) ->
     controller = flight.controller.at_period(scenario.control_period)
     before = initial_loop_state(controller, scenario)
     after, records, done = run_chunk(
-        controller, scenario, before, flight.key, jnp.asarray(steps), STEPS
+        (controller, scenario, flight.key, jnp.asarray(steps)), copied(before), STEPS
     )
     records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
     positions = np.concatenate([np.asarray(scenario.start)[None], records.state])[:, :2]

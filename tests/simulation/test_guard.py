@@ -22,7 +22,7 @@ from jaxplore import (
 )
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.guard import FROZEN, GOOD, LOST, MISFIT, REASONS
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 STEPS, PERIOD = 80, 0.05
 WORLD = np.zeros((30, 40), np.float32)
@@ -103,7 +103,7 @@ def drive(task: ExplorationScenario, seed: int = 0, delay: int = 0) -> Watched:
     state = eqx.tree_at(lambda at: at.drawn.control_delay, state, jnp.asarray(delay, jnp.int32))
     first = np.asarray(state.task.robot)[None]
     state, records, done = run_chunk(
-        controller, task, state, key, jnp.asarray(STEPS, jnp.int32), STEPS
+        (controller, task, key, jnp.asarray(STEPS, jnp.int32)), copied(state), STEPS
     )
     records = jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], records)
     told = np.asarray(state.controller[1])

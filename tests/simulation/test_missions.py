@@ -29,6 +29,7 @@ from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.report.drawing.colours import TARGET
 from jaxplore.simulation.loop import (
+    copied,
     initial_loop_state,
     run_chunk,
 )
@@ -133,7 +134,7 @@ def begin(
 
 def advance(controller, given: ExplorationScenario, state: LoopState, steps: int, seed: int = 0):
     key, count = jax.random.key(seed), jnp.asarray(steps, jnp.int32)
-    state, rows, done = run_chunk(controller, given, state, key, count, CAPACITY)
+    state, rows, done = run_chunk((controller, given, key, count), copied(state), CAPACITY)
     return state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
 
 

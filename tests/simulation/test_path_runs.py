@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxplore as jx
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.run import record_run
 from jaxplore.simulation.scenario import Moment
 
@@ -158,7 +158,7 @@ def test_a_path_far_away_is_followed_by_the_same_steps_and_recorded_where_it_is(
 def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     controller = PASSING.controller.at_period(0.02)
     key, one = jax.random.key(0), jnp.asarray(1, jnp.int32)
-    run_chunk(controller, lap[1], initial_loop_state(controller, lap[1]), key, one, 25)
+    run_chunk((controller, lap[1], key, one), copied(initial_loop_state(controller, lap[1])), 25)
     before = run_chunk._cached._cache_size()
     moved = jx.PathScenario(
         PASSING.model,
@@ -171,7 +171,7 @@ def test_another_start_traffic_or_weight_does_not_recompile(lap) -> None:
     )
     costs = 7.0 * jx.ComfortCost(), 50.0 * jx.MovingObstacleCost(clearance=0.6, **KEEP)
     heavier = mpcc(other=costs[0] + costs[1], contouring_weight=3.0).controller
-    run_chunk(heavier, moved, initial_loop_state(heavier, moved), key, one, 25)
+    run_chunk((heavier, moved, key, one), copied(initial_loop_state(heavier, moved)), 25)
     assert run_chunk._cached._cache_size() == before
 
 

@@ -11,7 +11,7 @@ from jaxplore.belief import Recognition
 from jaxplore.control.base import Controller, Info
 from jaxplore.maps import LabelledObject
 from jaxplore.sensing import Detector
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 SHAPE, RESOLUTION, STEPS = (20, 40), 0.2, 120  # 8 m x 4 m
 CLASSES = ("barrel", "person")
@@ -65,7 +65,9 @@ def search():
     controller = Ahead()
     state = initial_loop_state(controller, given, jax.random.key(0))
     count = jnp.asarray(STEPS, jnp.int32)
-    state, rows, done = run_chunk(controller, given, state, jax.random.key(1), count, STEPS)
+    state, rows, done = run_chunk(
+        (controller, given, jax.random.key(1), count), copied(state), STEPS
+    )
     return given, state, jax.tree.map(lambda leaf: np.asarray(leaf)[: int(done)], rows)
 
 

@@ -12,7 +12,7 @@ from scipy import stats
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
 from jaxplore.control.base import Controller, Info
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 from jaxplore.simulation.plant import ContinuousPlant, Plant, as_plant
 
 ROBOT = jx.DifferentialDrive(max_speed=1.0, drag=0.1)
@@ -84,7 +84,7 @@ def drive(controller: Controller, scenario: jx.Scenario, key: jax.Array):
     """Return the records of a run, and the state of the loop at its end."""
     state = initial_loop_state(controller, scenario, key)
     steps = jnp.asarray(STEPS, jnp.int32)
-    state, records, _ = run_chunk(controller, scenario, state, key, steps, STEPS)
+    state, records, _ = run_chunk((controller, scenario, key, steps), copied(state), STEPS)
     return records, state
 
 

@@ -21,6 +21,7 @@ from jaxplore.simulation.chunks import CHUNK_SECONDS, FRAME_SECONDS, ChunkedRun,
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.loop import (
     closed_loop_step,
+    copied,
     frame_arrays,
     initial_loop_state,
 )
@@ -123,7 +124,7 @@ def record_experiments(
     before = _begin(stacked, keys, len(experiments))
 
     def run(batch: RunBatch, steps: Count) -> tuple[RunBatch, Any, Count]:
-        return _run_chunk(stacked, batch, keys, steps, chunk)
+        return _run_chunk((stacked, keys, steps), batch, chunk)
 
     def frames(batch: RunBatch, step: int) -> tuple[Frame, ...]:
         if not with_frames:
@@ -139,7 +140,7 @@ def record_experiments(
         run,
         lambda batch: jnp.any(_unfinished(stacked, batch.states)),
         frames,
-        before,
+        copied(before),
         began=began,
         limit=limit,
         chunk=chunk,
@@ -201,15 +202,12 @@ def _unfinished(stacked: Stacked, states: LoopState) -> Bool[Array, " B"]:
     return jax.vmap(one, in_axes=(stacked.axes, 0))(stacked.arrays, states)
 
 
-@eqx.filter_jit
+@eqx.filter_jit(donate="all-except-first")
 def _run_chunk(
-    stacked: Stacked,
-    batch: RunBatch,
-    keys: Keys,
-    num_steps: Count,
-    capacity: int,
+    given: tuple[Stacked, Keys, Count], batch: RunBatch, capacity: int
 ) -> tuple[RunBatch, Any, Count]:
-    """Run up to `num_steps` steps, fewer if all runs are finished; see `run_chunk`."""
+    """Run a number of steps, fewer if all runs are finished; see `run_chunk`."""
+    stacked, keys, num_steps = given
     axes = (stacked.axes, 0, _key_axis(keys))
 
     def step(batch: RunBatch) -> tuple[RunBatch, Any]:

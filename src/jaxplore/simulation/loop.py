@@ -188,29 +188,26 @@ def _start_of_plan(
     return jnp.where(watch.stop == GOOD, ahead, jnp.nan)
 
 
-@eqx.filter_jit
+@eqx.filter_jit(donate="all-except-first")
 def run_chunk(
-    controller: Controller,
-    scenario: Scenario,
-    state: LoopState,
-    key: Key,
-    num_steps: Count,
-    capacity: int,
+    given: tuple[Controller, Scenario, Key, Count], state: LoopState, capacity: int
 ) -> tuple[LoopState, Any, Count]:
-    """Run up to `num_steps` steps, fewer if the task is finished.
+    """Run a number of steps, fewer if the task is finished.
+
+    The memory of the state is used for the next one: with a large map, copying the map and its
+    fields would take longer than a step. The state that was given can not be used any more.
 
     Args:
-        controller: computes the controls.
-        scenario: the task.
+        given: computes the controls, the task, the key of the whole run, and the greatest number of
+            steps, at most `capacity`.
         state: state to continue from.
-        key: key of the whole run.
-        num_steps: greatest number of steps, at most `capacity`.
         capacity: length of the buffer of records; static.
 
     Returns:
         The state, the records (the first axis has `capacity` entries), and the number of filled
         records.
     """
+    controller, scenario, key, num_steps = given
     return loop(
         lambda current: closed_loop_step(controller, scenario, current, key),
         lambda current: scenario.is_unfinished(current.task),
@@ -218,6 +215,12 @@ def run_chunk(
         scenario.blank_records(state.task, controller, capacity),
         num_steps,
     )
+
+
+@eqx.filter_jit
+def copied[Tree](tree: Tree) -> Tree:
+    """Return a tree whose arrays have memory of their own, which `run_chunk` may use again."""
+    return tree
 
 
 @eqx.filter_jit

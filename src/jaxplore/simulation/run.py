@@ -34,7 +34,7 @@ from jaxplore.simulation.chunks import (
     ChunkedRun,
     run_in_chunks,
 )
-from jaxplore.simulation.loop import frame_arrays, initial_loop_state, run_chunk
+from jaxplore.simulation.loop import copied, frame_arrays, initial_loop_state, run_chunk
 from jaxplore.simulation.monitor import Monitor, Watch
 from jaxplore.simulation.scenario import LoopState, Scenario, blank_recording
 
@@ -361,7 +361,7 @@ def _closed_loop(
     watch = Watch(monitors, controller, adapt, make_frame, period, total)
 
     def run(current: LoopState, steps: Count) -> tuple[LoopState, Any, Count]:
-        return run_chunk(watch.planner, scenario, current, key, steps, capacity)
+        return run_chunk((watch.planner, scenario, key, steps), current, capacity)
 
     def report(chunk: Chunk[LoopState, Any]) -> int:
         share, text = scenario.progress(chunk.state.task)
@@ -380,7 +380,8 @@ def _closed_loop(
             run,
             lambda current: scenario.is_unfinished(current.task),
             lambda current, step: make_frame(watch.planner, current, step),
-            first,
+            # The first state is read again after the run, or belongs to the user.
+            copied(first),
             began=began,
             limit=limit,
             chunk=capacity,
