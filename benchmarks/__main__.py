@@ -20,6 +20,7 @@ from benchmarks import (
     first_hour,
     information,
     informative,
+    large_maps,
     path_following,
     portfolio_step,
     robot,
@@ -174,10 +175,17 @@ def _first_hour(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {"first_hour": rows}
 
 
+def _large_maps(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = large_maps.measure()
+    console.print(table("Large maps: half known, 360 beams of 5 m, K = 1000, T = 40", rows))
+    return {"large_maps": rows}
+
+
 SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "control": _control,
     "information": _information,
     "control_step": _control_step,
+    "large_maps": _large_maps,
     "informative": _informative,
     "path_following": _path_following,
     "portfolio": _portfolio,

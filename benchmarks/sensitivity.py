@@ -19,6 +19,8 @@ SMALL_OFFICE = {
     "rates": {"control": 20.0},
     "controller": {"num_samples": 500},
     "time_limit": 120.0,
+    # Its default depends on the side of a cell, so that there would be no number to scale.
+    "fields": {"min_information": 10.0},
 }
 PLACES: dict[str, tuple[dict[str, Any], tuple[str, ...]]] = {
     "path": (

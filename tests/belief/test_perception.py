@@ -5,6 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from jaxplore import (
     Camera,
@@ -17,7 +19,9 @@ from jaxplore import (
     State,
 )
 from jaxplore.belief import IdlenessMap
+from jaxplore.belief.dwell import add_dwell
 from jaxplore.maps import Ground
+from jaxplore.maps.frame import GridFrame
 
 LIDAR = Lidar(num_beams=72, max_range=1.5, range_noise=0.0)
 PERCEPTION = Perception(LIDAR, 0.1, 0.2, num_directions=16)
@@ -204,6 +208,30 @@ def test_numbers_are_leaves_and_do_not_recompile() -> None:
     ):
         fields(room(), (2.0, 1.5, 0.0), perception)
     assert update_fields._cached._cache_size() == before
+
+
+@given(st.floats(2.5, 9.5), st.floats(-0.5, 9.5))
+def test_dwell_is_the_time_within_half_a_metre(x: float, y: float) -> None:
+    before = np.linspace(0.0, 9.0, 60 * 90, dtype=np.float32).reshape(60, 90)
+    pose = jnp.asarray([x, y, 0.3], jnp.float32)
+    found = stayed(before, pose)
+    rows, columns = np.mgrid[:60, :90]
+    # The nodes are 0.1 m apart, in a lattice that is turned by a quarter.
+    nodes = np.stack([9.0 - 0.1 * (rows + 0.5), 0.1 * (columns + 0.5)], axis=-1)
+    away = np.linalg.norm(nodes - np.asarray(pose, float)[:2], axis=-1)
+    expected = before * math.exp(-0.2 / 60.0) + 0.2 * np.exp(-0.5 * (away / 0.5) ** 2)
+    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)
+
+
+@jax.jit
+def stayed(before, pose):
+    frame = GridFrame(0.1, (9.0, 0.0, math.pi / 2))
+    return add_dwell(before, frame, pose, jnp.asarray(0.2), jnp.asarray(60.0))
+
+
+def test_a_place_with_little_to_see_has_the_same_area_for_all_cells() -> None:
+    least = {cell: float(Perception(LIDAR, cell, 0.3).min_information) for cell in (0.05, 0.1, 0.2)}
+    assert least == pytest.approx({0.05: 40.0, 0.1: 10.0, 0.2: 2.5})
 
 
 @pytest.mark.parametrize(
@@ -461,13 +489,13 @@ def test_what_a_look_is_worth_again_draws_the_robot() -> None:
     perception, plain = two(IdlenessMap(10.0)), two()
     belief = init(perception, OccupancyGrid(room(), 0.1), POSE)
     idleness = jnp.zeros((30, 60)).at[:, 45:].set(100.0)
-    for given, drawn in ((idleness, True), (idleness[:, ::-1], False)):
-        belief = eqx.tree_at(lambda some: some.idleness, belief, given)
+    for one, drawn in ((idleness, True), (idleness[:, ::-1], False)):
+        belief = eqx.tree_at(lambda some: some.idleness, belief, one)
         after = update_fields(perception, belief, POSE, jnp.asarray(0.2))
         left, right = (float(after.guidance(jnp.asarray([x, 1.5]))) for x in (2.0, 3.0))
         assert (right < left) == drawn
         assert float(after.information.total.max()) > 3.0
-        np.testing.assert_array_equal(after.idleness, given)
+        np.testing.assert_array_equal(after.idleness, one)
     calm = eqx.tree_at(lambda some: some.idleness, belief, jnp.zeros((30, 60)))
     after = update_fields(perception, calm, POSE, jnp.asarray(0.2))
     alone = init(plain, OccupancyGrid(room(), 0.1), POSE)

@@ -5,9 +5,12 @@ from jaxtyping import Array, Float
 
 from jaxplore._types import Pose, Scalar
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.window import Window
 
 DWELL_RADIUS = 0.5
 """Standard deviation of the Gaussian around the robot in which time counts as spent there [m]."""
+REACH = 8.0
+"""Standard deviations beyond which no time is added: it would be less than 1e-13 of the time."""
 
 
 def add_dwell(
@@ -31,13 +34,14 @@ def add_dwell(
         memory: time constant with which dwell time is forgotten [s].
     """
     height, width = dwell.shape
-    rows, columns = jnp.mgrid[:height, :width]
-    nodes = frame.cell_centre(jnp.stack([rows, columns], axis=-1))
+    window = Window.around(pose[:2], REACH * DWELL_RADIUS, frame, (height, width))
+    rows, columns = jnp.mgrid[: window.shape[0], : window.shape[1]]
+    nodes = frame.cell_centre(window.corner + jnp.stack([rows, columns], axis=-1))
     distance = jnp.linalg.norm(nodes - pose[:2], axis=-1)
     stay = elapsed * jnp.exp(-0.5 * (distance / DWELL_RADIUS) ** 2)
     dwell = dwell * jnp.exp(-elapsed / memory)
     # A lost robot has no finite pose. A NaN would stay in the dwell times of all later updates.
-    return dwell + jnp.where(jnp.isfinite(stay), stay, 0.0)
+    return window.write(dwell, window.read(dwell) + jnp.where(jnp.isfinite(stay), stay, 0.0))
 
 
 def dwell_discount(dwell: Float[Array, "*N"], patience: Scalar) -> Float[Array, "*N"]:

@@ -43,6 +43,9 @@ from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
+LEFTOVER = 0.1
+"""Default of `min_information` times the area of a cell [nat m^2]: the information of about one
+square metre of unmeasured cells, of whatever size."""
 MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
@@ -82,7 +85,8 @@ class Perception(eqx.Module):
             takes passages with 40 % of it when little else is left (`NARROW_PRICE`).
         decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat]; below 3 % of it, a place
-            is ignored.
+            is ignored. By default it is that of about one square metre of unmeasured cells
+            (`LEFTOVER`): 10 nat for cells of 0.1 m, 40 for those of 0.05 m.
         occupancy_prior: probability of occupancy of an unmeasured cell in expected information, in
             (0, 1).
         patience: time near a place after which its weight has decayed to 1/e [s].
@@ -139,7 +143,7 @@ class Perception(eqx.Module):
         max_clearance: float = 1.0,
         margin: ArrayLike = 0.05,
         decay_length: ArrayLike = 8.0,
-        min_information: ArrayLike = 10.0,
+        min_information: ArrayLike | None = None,
         occupancy_prior: ArrayLike = 0.1,
         patience: ArrayLike = 3.0,
         memory: ArrayLike = 60.0,
@@ -186,6 +190,8 @@ class Perception(eqx.Module):
             float(math.ceil(ROOMY * float(self.required_clearance))),
         )
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
+        if min_information is None:
+            min_information = LEFTOVER / self.resolution**2
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.occupancy_prior = _checks.scalar(
             "occupancy_prior", occupancy_prior, above=0.0, below=1.0

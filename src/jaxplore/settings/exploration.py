@@ -175,7 +175,7 @@ class FieldSettings(Section):
     max_clearance: Body = setting(Perception, "max_clearance")
     margin: Margin = setting(Perception, "margin")
     decay_length: Positive = setting(Perception, "decay_length")
-    min_information: Positive = setting(Perception, "min_information")
+    min_information: Positive | None = setting(Perception, "min_information")
     occupancy_prior: Probability = setting(Perception, "occupancy_prior")
     patience: Positive = setting(Perception, "patience")
     memory: Positive = setting(Perception, "memory")
