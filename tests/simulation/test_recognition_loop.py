@@ -90,7 +90,10 @@ def test_the_field_has_what_objects_add_and_nothing_of_earlier_looks(search) -> 
     given, state, _ = search
     perception, field = given.perception, state.task.belief.information
     grid = state.task.belief.grid.with_probability(field.source)
-    plain = eqx.filter_jit(perception.field_sensor.field)(grid, perception.sensor_model)
+    prior = perception.occupancy_prior
+    plain = eqx.filter_jit(perception.field_sensor.field)(
+        grid, perception.sensor_model, prior=prior
+    )
     added = np.asarray(field.total - plain.total)
     # More than one bit of each object would be left over from the fields before.
     most = float(perception.recognition.weight) * 3 * np.log(2.0)

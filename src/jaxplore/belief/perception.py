@@ -363,14 +363,14 @@ class Perception(eqx.Module):
         self, grid: OccupancyGrid, idleness: GridValues | None, before: InformationField | None
     ) -> InformationField:
         """Return the information field, updated from the last one if that suffices."""
-        grid = grid.with_prior(self.occupancy_prior)
+        prior = self.occupancy_prior
         if self.watch is not None and idleness is not None:
             # The interest of every cell changes with time, so the whole field is recomputed.
             interest = self.watch.interest(idleness)
-            return self.field_sensor.field(grid, self.sensor_model, interest)
+            return self.field_sensor.field(grid, self.sensor_model, interest, prior=prior)
         if before is None or self.is_batched:
-            return self.field_sensor.field(grid, self.sensor_model)
-        return self.field_sensor.update(before, grid, self.sensor_model)
+            return self.field_sensor.field(grid, self.sensor_model, prior=prior)
+        return self.field_sensor.update(before, grid, self.sensor_model, prior=prior)
 
     def _to_goal(self, grid: OccupancyGrid, pose: Pose) -> GuidanceField | None:
         if not self.is_goal_apart or self.goal is None:

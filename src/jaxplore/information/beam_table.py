@@ -27,12 +27,12 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxplore._types import GridValues
+from jaxplore._types import GridValues, Scalar
 from jaxplore._xla import on_device
 from jaxplore.geometry.rays import ray_offsets
 from jaxplore.information.gain import CellSensor, cell_gains, expected_gain, settled
 from jaxplore.information.noise import RangeNoise
-from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid, with_prior
 
 UNROLL = 8
 """Cells per pass over the map: values in between stay in registers, twice as fast as one cell."""
@@ -282,6 +282,7 @@ def window_maps(
     sensor: CellSensor,
     first: Array,
     shape: tuple[int, int],
+    prior: Scalar | None = None,
 ) -> tuple[CellMaps, Array]:
     """Return the channels around a lattice of nodes, and the position of its first node in them.
 
@@ -291,6 +292,7 @@ def window_maps(
         sensor: update of a cell by a measurement.
         first: cell (row, column) of node (0, 0); it may be off the map.
         shape: rows and columns of nodes; static.
+        prior: probability of the cells that were never measured; that of the grid when absent.
     """
     reach = table.reach
     rows, columns = (
@@ -302,6 +304,8 @@ def window_maps(
     # Off the map the clipped indices repeat the border, which `is_inside` masks.
     piece = belief.probability[jnp.clip(rows, 0, shape_[0] - 1)]
     piece = piece[:, jnp.clip(columns, 0, shape_[1] - 1)]
+    if prior is not None:
+        piece = with_prior(piece, prior)
     is_inside = is_row[:, None] & is_column[None, :]
     # Add a row and a column of phases at the far end, so that no slice reaches beyond the array.
     margin = ((0, table.stride), (0, table.stride))

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
-from jaxplore._types import GridValues, Position
+from jaxplore._types import GridValues, Position, Scalar
 from jaxplore._xla import on_device
 from jaxplore.information.beam_table import BeamTable, CellMaps, window_maps
 from jaxplore.information.doubling import Doubling, is_faster
@@ -137,6 +137,8 @@ class FieldSensor(eqx.Module):
         belief: OccupancyGrid,
         sensor: CellSensor,
         interest: GridValues | None = None,
+        *,
+        prior: Scalar | None = None,
     ) -> InformationField:
         """Compute the information field of a whole map.
 
@@ -145,16 +147,20 @@ class FieldSensor(eqx.Module):
             sensor: update of a cell by a measurement.
             interest: additional information (H, W) of observing each cell that a beam passes [nat],
                 for example of search or patrol; see `IdlenessMap`.
+            prior: probability of occupancy of the cells that were never measured, see
+                `OccupancyGrid.with_prior`; that of the grid when absent.
         """
         shape = self._lattice(belief)
-        frame = self._frame(belief)
+        frame, source = self._frame(belief), belief.probability
+        if prior is not None:
+            belief = belief.with_prior(prior)
         if self.doubling is not None:
             sectors = self.doubling.beams(belief, sensor, interest)
             empty, corner = jnp.zeros((sectors.shape[0] + 1, *shape)), jnp.zeros(2, jnp.int32)
             values = Values(sectors, _add_up(sectors, empty, corner, shape))
-            return self._field(values, belief.probability, frame)
+            return self._field(values, source, frame)
         values = self._all(self._maps(belief, sensor, interest), self._first, shape)
-        return self._field(values, belief.probability, frame)
+        return self._field(values, source, frame)
 
     def window(
         self,
@@ -189,18 +195,24 @@ class FieldSensor(eqx.Module):
         return self._field(values, belief.probability, frame)
 
     def update(
-        self, field: InformationField, belief: OccupancyGrid, sensor: CellSensor
+        self,
+        field: InformationField,
+        belief: OccupancyGrid,
+        sensor: CellSensor,
+        *,
+        prior: Scalar | None = None,
     ) -> InformationField:
-        """Return `field(belief, sensor)`, recomputing only what can have changed.
+        """Return `field(belief, sensor, prior=prior)`, recomputing only what can have changed.
 
         The information of a beam depends on the cells that it crosses. A tile of nodes is evaluated
         again in the directions in which one of its beams reaches a block with a changed cell. The
         result equals that of `field` to the bit.
 
         Args:
-            field: field of an earlier map, `field.source`, computed with the same sensor.
+            field: field of an earlier map, `field.source`, computed with the same sensor and prior.
             belief: present occupancy grid.
             sensor: update of a cell by a measurement.
+            prior: as in `field`.
 
         Raises:
             ValueError: a field that is not of this whole map, such as a window.
@@ -212,7 +224,7 @@ class FieldSensor(eqx.Module):
             )
         if self.doubling is not None:
             # Doubling works on whole maps only.
-            return self.field(belief, sensor)
+            return self.field(belief, sensor, prior=prior)
         tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
         changed = self._changed_blocks(field.source != belief.probability, tiles)
         # A tile is touched if any block within the reach of its beams has changed.
@@ -233,7 +245,7 @@ class FieldSensor(eqx.Module):
             (order,) = jnp.nonzero(here.reshape(-1), size=here.size, fill_value=0)
             nodes = group[0] * TILE, group[1] * TILE
             cell = self.stride // 2 + self.stride * TILE * first
-            maps, corner = window_maps(self.table, belief, sensor, cell, nodes)
+            maps, corner = window_maps(self.table, belief, sensor, cell, nodes, prior)
             origin = corner - self.stride * TILE * first
 
             def renew(number: Array, values: Values) -> Values:

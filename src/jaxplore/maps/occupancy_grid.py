@@ -212,8 +212,7 @@ class OccupancyGrid(eqx.Module):
         These are the cells whose probability is 0.5 to within 1e-3.
         """
         _checks.shaped("prior", prior, ())
-        is_unknown = jnp.abs(self.probability - 0.5) < 1e-3
-        return self.with_probability(jnp.where(is_unknown, prior, self.probability))
+        return self.with_probability(with_prior(self.probability, prior))
 
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Return whether each cell (row, column) is on the map."""
@@ -262,3 +261,8 @@ class OccupancyGrid(eqx.Module):
 def entropy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """Return the entropy `h(p) = -p ln p - (1 - p) ln(1 - p)` [nat], with `0 ln 0 = 0`."""
     return jax.scipy.special.entr(probability) + jax.scipy.special.entr(1.0 - probability)
+
+
+def with_prior(probability: Float[Array, "*N"], prior: Scalar) -> Float[Array, "*N"]:
+    """Return probabilities with `prior` in cells that were never measured: 0.5 to within 1e-3."""
+    return jnp.where(jnp.abs(probability - 0.5) < 1e-3, prior, probability)

@@ -199,8 +199,8 @@ class GoalChooser:
 
 @eqx.filter_jit
 def _information_at(perception: Perception, grid: OccupancyGrid, place: Array) -> Scalar:
-    prior = grid.with_prior(perception.occupancy_prior)
-    field = perception.field_sensor.field(prior, perception.sensor_model)
+    prior = perception.occupancy_prior
+    field = perception.field_sensor.field(grid, perception.sensor_model, prior=prior)
     row, column = field.frame.to_cell(place)
     rows, columns = field.total.shape
     is_there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
