@@ -168,6 +168,8 @@ class FieldSensor(eqx.Module):
         sensor: CellSensor,
         position: Position,
         shape: tuple[int, int],
+        *,
+        prior: Scalar | None = None,
     ) -> InformationField:
         """Compute the information field of a window around a position, for a local planner.
 
@@ -178,6 +180,7 @@ class FieldSensor(eqx.Module):
             sensor: update of a cell by a measurement.
             position: world position (x, y) [m]; node (rows // 2, columns // 2) is in its cell.
             shape: rows and columns of nodes; static.
+            prior: as in `field`.
 
         Raises:
             ValueError: a window without nodes; the method "doubling", which needs whole maps.
@@ -188,7 +191,7 @@ class FieldSensor(eqx.Module):
         is_finite = jnp.isfinite(position).all()
         here = belief.frame.to_cell(jnp.where(is_finite, position, 0.0))
         first = here - self.stride * jnp.asarray([rows // 2, columns // 2], jnp.int32)
-        maps, corner = window_maps(self.table, belief, sensor, first, (rows, columns))
+        maps, corner = window_maps(self.table, belief, sensor, first, (rows, columns), prior)
         frame = belief.frame.coarsen(self.stride, 0.5, first)
         values = self._all(maps, corner, (rows, columns))
         values = Values(*(jnp.where(is_finite, part, 0.0) for part in values))

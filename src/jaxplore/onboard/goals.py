@@ -199,8 +199,15 @@ class GoalChooser:
 
 @eqx.filter_jit
 def _information_at(perception: Perception, grid: OccupancyGrid, place: Array) -> Scalar:
-    prior = perception.occupancy_prior
-    field = perception.field_sensor.field(grid, perception.sensor_model, prior=prior)
+    sensor, model, prior = (
+        perception.field_sensor,
+        perception.sensor_model,
+        perception.occupancy_prior,
+    )
+    if sensor.doubling is None:
+        # A node at the place alone, whose cost does not grow with the map.
+        return sensor.window(grid, model, place, (1, 1), prior=prior).total[0, 0]
+    field = sensor.field(grid, model, prior=prior)
     row, column = field.frame.to_cell(place)
     rows, columns = field.total.shape
     is_there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
