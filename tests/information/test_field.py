@@ -389,6 +389,26 @@ def test_an_update_is_the_new_maps_field_to_the_bit(name: str) -> None:
     np.testing.assert_array_equal(found.frame.origin, expected.frame.origin)
 
 
+@eqx.filter_jit
+def with_prior(sensor: FieldSensor, old: InformationField | None, grid: OccupancyGrid, prior):
+    if old is None:
+        return sensor.field(grid, MODEL, prior=prior)
+    return sensor.update(old, grid, MODEL, prior=prior)
+
+
+def test_a_prior_is_that_of_the_cells_that_were_never_measured() -> None:
+    sensor, prior = SENSORS["many tiles"], jnp.asarray(0.1)
+    rng, shape = np.random.default_rng(3), CASES["many tiles"].shape
+    first, second = (OccupancyGrid(random_map(rng, shape), RESOLUTION, ORIGIN) for _ in range(2))
+    before = with_prior(sensor, None, first, prior)
+    found = with_prior(sensor, before, second, prior)
+    for field_, grid in ((before, first), (found, second)):
+        p = np.asarray(grid.probability)
+        filled = OccupancyGrid(np.where(p == 0.5, np.float32(0.1), p), RESOLUTION, ORIGIN)
+        np.testing.assert_array_equal(field_.sectors, field(sensor, filled).sectors)
+        np.testing.assert_array_equal(field_.source, p)
+
+
 def test_an_update_leaves_alone_what_no_change_can_reach() -> None:
     """Values that are wrong on purpose show what was computed anew."""
     name = "many tiles"

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_DIRECTIONS
-from jaxplore._types import ArrayLike, Flag, GridMask, GridValues, Pose, Position, Scalar, Vector
+from jaxplore._types import ArrayLike, Flag, GridValues, Pose, Position, Scalar, Vector
 from jaxplore._xla import computed
 from jaxplore.belief.anomalies import AnomalyTest
 from jaxplore.belief.belief import Belief
@@ -34,10 +34,10 @@ from jaxplore.belief.standing import freed_below
 from jaxplore.belief.zones import unknown_fraction
 from jaxplore.information.field import InformationField
 from jaxplore.information.field_sensor import FieldSensor
-from jaxplore.maps.clearance import clearance_field, update_clearance
+from jaxplore.maps.clearance import clearance_field, closed_cells, update_clearance
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
+from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
@@ -232,7 +232,8 @@ class Perception(eqx.Module):
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
         grid = freed_below(grid, pose, self.required_clearance, self.sensor_model)
-        clearance = self._clearance(grid)
+        closed = closed_cells(grid, self.ground)
+        clearance = clearance_field(closed, grid.frame, self.max_clearance)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
@@ -304,7 +305,7 @@ class Perception(eqx.Module):
         clearance = update_clearance(
             belief.clearance,
             self.window(grid, pose),
-            functools.partial(self._closed, grid),
+            functools.partial(closed_cells, grid, self.ground),
             self.max_clearance,
         )
         return dataclasses.replace(
@@ -397,17 +398,6 @@ class Perception(eqx.Module):
         if self.goal is None or self.is_goal_apart:
             return jnp.array(False)
         return leads_to_goal(guidance, pose[:2])
-
-    def _clearance(self, grid: OccupancyGrid) -> ScalarField:
-        whole = Window(jnp.zeros(2, jnp.int32), grid.shape, grid.shape)
-        return clearance_field(self._closed(grid, whole), grid.frame, self.max_clearance)
-
-    def _closed(self, grid: OccupancyGrid, window: Window) -> GridMask:
-        """Return the mask of the cells of a part of the map that paths may not enter."""
-        closed = ~(window.read(grid.probability) < FREE_THRESHOLD)
-        if self.ground is not None:
-            closed = closed | ~window.read(self.ground.is_traversable)
-        return closed
 
     def _guidance(
         self,

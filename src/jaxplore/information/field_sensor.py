@@ -18,17 +18,22 @@ from jaxplore.information.doubling import Doubling, is_faster
 from jaxplore.information.field import InformationField
 from jaxplore.information.gain import CellSensor
 from jaxplore.information.noise import RangeNoise
+from jaxplore.information.stale_tiles import (
+    BLOCKS,
+    TILE,
+    changed_blocks,
+    first_group,
+    group_shape,
+    reached_blocks,
+    touched_tiles,
+)
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.maps.window import Window
 from jaxplore.sensing.base import Sensor
 
-TILE = 40
-"""Nodes on a side of the tiles that are evaluated at a time: a tile fits the CPU's cache."""
 SUMS = 8
 """Directions that are added up per loop iteration."""
-BLOCKS = 5
-"""Blocks on a side of a tile; changed cells are detected per block."""
 
 
 class Values(NamedTuple):
@@ -123,8 +128,8 @@ class FieldSensor(eqx.Module):
             no_return=no_return,
         )
         self.angles = on_device(np.array(angles, np.float32))
-        nearby = _nearby(np.asarray(self.table.offset), stride)
-        self.nearby = on_device(nearby.astype(np.float32))
+        reached = reached_blocks(np.asarray(self.table.offset), stride)
+        self.nearby = on_device(reached.astype(np.float32))
         self.field_of_view, self.num_beams = lidar.field_of_view, lidar.num_beams
 
     @property
@@ -228,20 +233,17 @@ class FieldSensor(eqx.Module):
         if self.doubling is not None:
             # Doubling works on whole maps only.
             return self.field(belief, sensor, prior=prior)
-        tiles = -(-shape[0] // TILE), -(-shape[1] // TILE)
-        changed = self._changed_blocks(field.source != belief.probability, tiles)
-        # A tile is touched if any block within the reach of its beams has changed.
-        size = self.nearby.shape[0]
-        touched = jax.lax.reduce_window(
-            changed, False, jax.lax.bitwise_or, (size, size), (BLOCKS, BLOCKS), "VALID"
-        )
+        size, tiles = self.nearby.shape[0], (-(-shape[0] // TILE), -(-shape[1] // TILE))
+        is_changed = field.source != belief.probability
+        changed = changed_blocks(is_changed, tiles, self.stride, (size - BLOCKS) // 2)
+        touched = touched_tiles(changed, size)
         # The maps that beams read are computed for a group of tiles at a time: their cost is that
         # of what is around the changes, and not of the whole map.
-        group = self._group(tiles)
+        group = group_shape(tiles, self.table.reach, self.stride)
 
         def renew_group(carry: tuple[Values, Array, Array]) -> tuple[Values, Array, Array]:
             values, source, pending = carry
-            first = _first_group(pending, group)
+            first = first_group(pending, group)
             here = jax.lax.dynamic_slice(pending, tuple(first), group)
             # Shapes are static, so the list has room for all tiles. The loop visits only the first
             # of them.
@@ -273,17 +275,6 @@ class FieldSensor(eqx.Module):
         start = Values(field.sectors, field.cumulative), field.source, touched
         values, source, _ = jax.lax.while_loop(lambda carry: carry[2].any(), renew_group, start)
         return self._field(values, source, self._frame(belief))
-
-    def _group(self, tiles: tuple[int, int]) -> tuple[int, int]:
-        """Return the rows and columns of the tiles that are evaluated with the same maps.
-
-        A scan changes cells up to the reach of its beams from the robot, and the information of
-        nodes up to the reach of theirs from these cells.
-        """
-        most = 1 + -(-4 * self.table.reach // (TILE * self.stride))
-        # A last tile is moved inwards, into the one before it (`_renew`).
-        rows, columns = (min(count, max(2, most)) for count in tiles)
-        return rows, columns
 
     def _lattice(self, belief: OccupancyGrid) -> tuple[int, int]:
         height, width = belief.shape
@@ -359,20 +350,6 @@ class FieldSensor(eqx.Module):
         sectors: Array = jax.lax.fori_loop(0, count, evaluate, values.sectors)
         return Values(sectors, _add_up(sectors, values.cumulative, node, size))
 
-    def _changed_blocks(
-        self, is_changed: Array, tiles: tuple[int, ...]
-    ) -> Bool[Array, "rows columns"]:
-        """Return the mask of the blocks with a changed cell, padded by the reach of `nearby`."""
-        side = TILE * self.stride // BLOCKS
-        margin = (self.nearby.shape[0] - BLOCKS) // 2
-        padding = [
-            (0, count * BLOCKS * side - size)
-            for count, size in zip(tiles, is_changed.shape, strict=True)
-        ]
-        cells = jnp.pad(is_changed, padding)
-        blocks = cells.reshape(tiles[0] * BLOCKS, side, tiles[1] * BLOCKS, side)
-        return jnp.pad(blocks.any(axis=(1, 3)), margin)
-
     def _field(self, values: Values, source: GridValues, frame: GridFrame) -> InformationField:
         return InformationField(
             sectors=values.sectors,
@@ -408,34 +385,3 @@ def _add_up(sectors: Array, cumulative: Array, node: Array, size: tuple[int, int
         (jnp.zeros((1, *size)), cumulative),
     )
     return add(jnp.asarray(blocks * SUMS, row.dtype), rest, carry)[1]
-
-
-def _first_group(pending: Bool[Array, "rows columns"], group: tuple[int, int]) -> Array:
-    """Return the first tile (row, column) of a group with the topmost of the pending tiles."""
-    rows, columns = pending.shape
-    row = jnp.minimum(jnp.argmax(pending.any(axis=1)), rows - group[0])
-    band = jax.lax.dynamic_slice_in_dim(pending, row, group[0])
-    column = jnp.minimum(jnp.argmax(band.any(axis=0)), columns - group[1])
-    return jnp.stack([row, column]).astype(jnp.int32)
-
-
-def _nearby(offset: np.ndarray, stride: int) -> np.ndarray:
-    """Return the directions in which beams from a tile's nodes reach each block around the tile.
-
-    Returns:
-        Mask (n, n, D) over blocks and directions, with the tile's own blocks in the middle.
-    """
-    # For each offset of a beam, its end cells over all nodes of the tile form a rectangle, which
-    # covers a rectangle of blocks.
-    side = TILE * stride // BLOCKS
-    margin = -(-int(np.abs(offset).max() + stride) // side)
-    reached = np.zeros((BLOCKS + 2 * margin, BLOCKS + 2 * margin, len(offset)), bool)
-    low, high = stride // 2, stride // 2 + (TILE - 1) * stride
-    for direction, cells in enumerate(offset):
-        for row, column in np.unique(cells, axis=0):
-            rows, columns = (
-                slice((low + cell) // side + margin, (high + cell) // side + margin + 1)
-                for cell in (row, column)
-            )
-            reached[rows, columns, direction] = True
-    return reached

@@ -10,6 +10,8 @@ from jax import Array
 from jaxplore._types import GridMask, GridValues
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
+from jaxplore.maps.ground import Ground
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 from jaxplore.maps.window import Window
 
 
@@ -33,6 +35,24 @@ def clearance_field(blocked: GridMask, frame: GridFrame, max_distance: float) ->
     """
     values = _distances(blocked, frame.resolution, max_distance)
     return ScalarField(values=values, frame=frame, outside=jnp.zeros(()))
+
+
+def closed_cells(
+    grid: OccupancyGrid, ground: Ground | None, window: Window | None = None
+) -> GridMask:
+    """Return the mask of the cells that are not known to be free, or that the ground blocks.
+
+    Args:
+        grid: the map.
+        ground: ground of its cells; None if it is level.
+        window: part of the map; all of it when absent.
+    """
+    probability = grid.probability if window is None else window.read(grid.probability)
+    closed = ~(probability < FREE_THRESHOLD)
+    if ground is None:
+        return closed
+    passable = ground.is_traversable
+    return closed | ~(passable if window is None else window.read(passable))
 
 
 def update_clearance(
