@@ -207,6 +207,23 @@ def test_tiles_and_the_whole_map_at_once_are_the_same_to_the_bit(seed: int) -> N
     assert np.isfinite(tiles).mean() > 0.3
 
 
+@pytest.mark.parametrize("source", [(23, 23), (23, 24), (24, 23), (24, 24), (23, 10), (30, 24)])
+def test_a_source_at_the_edge_of_a_tile_is_left_into_the_next(source: tuple[int, int]) -> None:
+    # Nothing else of the source's own tile is open: its first step leads into another one.
+    assert TILING.side == 24
+    is_open = np.ones((50, 50), bool)
+    top, left = (24 * (each // 24) for each in source)
+    is_open[top : top + 24, left : left + 24] = False
+    is_open[source] = True
+    initial = np.full((50, 50), np.inf, np.float32)
+    initial[source] = 0.5
+    slowness = np.ones((50, 50), np.float32)
+    found = geodesic_jit(initial, slowness, is_open)
+    expected = by_dijkstra(initial, slowness, is_open)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    assert np.isfinite(expected).sum() > 1000
+
+
 def test_descends_around_a_u_shaped_wall() -> None:
     is_open = np.ones((30, 30), bool)
     is_open[8:22, 20] = is_open[8, 8:21] = is_open[21, 8:21] = False

@@ -137,10 +137,14 @@ def relaxed_by_tiles(
         jnp.pad(each, _around(each, beside, more), constant_values=outside)
         for each, outside, beside in zip(given[:number], *outline, strict=True)
     )
-    tiles = _within(value, margin).reshape(-1, rows, side, columns, side)
-    # Priority of each tile: the smallest changed value next to it, initially the smallest value in
-    # it; infinite if nothing changed.
-    due = jnp.pad(tiles.min(axis=(0, 2, 4)), 1, constant_values=jnp.inf)
+    # Priority of each tile: the smallest changed value in it or next to it; infinite if nothing
+    # changed. A source at the edge of its tile may have all its neighbours in other tiles.
+    length = side + 2 * margin
+    least = value.reshape(-1, *value.shape[-2:]).min(axis=0)
+    first = jax.lax.reduce_window(
+        least, jnp.inf, jax.lax.min, (length, length), (side, side), "VALID"
+    )
+    due = jnp.pad(first, 1, constant_values=jnp.inf)
     is_tile = jnp.pad(jnp.ones((rows, columns), bool), 1)
 
     def window(array: Array, corner: tuple[Array, Array], beside: int) -> Array:
