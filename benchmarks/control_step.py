@@ -1,17 +1,15 @@
 """The control step of the closed loop: whole, and part by part."""
 
 import dataclasses
-import time
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.setting import available_sites, experiment
-from benchmarks.timing import timed
+from benchmarks.timing import TimedLoop, timed
 from jaxplore import MPPI
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
 
@@ -25,23 +23,10 @@ def measure(steps: int) -> dict[str, Any]:
     site = available_sites()[0]
     controller, scenario, _, key = experiment(site, target_coverage=1.0)
     assert isinstance(scenario, ExplorationScenario)
-    controller = controller.at_period(scenario.control_period)
-    state = initial_loop_state(controller, scenario, key)
-
-    def run(count: int) -> float:
-        nonlocal state
-        began = time.perf_counter()
-        state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(count)), state, CHUNK)
-        state.step.block_until_ready()
-        return time.perf_counter() - began
-
-    compile_seconds = run(0)
-    run(CHUNK)
-    single: list[float] = []
-    chunks: list[float] = []
-    for _ in range(steps // CHUNK):
-        chunks.append(run(CHUNK) / CHUNK)
-        single.extend(run(1) for _ in range(CHUNK))
+    loop = TimedLoop(controller, scenario, key, CHUNK)
+    controller, compile_seconds = loop.controller, loop.run(0)
+    loop.run(CHUNK)
+    chunks, single = loop.turns(steps)
     times = 1e3 * np.asarray(single)
     every = int(scenario.steps_per_field)
     phases = [float(np.median(times[phase::every])) for phase in range(every)]
@@ -59,7 +44,7 @@ def measure(steps: int) -> dict[str, Any]:
         "steps_per_second_p50": float(1e3 / p50),
         "loop_mean_ms": 1e3 * float(np.median(chunks)),
         "median_ms_by_phase": phases,
-        "parts": _parts(controller, scenario, state, key),
+        "parts": _parts(controller, scenario, loop.state, key),
     }
 
 

@@ -8,17 +8,15 @@ import json
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from benchmarks.timing import TimedLoop
 from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGrid, explorer
 from jaxplore.maps.generators.office import office, start_pose
-from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 MAPS = ((20.0, 14.0, 0.1), (45.0, 30.0, 0.05), (90.0, 60.0, 0.05), (250.0, 100.0, 0.05))
 """Width, height and side of a cell of the offices [m]."""
@@ -51,25 +49,11 @@ def measure_map(width: float, height: float, resolution: float) -> dict[str, Any
         start=start_pose(world),
         prior=OccupancyGrid(known, resolution),
     )
-    controller = explorer(robot).at_period(scenario.control_period)
-    key = jax.random.key(0)
-    state = copied(initial_loop_state(controller, scenario, key))
-
-    def run(count: int) -> float:
-        nonlocal state
-        began = time.perf_counter()
-        state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(count)), state, CHUNK)
-        state.step.block_until_ready()
-        return 1e3 * (time.perf_counter() - began)
-
-    compile_seconds = 1e-3 * run(0)
-    run(CHUNK)
-    chunks: list[float] = []
-    single: list[float] = []
-    for _ in range(STEPS // CHUNK):
-        chunks.append(run(CHUNK) / CHUNK)
-        single.extend(run(1) for _ in range(CHUNK))
-    times = np.asarray(single).reshape(-1, int(scenario.steps_per_field))
+    loop = TimedLoop(explorer(robot), scenario, jax.random.key(0), CHUNK)
+    compile_seconds = loop.run(0)
+    loop.run(CHUNK)
+    chunks, single = loop.turns(STEPS)
+    times = 1e3 * np.asarray(single).reshape(-1, int(scenario.steps_per_field))
     phases = np.median(times, axis=0)
     # The fields are derived in the last step of a period, a scan is taken in the first.
     nothing_due = float(np.median(phases))
@@ -77,10 +61,10 @@ def measure_map(width: float, height: float, resolution: float) -> dict[str, Any
     return {
         "million cells": world.probability.size / 1e6,
         "cell m": resolution,
-        "thousand nodes": state.task.belief.dwell.size / 1e3,
+        "thousand nodes": loop.state.task.belief.dwell.size / 1e3,
         "p50 ms": float(p50),
         "p99 ms": float(p99),
-        "loop ms": float(np.median(chunks)),
+        "loop ms": 1e3 * float(np.median(chunks)),
         "scan and map ms": float(phases[0]) - nothing_due,
         "fields and guidance ms": float(phases[-1]) - nothing_due,
         "compiled in s": compile_seconds,

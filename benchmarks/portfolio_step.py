@@ -1,16 +1,14 @@
 """A portfolio's step in the closed loop: what it costs, by number of members and by part."""
 
-import time
-from typing import Any, cast
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 
 from benchmarks.portfolio import ROLES, experiment
-from benchmarks.timing import timed
+from benchmarks.timing import TimedLoop, timed
 from jaxplore.planning.presets.ground_vehicle import ROLE_WEIGHTS
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-from jaxplore.simulation.loop import initial_loop_state, run_chunk
 
 CHUNK = 50
 
@@ -25,25 +23,15 @@ def step_times(counts: tuple[int, ...], steps: int) -> list[dict[str, Any]]:
 
     The numbers take turns, so that all see the same noise of the machine.
     """
-    loops: dict[int, list[Any]] = {}
+    loops: dict[int, TimedLoop] = {}
     for count in counts:
         weights = {f"{ROLES[n % 4]} {n}": _weights(ROLES[n % 4]) for n in range(count)}
         made = experiment("warehouse", {"weights": weights, "num_samples": 1000, "horizon": 30})
-        controller = made.controller.at_period(made.scenario.control_period)
-        state = initial_loop_state(controller, made.scenario, made.key)
-        loops[count] = [controller, made.scenario, state, made.key]
+        loops[count] = TimedLoop(made.controller, made.scenario, made.key, CHUNK)
     seconds: dict[int, list[float]] = {count: [] for count in counts}
     for _ in range(-(-steps // CHUNK) + 1):
         for count, loop in loops.items():
-            controller, scenario, state, key = loop
-            for _ in range(CHUNK):
-                began = time.perf_counter()
-                state, _, done = cast(Any, run_chunk)(
-                    (controller, scenario, key, jnp.asarray(1, jnp.int32)), state, CHUNK
-                )
-                int(done)
-                seconds[count].append(time.perf_counter() - began)
-            loop[2] = state
+            seconds[count].extend(loop.run(1) for _ in range(CHUNK))
     rows = []
     for count, times in seconds.items():
         p50, p99 = 1e3 * np.percentile(times[CHUNK:], [50, 99])
@@ -56,9 +44,9 @@ def parts() -> list[dict[str, Any]]:
     """Return times of the parts of the warehouse's step, one call at a time, after 5 s."""
     controller, scenario, _, key = experiment("warehouse", {})
     assert isinstance(scenario, ExplorationScenario)
-    controller = controller.at_period(scenario.control_period)
-    state = initial_loop_state(controller, scenario, key)
-    state, _, _ = run_chunk((controller, scenario, key, jnp.asarray(250, jnp.int32)), state, 250)
+    loop = TimedLoop(controller, scenario, key, 250)
+    loop.run(250)
+    controller, state = loop.controller, loop.state
     belief, pose = state.task.belief, state.task.belief.pose
     scan = scenario.sensors[0].scan(scenario.world, pose, key=key)
     elapsed = jnp.asarray(0.2)

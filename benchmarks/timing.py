@@ -7,7 +7,12 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+
+from jaxplore.control.base import Controller
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
+from jaxplore.simulation.scenario import Scenario
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,6 +42,48 @@ def timed(
         seconds.append(time.perf_counter() - began)
     p50, p99 = 1e3 * np.percentile(seconds, [50, 99])
     return Timed(first, float(p50), float(p99), runs)
+
+
+class TimedLoop:
+    """A closed loop that runs on, some steps at a time, and says how long they took.
+
+    Args:
+        controller: controller of the robot.
+        scenario: the task.
+        key: random key of the run.
+        chunk: greatest number of steps at a time.
+    """
+
+    def __init__(
+        self, controller: Controller, scenario: Scenario, key: jax.Array, chunk: int
+    ) -> None:
+        self.controller = controller.at_period(scenario.control_period)
+        self.scenario, self.key, self.chunk = scenario, key, chunk
+        self.state = copied(initial_loop_state(self.controller, scenario, key))
+
+    def run(self, count: int) -> float:
+        """Run a number of steps, and return how long they took [s]. The first call compiles."""
+        began = time.perf_counter()
+        given = self.controller, self.scenario, self.key, jnp.asarray(count, jnp.int32)
+        self.state, _, _ = run_chunk(given, self.state, self.chunk)
+        _wait(self.state)
+        return time.perf_counter() - began
+
+    def turns(self, steps: int) -> tuple[list[float], list[float]]:
+        """Run chunks, and as many steps one at a time, in turns: both see the same noise.
+
+        Args:
+            steps: number of the steps that run one at a time.
+
+        Returns:
+            The time of a step in each chunk, and of each single step [s].
+        """
+        chunks: list[float] = []
+        single: list[float] = []
+        for _ in range(steps // self.chunk):
+            chunks.append(self.run(self.chunk) / self.chunk)
+            single.extend(self.run(1) for _ in range(self.chunk))
+        return chunks, single
 
 
 def _wait(result: Any) -> None:

@@ -238,9 +238,7 @@ class Perception(eqx.Module):
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
         dwell = jnp.zeros_like(information.total)
-        is_known = self._is_known(grid)
-        guidance = self._guidance(clearance, information, dwell, is_known).from_pose(pose)
-        is_explored = is_known | self._is_goal_next(guidance, pose)
+        guidance, is_explored = self._guided(grid, clearance, information, dwell, pose)
         return Belief(
             grid,
             clearance,
@@ -346,9 +344,9 @@ class Perception(eqx.Module):
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
-        is_known = self._is_known(belief.grid)
-        guidance = self._guidance(belief.clearance, information, dwell, is_known).from_pose(pose)
-        is_explored = is_known | self._is_goal_next(guidance, pose)
+        guidance, is_explored = self._guided(
+            belief.grid, belief.clearance, information, dwell, pose
+        )
         return dataclasses.replace(
             belief,
             information=information,
@@ -387,26 +385,19 @@ class Perception(eqx.Module):
             stride=self.field_sensor.stride,
         ).from_pose(pose)
 
-    def _is_known(self, grid: OccupancyGrid) -> Flag:
-        """Return whether the map counts as explored; never without a goal."""
-        if self.goal is None:
-            return jnp.array(False)
-        return unknown_fraction(grid) < self.max_unknown
-
-    def _is_goal_next(self, guidance: GuidanceField, pose: Pose) -> Flag:
-        """Return whether the goal is the next source that guidance leads to."""
-        if self.goal is None or self.is_goal_apart:
-            return jnp.array(False)
-        return leads_to_goal(guidance, pose[:2])
-
-    def _guidance(
+    def _guided(
         self,
+        grid: OccupancyGrid,
         clearance: ScalarField,
         information: InformationField,
         dwell: GridValues,
-        is_known: Flag,
-    ) -> GuidanceField:
-        return exploration_field(
+        pose: Pose,
+    ) -> tuple[GuidanceField, Flag]:
+        """Return the guidance, and whether the map counts as explored; never without a goal."""
+        is_known = is_goal_next = jnp.array(False)
+        if self.goal is not None:
+            is_known = unknown_fraction(grid) < self.max_unknown
+        guidance = exploration_field(
             clearance,
             information.total * dwell_discount(dwell, self.patience),
             self.required_clearance,
@@ -416,4 +407,7 @@ class Perception(eqx.Module):
             stride=self.field_sensor.stride,
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
-        )
+        ).from_pose(pose)
+        if self.goal is not None and not self.is_goal_apart:
+            is_goal_next = leads_to_goal(guidance, pose[:2])
+        return guidance, is_known | is_goal_next

@@ -21,6 +21,10 @@ Rectangles = ArrayLike | Sequence[Sequence[float]]
 """Rectangles written by hand: nested lists, tuples or an array."""
 
 
+UNKNOWN = 0.5
+"""Value of `entropy_proxy` above which a cell counts as unknown."""
+
+
 def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
     """Return `4 p (1 - p)`: 1 for an unknown cell, 0 for a certain one (quadrotor design notes).
 
@@ -30,7 +34,7 @@ def entropy_proxy(probability: Float[Array, "*N"]) -> Float[Array, "*N"]:
     return 4.0 * probability * (1.0 - probability)
 
 
-def is_unknown(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> GridMask:
+def is_unknown(grid: OccupancyGrid, threshold: ArrayLike = UNKNOWN) -> GridMask:
     """Return the mask (H, W) of the cells with `4 p (1 - p) > threshold`; see `unknown_fraction`.
 
     Raises:
@@ -41,7 +45,7 @@ def is_unknown(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> GridMask:
     return entropy_proxy(grid.probability) > bound
 
 
-def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = 0.5) -> Scalar:
+def unknown_fraction(grid: OccupancyGrid, threshold: ArrayLike = UNKNOWN) -> Scalar:
     """Return the fraction of cells with `4 p (1 - p) > threshold`.
 
     The quadrotor design notes call a map explored when less than 5 % of it is unknown. At the

@@ -199,11 +199,8 @@ class GoalChooser:
 
 @eqx.filter_jit
 def _information_at(perception: Perception, grid: OccupancyGrid, place: Array) -> Scalar:
-    sensor, model, prior = (
-        perception.field_sensor,
-        perception.sensor_model,
-        perception.occupancy_prior,
-    )
+    sensor, model = perception.field_sensor, perception.sensor_model
+    prior = perception.occupancy_prior
     if sensor.doubling is None:
         # A node at the place alone, whose cost does not grow with the map.
         return sensor.window(grid, model, place, (1, 1), prior=prior).total[0, 0]

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxplore._types import Count, GridMask, GridValues, Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
-from jaxplore.belief.zones import entropy_proxy
+from jaxplore.belief.zones import UNKNOWN, entropy_proxy
 from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, entropy
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.beams import Scan
@@ -47,7 +47,7 @@ class MapSums(NamedTuple):
         def count(cells: GridMask) -> Count:
             return jnp.sum(cells, dtype=jnp.int32)
 
-        unknown = entropy_proxy(probability) > 0.5
+        unknown = entropy_proxy(probability) > UNKNOWN
         return cls(
             reachable=count(reachable),
             free=count((probability < FREE_THRESHOLD) & reachable),
