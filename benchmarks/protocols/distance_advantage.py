@@ -126,7 +126,7 @@ class Guide:
         """
         column, row = cell
         pose = jnp.asarray([(column + 0.5) * self.scale, (row + 0.5) * self.scale, 0.0])
-        grid = OccupancyGrid(jnp.asarray(probability.T), self.scale)
+        grid = OccupancyGrid(jnp.asarray(probability.T), self.scale).settled()
         # A robot that stands still must give up what it cannot see as well.
         elapsed = jnp.asarray((driven - self._driven) / SPEED + PERIOD, jnp.float32)
         self._belief = _known(self._perception, self._belief, grid, pose, elapsed)
@@ -195,7 +195,7 @@ def explorer_in(simulator: Any, **numbers: Any) -> Any:
             super().plan()
             grid = np.asarray(self.state.grid)
             p = np.full(grid.shape, 0.5, np.float32)
-            p[grid == states.FREE], p[grid == states.OCCUPIED] = 0.02, 0.98
+            p[grid == states.FREE], p[grid == states.OCCUPIED] = 0.0, 1.0
             driven = float(self.state.cells_traveled) * self.guide.scale
             column, row = self.current_cell
             path = self.guide.path(p, (int(column), int(row)), driven)

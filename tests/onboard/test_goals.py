@@ -96,6 +96,18 @@ def test_a_goal_that_was_seen_from_afar_is_replaced(chooser, make_robot) -> None
     assert second is None or np.hypot(*(second.pose - first.pose)[:2]) > 0.5
 
 
+def test_a_known_map_of_another_program_has_no_goals_whatever_its_probabilities(
+    chooser, make_robot
+) -> None:
+    """Cartographer, for one, ends at 0.12 in free cells."""
+    robot = make_robot()
+    known = np.asarray(robot.scenario.world.probability) > 0.5
+    pose, nowhere = np.array([1.0, 1.0, 0.0]), np.zeros(2)
+    for free, occupied in ((0.0, 1.0), (0.12, 0.88), (0.24, 0.66)):
+        grid = OccupancyGrid(np.where(known, occupied, free).astype(np.float32), 0.1)
+        assert chooser.update(0.0, grid, nowhere, pose) is None
+
+
 def test_maps_that_grow_compile_one_program_for_each_power_of_two(chooser, make_robot) -> None:
     robot = make_robot()
     look(robot)

@@ -214,6 +214,15 @@ class OccupancyGrid(eqx.Module):
         _checks.shaped("prior", prior, ())
         return self.with_probability(with_prior(self.probability, prior))
 
+    def settled(self) -> "OccupancyGrid":
+        """Return the grid with the probability 0 in free cells and 1 in occupied ones.
+
+        It is for maps of other programs. Their probabilities are on a scale of their own: a known
+        cell at 0.1 would count as information that is left, and in a known hall such cells add up.
+        """
+        known = jnp.where(self.is_occupied, 1.0, self.probability)
+        return self.with_probability(jnp.where(self.is_free, 0.0, known))
+
     def contains(self, cell: Int[Array, "*N 2"]) -> Bool[Array, "*N"]:
         """Return whether each cell (row, column) is on the map."""
         cell = _checks.pairs("cell", cell, jnp.int32)

@@ -106,7 +106,8 @@ def choose(
 class GoalChooser:
     """Chooses goals on the maps of another program, such as `slam_toolbox`, and drops bad ones.
 
-    Maps may grow and move: they are padded to powers of two, so few sizes are compiled.
+    Maps may grow and move: they are padded to powers of two, so few sizes are compiled. What is
+    free or occupied on them counts as known for certain, whatever the other program's probability.
 
     Args:
         perception: perception with the robot's clearance.
@@ -162,7 +163,7 @@ class GoalChooser:
             self._dropped.append((*self.goal.pose[:2].tolist(), now + self._drop_time))
             self.num_dropped += 1
             self.goal = None
-        padded = grid.padded(power_of_two_shape(grid.shape))
+        padded = grid.settled().padded(power_of_two_shape(grid.shape))
         kept = None if self.goal is None or self._is_near(pose) else self._worth(padded, offset)
         if kept is not None and kept >= float(self.perception.min_information):
             return self.goal
