@@ -411,8 +411,17 @@ DETECTOR = {"classes": ["door", "shelf"], "confusion": [[0.9, 0.1], [0.1, 0.9]]}
         ),
         (
             {"map": "office", "start": ["x", 1, 2]},
-            "setting start.0 is 'x'; accepted: a valid number",
+            "setting start.0 is 'x'; accepted: a valid number$",
         ),
+        (
+            {"map": "office", "fields": {"min_information": "x"}},
+            "setting fields.min_information is 'x'; accepted: number > 0 or null$",
+        ),
+        (
+            {"map": "office", "controller": {"num_samples": "x"}},
+            r"setting controller.num_samples is 'x'; accepted: whole number in \[1, 1000000\]$",
+        ),
+        ({"map": "office", "guard": "x"}, "setting guard is 'x'; accepted: true or false"),
         ({"map": "office", "faults": 3}, "setting faults is 3; accepted: a mapping of settings$"),
         ({"map": "office", 3: 4}, "a setting is named 3; accepted: text in UTF-8"),
         ({"map": ["path"]}, "setting map is .'path'."),

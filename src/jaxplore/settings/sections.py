@@ -264,7 +264,7 @@ def _one_line(settings: type[BaseModel], entries: dict[str, Any], error: ErrorDe
         most = re.search(r"at most (\d+)", message)
         accepted = f"at most {most[1]} entries" if most else message
     elif kind not in _OF_ANOTHER_TYPE or isinstance(where[-1], int):
-        accepted = message.removeprefix("Input should be ")
+        accepted = message.removeprefix("Input should be ").split(", unable to parse")[0]
     return f"setting {name} is {short_repr(value)}; accepted: {accepted}"
 
 
@@ -279,8 +279,12 @@ def _holder(section: type[BaseModel], where: tuple[int | str, ...]) -> tuple[typ
     return section, depth
 
 
-_OF_ANOTHER_TYPE = ("tuple_type", "list_type", "dict_type", "string_type")
-"""Errors of pydantic for a value that is no tuple, list, mapping or text."""
+_OF_ANOTHER_TYPE = (
+    *("tuple_type", "list_type", "dict_type", "string_type"),
+    *("float_parsing", "int_parsing", "bool_parsing"),
+)
+"""Errors of pydantic for a value that is no tuple, list, mapping or text, and for a text that is no
+number or truth value."""
 
 
 def _at(entries: Any, where: Iterable[int | str]) -> Any:
