@@ -35,6 +35,7 @@ from jaxplore._files import replace_files
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.descent import NEIGHBOURS
 from jaxplore.belief.exploration_field import LEFTOVER_DETOUR
+from jaxplore.maps.clearance import clearance_field, closed_cells
 
 FILES = ("da/main.py", "da/gridmaps.py", "da/lidar.py", "da/utils.py", "da/office_walls.csv")
 """Files of a clone that are read."""
@@ -44,6 +45,13 @@ NUM_STARTS, SEED, CELLS_PER_METRE = 10, 42, 4
 RANGE, BEAMS = 4.5, 360
 SPEED, PERIOD = 1.0, 0.2
 """Speed of the point robot, and time for a plan, by which time near a place is counted [m/s, s]."""
+SEEN = RANGE - 2.0 / CELLS_PER_METRE
+"""Distance within which a scan makes cells known for our rule [m]. The simulator calls a cell free
+if none of its neighbours is unknown, so the outermost cells of a scan stay unknown."""
+PARAMETERS = {"decay_length": 1.0, "min_information": 0.3}
+"""Parameters of our rule, see `Perception`. The protocol ends with the last frontier, and what is
+left behind costs a second tour: so distance counts more than information, and small places do not
+wait."""
 MEMORY = 1e6
 """Time constant with which time near a place is forgotten [s]."""
 RULES = ("explorer", "nearest-frontier", "distance-advantage", "information-gain")
@@ -102,7 +110,7 @@ class Guide:
         self.scale = scale
         # A point robot fits in every free cell: its clearance is less than half a cell.
         self._perception = Perception(
-            Lidar(BEAMS, RANGE, range_noise=0.0),
+            Lidar(BEAMS, SEEN, range_noise=0.0),
             scale,
             0.2 * scale,
             margin=0.0,
@@ -129,6 +137,8 @@ class Guide:
         grid = OccupancyGrid(jnp.asarray(probability.T), self.scale).settled()
         # A robot that stands still must give up what it cannot see as well.
         elapsed = jnp.asarray((driven - self._driven) / SPEED + PERIOD, jnp.float32)
+        if self._belief is None:
+            self._belief = self._perception.init(grid, pose)
         self._belief = _known(self._perception, self._belief, grid, pose, elapsed)
         self._driven = driven
         values = np.asarray(self._belief.guidance.values, np.float64)
@@ -141,13 +151,11 @@ class Guide:
 
 @eqx.filter_jit
 def _known(
-    perception: Perception, before: Belief | None, grid: OccupancyGrid, pose: Any, elapsed: Any
+    perception: Perception, before: Belief, grid: OccupancyGrid, pose: Any, elapsed: Any
 ) -> Belief:
     """Return the belief with a new map and its fields."""
-    start = perception.init(grid, pose)
-    if before is None:
-        return start
-    belief = dataclasses.replace(before, grid=start.grid, clearance=start.clearance)
+    clearance = clearance_field(closed_cells(grid, None), grid.frame, perception.max_clearance)
+    belief = dataclasses.replace(before, grid=grid, clearance=clearance)
     return perception.update_fields(belief, pose, elapsed)
 
 
@@ -235,11 +243,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--rules", default="explorer,nearest-frontier", help=f"some of {', '.join(RULES)}"
     )
     parser.add_argument("--starts", type=int, default=NUM_STARTS, help="number of starts [10]")
-    parser.add_argument(
-        "--decay-length",
-        type=float,
-        help="decay_length of the explorer in metres [default: its own]",
-    )
+    for name, value in PARAMETERS.items():
+        parser.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=float,
+            default=value,
+            help=f"{name} of our rule [{value:g}]",
+        )
     parser.add_argument("--out", type=Path, help="JSON file with all numbers")
     options = parser.parse_args(arguments)
     console = Console(width=140)
@@ -252,8 +262,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         simulator = load(options.clone)
         algorithms = {
             "explorer": explorer_in(
-                simulator,
-                **({} if options.decay_length is None else {"decay_length": options.decay_length}),
+                simulator, **{name: getattr(options, name) for name in PARAMETERS}
             ),
             "nearest-frontier": simulator.NearestFrontier,
             "distance-advantage": simulator.DistanceAdvantage,
