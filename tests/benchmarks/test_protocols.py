@@ -62,6 +62,13 @@ def test_our_rule_leads_through_free_cells_to_what_is_unknown() -> None:
         assert all(p[x, y] < 0.1 for x in (one[0], other[0]) for y in (one[1], other[1]))
 
 
+def test_our_rule_leaves_a_room_that_the_simulator_knows_alone() -> None:
+    """Known cells at 0.02 once counted as information, and the robot went to look at them."""
+    p = np.full((40, 24), 0.02, np.float32)
+    p[[0, -1]] = p[:, [0, -1]] = 0.98
+    assert Guide(0.25, num_directions=8).path(p, (4, 18), 0.0) == [(4, 18)]
+
+
 def test_the_summary_is_the_mean_and_the_sample_deviation() -> None:
     rows = [{"rule": rule, "metres": m} for rule, m in (("a", 1.0), ("a", 4.0), ("b", 2.0))]
     one, other = summarise(rows)
