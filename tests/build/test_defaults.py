@@ -78,7 +78,9 @@ ROBOTS: dict[str, Callable[..., jx.Dynamics]] = {
 GOALS = {"zones": jx.three_zones().goal}
 MISSIONS = {
     "zones": jx.Mission(GOALS["zones"][:2]),
-    "search-rescue": jx.Mission(has_terrain=True),
+    "search-rescue": jx.Mission(
+        has_terrain=True, chassis=jx.geometry.Chassis(0.5, 0.4, 0.4, offset=0.25)
+    ),
     "perimeter": jx.Mission(has_moving_obstacles=True),
 }
 VIEWS = {"warehouse": 1.5 * math.pi}
@@ -89,9 +91,10 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
     """Return the controller as Python makes it, with what is the scenario's own."""
     robot, goal = ROBOTS[place](), GOALS.get(place)
     own = read_settings(scenario_path(place)) if place in SCENARIOS else {}
-    has_moving = MISSIONS.get(place, jx.Mission()).has_moving_obstacles
+    mission = MISSIONS.get(place, jx.Mission())
+    has_moving, chassis = mission.has_moving_obstacles, mission.chassis
     if architecture == "explorer":
-        return jx.explorer(robot, has_moving_obstacles=has_moving)
+        return jx.explorer(robot, has_moving_obstacles=has_moving, chassis=chassis)
     if architecture == "portfolio":
         numbers = own.get("portfolio", {})
         return jx.ground_portfolio(ROBOTS[place](jx.Euler()), MISSIONS.get(place), **numbers)
@@ -102,6 +105,7 @@ def by_hand(place: str, architecture: str, scenario: jx.ExplorationScenario) -> 
             scenario.perception,
             scenario.world,
             has_moving_obstacles=has_moving,
+            chassis=chassis,
         )
     flight, fields = jx.Flight(), jx.FieldNumbers()
     if place in SCENARIOS:
@@ -253,7 +257,7 @@ def test_every_setting_is_described_once(kind: type[Section]) -> None:
 
 NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     # Of the robot and the world.
-    jx.explorer: {"robot", "has_moving_obstacles"},
+    jx.explorer: {"robot", "has_moving_obstacles", "chassis"},
     jx.ground_portfolio: {"robot", "mission", "members", "fusion"},
     # Of the robot, the rates and the run.
     jx.Flight: {"control_period", "max_speed"},
@@ -275,6 +279,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.belief.IdlenessMap: set(),
     jx.belief.Recognition: {"detector"},
     jx.InverseSensorModel: {"is_decisive"},
+    jx.geometry.Chassis: {"wheelbase", "track", "offset"},
     jx.maps.Ground: {"elevation", "resolution", "origin", "traversability"},
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),

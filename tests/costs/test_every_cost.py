@@ -30,12 +30,13 @@ from jaxplore.costs import (
     QuadraticControlCost,
     ReferenceCost,
     RegionCost,
+    StabilityCost,
     StateBoundsCost,
     TerrainCost,
     ToGoalCost,
     TraversabilityCost,
 )
-from jaxplore.geometry import Outlines
+from jaxplore.geometry import Chassis, Outlines
 from jaxplore.information import InformationField
 from jaxplore.maps import Ground
 from jaxplore.maps.field import ScalarField
@@ -127,6 +128,10 @@ PAIRS = {
     "tracked": [MovingObstacleCost(), MovingObstacleCost(nearness=2.0, collision=3.0, **OTHER)],
     "terrain": [TerrainCost(), TerrainCost(1.0, 2.0)],
     "traversability": [TraversabilityCost(), TraversabilityCost(1.0, 0.9)],
+    "stability": [
+        StabilityCost(Chassis(1.0, 1.0, 1.0, 0.1), 0.0),
+        StabilityCost(Chassis(1.5, 0.9, 2.0, 0.2, 0.5), 0.5),
+    ],
     "to goal": [ToGoalCost(), ToGoalCost(2.0)],
     "region": [RegionCost(), RegionCost(2.0)],
     "sum": [
@@ -134,7 +139,7 @@ PAIRS = {
         3.0 * GoalCost([1.0, 2.0], None, 2.0).named("a") + ControlCost(),
     ],
 }
-READERS = ("collision", "tracked", "terrain", "traversability", "to goal", "region")
+READERS = ("collision", "tracked", "terrain", "traversability", "stability", "to goal", "region")
 
 
 def small_belief(seed: int = 0) -> Belief:

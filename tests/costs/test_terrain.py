@@ -9,7 +9,8 @@ import pytest
 
 from jaxplore import State
 from jaxplore.belief.belief import Belief
-from jaxplore.costs import TerrainCost, TraversabilityCost
+from jaxplore.costs import StabilityCost, TerrainCost, TraversabilityCost
+from jaxplore.geometry import Chassis
 from jaxplore.maps import Ground
 
 SIZE = 12
@@ -138,3 +139,57 @@ def test_slopes_are_finite_on_level_ground_on_edges_and_far_away(belief, at) -> 
 def test_bad_numbers_are_named(make, name: str, value: float) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):
         make(**{name: value})
+
+
+def test_the_wheels_of_a_vehicle_stand_on_a_plane(belief, at) -> None:
+    # The plane rises by 0.3 along x and falls by 0.4 along y.
+    chassis = Chassis(1.2, 0.8, mass_height=0.5, suspension=0.1, offset=0.4)
+    stance = eqx.filter_jit(lambda ground, x, yaw: ground.stance(chassis, x, yaw))
+    ground = on(belief, PLANE).ground
+    for yaw in (0.0, 0.7, -2.0, 3.1):
+        found = stance(ground, jnp.asarray([6.3, 5.1]), jnp.asarray(yaw))
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        assert float(found.ahead) == pytest.approx(0.3 * cos - 0.4 * sin, abs=1e-4)
+        assert float(found.left) == pytest.approx(-0.3 * sin - 0.4 * cos, abs=1e-4)
+        assert float(found.twist) == pytest.approx(0.0, abs=1e-4)
+
+
+def test_a_saddle_twists_the_wheels(belief) -> None:
+    # z = 0.05 x y, which bilinear interpolation reproduces: the wheels on a diagonal are higher.
+    chassis = Chassis(1.2, 0.8)
+    ground = on(belief, 0.05 * (X - 6.0) * (Y - 6.0)).ground
+    found = ground.stance(chassis, jnp.asarray([6.0, 6.0]), jnp.asarray(0.0))
+    assert float(found.twist) == pytest.approx(0.05 * 0.6 * 0.4, abs=1e-6)
+    assert float(found.ahead) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_stability_costs_one_where_a_wheel_leaves_the_ground(belief, at) -> None:
+    # On the plane, heading up its gradient: 0.5 ahead, and at rest nothing else.
+    chassis = Chassis(1.0, 0.8, mass_height=0.8)
+    plane, yaw = on(belief, PLANE, max_slope=1.0), math.atan2(-0.4, 0.3)
+    used = 2.0 * 0.8 / 1.0 * 0.5
+    for limit in (0.0, 0.5, 0.9):
+        found = float(_price(StabilityCost(chassis, limit), at(6.0, 6.0, yaw), plane))
+        wanted = (max(used - limit, 0.0) / (1.0 - limit)) ** 2
+        assert found == pytest.approx(wanted, rel=1e-3, abs=1e-6)
+    edge = dataclasses.replace(chassis, mass_height=jnp.asarray(1.0))
+    found = float(_price(StabilityCost(edge, 0.6), at(6.0, 6.0, yaw), plane))
+    assert found == pytest.approx(1.0, rel=1e-3)
+
+
+def test_on_level_ground_a_fast_curve_costs(belief, at) -> None:
+    cost = StabilityCost(Chassis(1.0, 0.5, mass_height=0.6), 0.0)
+    state = at(6.0, 6.0, 1.0, v=2.0)
+    turning = State(state.values.at[4].set(1.5), state.dynamics)
+    # 2 h / W v omega / g; the drag of the model slows it down, which counts along the wheelbase.
+    across = 2.0 * 0.6 / 0.5 * 2.0 * 1.5 / 9.81
+    slowing = float(state.dynamics.acceleration(turning.values, jnp.zeros(2))[0])
+    along = 2.0 * 0.6 / 1.0 * slowing / 9.81
+    assert float(_price(cost, turning, belief)) == pytest.approx(across**2 + along**2, rel=1e-3)
+    assert float(_price(cost, at(6.0, 6.0), belief)) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("limit", [-0.1, 1.0, math.nan])
+def test_a_limit_is_a_share(limit: float) -> None:
+    with pytest.raises(ValueError, match=r"limit is .*accepted"):
+        StabilityCost(Chassis(1.0, 1.0), limit)

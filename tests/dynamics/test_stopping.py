@@ -51,6 +51,9 @@ every_robot = pytest.mark.parametrize("name", ROBOTS)
 TWIST = jax.tree_util.Partial(
     eqx.filter_jit(lambda robot, state, control: robot.twist(state, control))
 )
+ACCELERATION = jax.tree_util.Partial(
+    eqx.filter_jit(lambda robot, state, control: robot.acceleration(state, control))
+)
 
 
 def finite_difference(robot, state, control):
@@ -79,6 +82,32 @@ def test_twist_is_the_rate_of_the_pose(name: str) -> None:
         found = TWIST(robot, state, control)
         # The difference is exact up to the curvature over a millisecond, and rounding.
         np.testing.assert_allclose(found, finite_difference(robot, state, control), atol=0.02)
+
+
+@every_robot
+def test_acceleration_is_that_of_the_position(name: str) -> None:
+    robot, h = ROBOTS[name], 0.02
+    random = np.random.default_rng(1)
+    low, high = np.asarray(robot.control_min), np.asarray(robot.control_max)
+    for _ in range(3):
+        state = jnp.asarray(random.uniform(0.1, 0.5, robot.state_size), jnp.float32)
+        control = jnp.asarray(low + random.uniform(0.4, 0.6, low.shape) * (high - low), jnp.float32)
+        states = [state]
+        for _ in range(2):
+            states.append(robot.step(states[-1], control, jnp.asarray(h)))
+        first, middle, last = (np.asarray(robot.position(each), np.float64) for each in states)
+        x, y = (last - 2.0 * middle + first) / h**2
+        yaw = float(robot.heading(states[1]))
+        wanted = [math.cos(yaw) * x + math.sin(yaw) * y, math.cos(yaw) * y - math.sin(yaw) * x]
+        # The second difference is exact up to rounding, and to the steps of Euler's method.
+        np.testing.assert_allclose(ACCELERATION(robot, states[1], control), wanted, atol=0.03)
+
+
+def test_acceleration_of_known_motions() -> None:
+    # A car in a curve that also brakes: v^2 tan(steering) / wheelbase to the left.
+    state, control = jnp.asarray([1.0, 2.0, 0.4, 2.0, 0.3]), jnp.asarray([-1.5, 0.0])
+    found = ACCELERATION(Ackermann(wheelbase=0.5), state, control)
+    np.testing.assert_allclose(found, [-1.5, 4.0 * math.tan(0.3) / 0.5], rtol=1e-5)
 
 
 def test_twist_of_known_motions() -> None:

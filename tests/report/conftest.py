@@ -184,6 +184,9 @@ def ground_vehicle(recording: ExplorationRecording) -> ExplorationRecording:
     records = recording.records._replace(
         targets_seen=np.minimum(np.arange(steps) // 3, 3).astype(np.int32),
         is_untraversable=k >= steps - 2,
+        load_transfer=(1.1 * k / max(1, steps - 1)).astype(np.float32),
+        wheel_travel=np.where(k % 4 == 3, 1.5, 0.5).astype(np.float32),
+        is_tipped=k >= steps - 1,
         mean_idleness=k,
         worst_idleness=np.where(k < steps // 2, 20.0, 10.0 - np.abs(k - 6.0)).astype(np.float32),
         members=members,

@@ -203,6 +203,9 @@ def test_members_are_judged_by_what_is_finite(vehicle) -> None:
     }
     assert (metrics.diversity, metrics.replaced) == (0.25, 0.2)
     assert metrics.untraversable_steps == 2
+    assert metrics.load_transfer == pytest.approx(1.1)
+    assert (metrics.tipped_at, metrics.num_tipped) == (pytest.approx(metrics.duration), 1)
+    assert metrics.hanging_steps == sum(k % 4 == 3 for k in range(vehicle.num_steps))
 
 
 def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> None:
@@ -210,6 +213,7 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
         return dict(compute_metrics(each).rows())
 
     names = {"targets", "untraversable", "members", "  bold", "  careful", "  slow"}
+    names |= {"load transfer", "wheel in the air", "tipped over"}
     plain, full = rows(recording), rows(vehicle)
     assert set(full) - set(plain) == names
     assert set(plain) <= set(full)
@@ -217,10 +221,14 @@ def test_what_a_run_does_not_have_is_not_in_its_table(recording, vehicle) -> Non
     watching = rows(dataclasses.replace(vehicle, targets=np.zeros((0, 2))))
     assert watching["idleness"] == "7.0 s, 10.0 s at worst, in the second half"
     assert full["untraversable"] == "2 steps"
+    assert full["load transfer"] == "110.0 % at most"
+    assert full["wheel in the air"].endswith(" steps")
+    assert full["tipped over"] == f"after {compute_metrics(vehicle).duration:.2f} s"
     assert full["members"] == "0.250 apart, replaced in 20.0 % of the steps"
     assert full["  bold"] == "27.5 %, 5.5 effective, uncertainty 0.125"
     metrics = compute_metrics(recording)
     assert (metrics.num_targets, metrics.targets_seen, metrics.untraversable_steps) == (0, 0, 0)
+    assert (metrics.tipped_at, metrics.load_transfer, metrics.hanging_steps) == (None, None, 0)
     for name in ("last_target_at", "mean_idleness", "worst_idleness", "members", "diversity"):
         assert getattr(metrics, name) is None
     assert metrics.replaced is None

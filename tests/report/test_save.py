@@ -103,9 +103,16 @@ def test_arrays_hold_what_a_ground_vehicle_has_besides(recording, vehicle, tmp_p
         assert tuple(arrays["member_names"]) == vehicle.member_names
         for name in OPTIONAL:
             np.testing.assert_array_equal(arrays[name], getattr(vehicle, name))
-        for name in ("targets_seen", "is_untraversable", "mean_idleness", "worst_idleness"):
+        wheels = ("load_transfer", "wheel_travel", "is_tipped")
+        for name in (
+            "targets_seen",
+            "is_untraversable",
+            "mean_idleness",
+            "worst_idleness",
+            *wheels,
+        ):
             np.testing.assert_array_equal(arrays[name], getattr(vehicle.records, name))
-        added = {f"members_{name}" for name in members} | {"member_names", *OPTIONAL}
+        added = {f"members_{name}" for name in members} | {"member_names", *OPTIONAL, *wheels}
         full = set(arrays)
     with np.load(tmp_path / "plain" / "arrays.npz", allow_pickle=False) as arrays:
         assert full - set(arrays) == added

@@ -24,10 +24,12 @@ from jaxplore import (
 from jaxplore.belief import IdlenessMap
 from jaxplore.control.base import Controller, Info, SampledPlan
 from jaxplore.control.trajectory import Trajectory
+from jaxplore.geometry import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.maps import Ground
 from jaxplore.maps.world import MovingObstacle
 from jaxplore.report.drawing.colours import TARGET
+from jaxplore.simulation.exploration.wheels import TIPPING_TIME, TRACTION, Wheels, driven
 from jaxplore.simulation.loop import (
     copied,
     initial_loop_state,
@@ -82,6 +84,7 @@ def scenario(
     start=(1.0, 3.0, 0.0),
     *,
     elevation: np.ndarray | None = None,
+    max_slope: float = 0.5,
     mover: MovingObstacle = PARKED,
     targets=CORNERS,
     robot=ROBOT,
@@ -90,7 +93,8 @@ def scenario(
     """Return one of many that differ in arrays only: they share one compiled loop."""
     world = hall() if world is None else world
     elevation = np.zeros(SHAPE) if elevation is None else elevation
-    terrain = TerrainMap(OccupancyGrid(world, RESOLUTION), Ground(elevation, RESOLUTION))
+    ground = Ground(elevation, RESOLUTION, max_slope=max_slope)
+    terrain = TerrainMap(OccupancyGrid(world, RESOLUTION), ground)
     sensors = [AHEAD, AROUND]
     perception = Perception(
         sensors,
@@ -379,6 +383,59 @@ def test_steps_on_ground_that_is_too_steep_are_recorded() -> None:
     # It gets there: such ground is no wall.
     assert outcome.states[-1, 0] > 5.0
     assert not outcome.records.is_collision.any()
+
+
+def on_wheels(elevation: np.ndarray, command=(0.0, 0.0), *, height: float = 0.25):
+    """Drive 20 steps on the wheels of a square of 0.4 m, heading along x."""
+    chassis = Chassis(0.4, 0.4, height, suspension=0.05)
+    start = (3.0, 3.0, 0.0)
+    given = scenario(start=start, elevation=elevation, max_slope=20.0, chassis=chassis)
+    return drive(given, 20, command)
+
+
+def test_a_vehicle_tips_over_on_a_slope_that_is_too_steep_for_it() -> None:
+    y = (np.arange(30)[:, None] + 0.5) * RESOLUTION * np.ones((1, 40))
+    # 2 h / W times the slope: 0.8 / 1.25 of the load. It drives on.
+    outcome = on_wheels(0.64 * y, (1.0, 0.0))
+    np.testing.assert_allclose(outcome.records.load_transfer, 0.8, atol=1e-3)
+    assert len(outcome.records.is_tipped) == 20
+    assert not outcome.records.is_tipped.any()
+    assert outcome.states[-1, 0] > 3.4
+    # A higher centre of mass is without load on one side, for 0.2 s: then the run ends.
+    outcome = on_wheels(0.64 * y, (1.0, 0.0), height=0.35)
+    np.testing.assert_array_equal(outcome.records.is_tipped, [False, False, False, True])
+    assert (outcome.records.load_transfer > 1.0).all()
+    assert not bool(outcome.records.is_collision.any())
+
+
+def test_it_lies_where_it_tipped_over() -> None:
+    # A turn of 2 m/s^2 is too fast for a mass at 1.1 m.
+    given = scenario(start=(3.0, 3.0, 0.0), chassis=Chassis(0.4, 0.4, 1.1))
+    _, state = begin(given)
+    tipped = Wheels.at_rest()._replace(tipping=jnp.asarray(TIPPING_TIME))
+    moving = state.task.robot.at[3].set(1.0)
+    lying = state.task._replace(wheels=tipped, robot=moving)
+    assert not bool(given.is_unfinished(lying))
+    command = jnp.asarray([1.0, 2.0])
+    after = driven(
+        tipped, given.robot, moving, given.robot.step(moving, command, given.control_period)
+    )
+    np.testing.assert_allclose(after[:4], [3.0, 3.0, 0.0, 0.0], atol=1e-6)
+    outcome = drive(given, 40, (1.0, 2.0))
+    assert outcome.records.is_tipped[-1]
+    assert len(outcome.records.is_tipped) < 40
+
+
+def test_a_wheel_in_the_air_takes_half_of_the_way() -> None:
+    x, y = np.meshgrid((np.arange(40) + 0.5) * RESOLUTION, (np.arange(30) + 0.5) * RESOLUTION)
+    # A saddle: the twist of the wheels is 0.2 m times 0.2 m times its curvature, 6 or 4 cm.
+    ways = []
+    for twist in (0.06, 0.04):
+        outcome = on_wheels(twist / 0.04 * (x - 3.0) * (y - 3.0), (0.2, 0.0))
+        np.testing.assert_allclose(outcome.records.wheel_travel[0], twist / 0.05, rtol=1e-2)
+        ways.append(np.diff(outcome.states[:, 0]))
+    # The first step begins on what was known at rest.
+    np.testing.assert_allclose(ways[0][1:], TRACTION * ways[1][1:], rtol=1e-3)
 
 
 def test_on_level_ground_none_are() -> None:

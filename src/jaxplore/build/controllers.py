@@ -10,6 +10,7 @@ from jaxplore.build.world import RunWorld
 from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.integrators import Euler
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.planning.portfolio.contextual import ROLES, Contextual
 from jaxplore.planning.portfolio.fusion import Fusion
 from jaxplore.planning.portfolio.portfolio import Portfolio
@@ -52,10 +53,11 @@ def build_controller(
         return explorer(
             robot,
             has_moving_obstacles=bool(world.movers),
+            chassis=scenario.chassis,
             **arguments(settings.controller, explorer),
         )
     if settings.architecture == "portfolio":
-        return _portfolio(settings, world)
+        return _portfolio(settings, world, scenario.chassis)
     own = own_rule(settings.architecture) if is_own(settings.architecture) else None
     if own is not None or settings.architecture in BASELINES:
         return target_explorer(
@@ -66,6 +68,7 @@ def build_controller(
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
             has_moving_obstacles=bool(world.movers),
+            chassis=scenario.chassis,
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):
@@ -130,14 +133,17 @@ def _zone_choice(
     )
 
 
-def _portfolio(settings: Settings, world: RunWorld) -> Portfolio:
+def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> Portfolio:
     given = settings.portfolio
     goal = None if world.goal is None else world.goal[:2]
     return ground_portfolio(
         # Within a plan Euler's error is millimetres, and it saves a fifth of the time.
         build_robot(settings.robot, Euler()),
         Mission(
-            goal, has_terrain=world.ground is not None, has_moving_obstacles=bool(world.movers)
+            goal,
+            has_terrain=world.ground is not None,
+            has_moving_obstacles=bool(world.movers),
+            chassis=chassis,
         ),
         members=given.members if given.weights is None else given.weights,
         fusion=_fusion(settings, goal),

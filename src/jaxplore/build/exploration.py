@@ -10,6 +10,7 @@ from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
 from jaxplore.build.parts import (
+    build_chassis,
     build_faults,
     build_recognition,
     build_robot,
@@ -94,6 +95,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         objects=None if settings.detector is None else world.objects,
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
+        chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
         **arguments(settings, ExplorationScenario),

@@ -24,6 +24,7 @@ from jaxplore.dynamics.kinematic_bicycle import KinematicBicycle
 from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.dynamics.unicycle import Unicycle
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.geometry.footprint import Rectangle
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.camera import Camera
@@ -33,7 +34,7 @@ from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import DetectorSettings, Settings
 from jaxplore.settings.own import is_own
-from jaxplore.settings.robot import RobotSettings, SensorModelSettings
+from jaxplore.settings.robot import CARS, ChassisSettings, RobotSettings, SensorModelSettings
 from jaxplore.settings.sections import (
     AdaptiveHorizonSettings,
     FaultSettings,
@@ -116,6 +117,34 @@ def build_robot(given: RobotSettings, integrator: Integrator | None = None) -> D
             **wheeled, min_speed=given.min_speed, max_lateral_speed=given.max_lateral_speed
         )
     return DifferentialDrive(**wheeled)
+
+
+def build_chassis(
+    given: ChassisSettings | None, robot: RobotSettings, radius: float
+) -> Chassis | None:
+    """Build the wheels and the centre of mass of the robot; None for one that cannot tip over.
+
+    Args:
+        given: settings of the chassis.
+        robot: settings of the robot.
+        radius: radius of the discs that cover it [m].
+
+    Raises:
+        ValueError: a chassis of a robot that flies.
+    """
+    if given is None:
+        return None
+    if robot.model == "quadrotor":
+        raise ValueError("setting chassis is given beside a quadrotor; accepted: null")
+    side = math.sqrt(2.0) * radius
+    wheelbase = given.wheelbase or (robot.wheelbase if robot.model in CARS else side)
+    return Chassis(
+        wheelbase,
+        given.track or (robot.width if robot.model == "ackermann" else side),
+        # The position of an `ackermann` is the middle of its rear axle.
+        offset=0.5 * wheelbase if robot.model == "ackermann" else 0.0,
+        **arguments(given, Chassis),
+    )
 
 
 def build_recognition(given: DetectorSettings | None) -> Recognition | None:

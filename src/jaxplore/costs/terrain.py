@@ -1,12 +1,13 @@
-"""Costs of the ground: slope and roughness, and low traversability."""
+"""Costs of the ground: slope and roughness, low traversability, tipping over."""
 
 import jax.numpy as jnp
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.chassis import Chassis, Stance
 
 
 class TerrainCost(Cost):
@@ -72,3 +73,43 @@ class TraversabilityCost(Cost):
         lost = 1.0 - left
         short = jnp.maximum(belief.ground.threshold + self.margin - left, 0.0) / self.margin
         return lost * lost + self.barrier * short * short
+
+
+class StabilityCost(Cost):
+    """Barrier before a vehicle tips over or a wheel leaves the ground,
+
+        sum over u of across, along, wheels of ((u - limit)_+ / (1 - limit))^2
+
+    with the shares u of what the vehicle withstands (`Chassis.stability`): each costs 1 where a
+    wheel leaves the ground. The plane under the wheels is that of `belief.ground`; without it the
+    ground is level, and what counts is the acceleration: braking, and speed in a curve.
+
+    Args:
+        chassis: chassis of the vehicle.
+        limit: share above which the cost begins, in [0, 1).
+
+    Raises:
+        ValueError: a chassis of another class, a limit outside [0, 1).
+    """
+
+    chassis: Chassis
+    limit: Scalar
+
+    def __init__(self, chassis: Chassis, limit: ArrayLike = 0.6) -> None:
+        _kinds.instance("chassis", chassis, Chassis)
+        self.chassis = chassis
+        self.limit = _checks.scalar("limit", limit, at_least=0.0, below=1.0)
+
+    def stage(self, state: State, control: ControlVector, t: Scalar, belief: Belief) -> Scalar:
+        """Compute the barrier at the pose of the robot and under its acceleration."""
+        level = Stance(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
+        ground = belief.ground
+        stance = (
+            level if ground is None else ground.stance(self.chassis, state.position, state.heading)
+        )
+        used = self.chassis.stability(stance, *state.dynamics.acceleration(state.values, control))
+        total = jnp.zeros(())
+        for share in used:
+            over = jnp.maximum(share - self.limit, 0.0) / (1.0 - self.limit)
+            total = total + over * over
+        return total

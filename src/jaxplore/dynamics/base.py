@@ -129,6 +129,22 @@ class Dynamics(eqx.Module):
         sin, cos = sin_cos(pose[2])
         return jnp.stack([cos * x_rate + sin * y_rate, cos * y_rate - sin * x_rate, turn_rate])
 
+    def acceleration(self, state: StateVector, control: ControlVector) -> tuple[Scalar, Scalar]:
+        """Return the acceleration in the body frame, along the heading and to the left [m/s^2].
+
+        With the twist (vx, vy, omega) of `twist` it is `(vx' - omega vy, vy' + omega vx)`, with the
+        rates of change under a constant control.
+
+        Args:
+            state: state (nx,) of the robot.
+            control: control (nu,).
+        """
+        zero, one = jnp.zeros((), state.dtype), jnp.ones((), state.dtype)
+        _, rate = jax.jvp(lambda dt: self.step(state, control, dt), (zero,), (one,))
+        twist, twist_rate = jax.jvp(lambda here: self.twist(here, control), (state,), (rate,))
+        ahead, left, turn_rate = twist
+        return twist_rate[0] - turn_rate * left, twist_rate[1] + turn_rate * ahead
+
     @property
     def turning_radius(self) -> Scalar:
         """Radius of the smallest circle that its position can drive [m]; 0 by default, for a robot

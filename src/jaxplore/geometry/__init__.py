@@ -1,6 +1,9 @@
 """Geometry: angles, paths by arc length, footprints, outlines and exact ray traversal."""
 
 from jaxplore.geometry.angles import sin_cos as sin_cos
+from jaxplore.geometry.chassis import Chassis as Chassis
+from jaxplore.geometry.chassis import Stability as Stability
+from jaxplore.geometry.chassis import Stance as Stance
 from jaxplore.geometry.curves import arc_path as arc_path
 from jaxplore.geometry.curves import clothoid_path as clothoid_path
 from jaxplore.geometry.curves import line_path as line_path

@@ -9,8 +9,10 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, GridMask, GridValues, Scalar, Vector
+from jaxplore._types import ArrayLike, GridMask, GridValues, Position, Scalar, Vector
 from jaxplore._xla import on_device
+from jaxplore.geometry.angles import sin_cos
+from jaxplore.geometry.chassis import Chassis, Stance
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.padding import padded_cells
@@ -184,6 +186,32 @@ class Ground(eqx.Module):
     def traversability_field(self) -> ScalarField:
         """Traversability, interpolated bilinearly between cell centres; 0 off the map."""
         return self._field(self.traversability)
+
+    def stance(self, chassis: Chassis, position: Position, heading: Scalar) -> Stance:
+        """Return the plane under the wheels of a vehicle, with the elevation interpolated.
+
+        The wheels are where they would be on level ground: on a slope they are nearer to each other
+        by the cosine of the tilt.
+
+        Args:
+            chassis: chassis of the vehicle.
+            position: its position (x, y) [m].
+            heading: its heading [rad].
+        """
+        elevation, (sin, cos) = self.elevation_field, sin_cos(heading)
+        x, y = position
+        half = 0.5 * chassis.track
+
+        def under(ahead: Scalar, left: Scalar) -> Scalar:
+            return elevation(
+                jnp.stack([x + cos * ahead - sin * left, y + sin * ahead + cos * left])
+            )
+
+        front = chassis.offset + 0.5 * chassis.wheelbase
+        rear = chassis.offset - 0.5 * chassis.wheelbase
+        return chassis.stance(
+            under(front, half), under(front, -half), under(rear, half), under(rear, -half)
+        )
 
     def _field(self, layer: GridValues) -> ScalarField:
         return ScalarField(layer, self.frame, jnp.zeros(()))

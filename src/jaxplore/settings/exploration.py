@@ -31,6 +31,7 @@ from jaxplore.settings.robot import (
     CARS,
     GROUND_ROBOTS,
     CameraSettings,
+    ChassisSettings,
     LidarSettings,
     RobotSettings,
     SensorModelSettings,
@@ -320,6 +321,8 @@ class Settings(RunSettings):
         time_limit: simulated time [s].
         office: the generated office, for the map `office`.
         robot: the robot.
+        chassis: wheels and centre of mass of the robot, which can then tip over; it cannot when
+            absent.
         lidar: the lidar of the robot.
         camera: the camera, which becomes the primary sensor; no camera when absent.
         watch: settings of the idleness map, for search and patrol; none when absent.
@@ -350,6 +353,7 @@ class Settings(RunSettings):
     give_up_after: Duration | None = setting(ExplorationScenario, "give_up_after")
     office: OfficeSettings = OfficeSettings()
     robot: RobotSettings = RobotSettings()
+    chassis: ChassisSettings | None = None
     lidar: LidarSettings = LidarSettings()
     camera: CameraSettings | None = None
     watch: WatchSettings | None = None

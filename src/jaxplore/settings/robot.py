@@ -8,6 +8,7 @@ from jaxplore.dynamics.ackermann import Ackermann
 from jaxplore.dynamics.differential_drive import DifferentialDrive
 from jaxplore.dynamics.omnidirectional import Omnidirectional
 from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.sensing.camera import Camera
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.lidar import Lidar
@@ -62,6 +63,22 @@ class RobotSettings(Section):
     max_steering_rate: Positive = setting(Ackermann, "max_steering_rate")
     min_speed: Real = setting(Ackermann, "min_speed")
     max_lateral_speed: Positive | None = setting(Omnidirectional, "max_lateral_speed")
+
+
+class ChassisSettings(Section):
+    """The wheels and the centre of mass of a vehicle: see `jaxplore.geometry.Chassis`.
+
+    Args:
+        wheelbase: distance between the axles [m]; when absent that of a car, and of another robot
+            the side of the square in its disc.
+        track: distance between the left and the right wheels [m]; when absent the width of an
+            `ackermann`, and of another robot the side of the square in its disc.
+    """
+
+    wheelbase: Body | None = None
+    track: Body | None = None
+    mass_height: Body = setting(Chassis, "mass_height")
+    suspension: Body = setting(Chassis, "suspension")
 
 
 class LidarSettings(Section):

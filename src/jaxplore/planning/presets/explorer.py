@@ -14,8 +14,14 @@ from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import ToGoalCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
+from jaxplore.costs.terrain import StabilityCost
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.planning.presets.sampling import sampling
+
+TIPPING = 100.0
+"""Cost of a step at which a wheel leaves the ground, in units of the obstacles' weight: that of
+being 5 cm too close to one."""
 
 
 def explorer(
@@ -36,6 +42,7 @@ def explorer(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
     has_moving_obstacles: bool = False,
+    chassis: Chassis | None = None,
 ) -> MPPI:
     """Build MPPI that explores, with weights that work on any map.
 
@@ -75,6 +82,9 @@ def explorer(
         has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
             times a `MovingObstacleCost` applies; without it the robot sees them as parts of the map
             only, where they were.
+        chassis: chassis of a vehicle that can tip over, to which 100 times `obstacle_weight` a
+            `StabilityCost` applies: tipping over costs as much per step as being 5 cm too close to
+            an obstacle.
 
     Raises:
         ValueError: a value that a part does not accept.
@@ -84,6 +94,8 @@ def explorer(
     obstacles: Cost = weight * ObstacleCost(clearance)
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
         obstacles = obstacles + weight * MovingObstacleCost()
+    if chassis is not None:
+        obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
     return _ground_mppi(
         robot,
         obstacles

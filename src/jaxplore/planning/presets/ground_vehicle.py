@@ -21,8 +21,9 @@ from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import RegionCost, ToGoalCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
-from jaxplore.costs.terrain import TerrainCost, TraversabilityCost
+from jaxplore.costs.terrain import StabilityCost, TerrainCost, TraversabilityCost
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.planning.portfolio.contextual import Contextual
 from jaxplore.planning.portfolio.fusion import Fusion
 from jaxplore.planning.portfolio.portfolio import Portfolio
@@ -56,7 +57,8 @@ FLOORS = {
 
 For information and goal it is 2 cm of the cost to go. Safety costs 1 per step at an obstacle."""
 COLLISION = 100.0
-"""Cost of a rollout that is 5 cm deep in an obstacle in all steps, in spreads of an objective.
+"""Cost of a rollout that is 5 cm deep in an obstacle in all steps, or has a wheel that is about to
+leave the ground, in spreads of an objective.
 
 An objective varies by about its spread, so no weighting of the objectives makes up for it."""
 
@@ -68,11 +70,13 @@ class Mission(NamedTuple):
         goal: goal position (x, y) [m]; None for exploration alone.
         has_terrain: whether the ground has slopes or rough parts.
         has_moving_obstacles: whether there are moving obstacles.
+        chassis: chassis of a vehicle that can tip over; None if it cannot.
     """
 
     goal: Vector | None = None
     has_terrain: bool = False
     has_moving_obstacles: bool = False
+    chassis: Chassis | None = None
 
 
 def objectives(
@@ -136,7 +140,8 @@ def ground_portfolio(
     """Build a portfolio for a ground vehicle.
 
     Objectives are divided by their spread over the rollouts, see `Portfolio`, and the temperature
-    is in the same unit. No member accepts a collision for a better objective (`CollisionCost`).
+    is in the same unit. No member accepts a collision for a better objective (`CollisionCost`), nor
+    a wheel that leaves the ground (`StabilityCost`), if the mission names the chassis.
 
     | decomposition | members | what differs |
     | --- | --- | --- |
@@ -211,11 +216,14 @@ def ground_portfolio(
         common = wanted if wanted.keys() - {"effort"} else None
     if fusion == "contextual":
         fusion = Contextual(tuple(weights), goal=mission.goal)
+    hard: Cost = CollisionCost(margin)
+    if mission.chassis is not None:
+        hard = hard + StabilityCost(mission.chassis)
     return Portfolio(
         _template(
             robot,
             # COLLISION is the cost of a whole rollout, and costs are sums over its steps.
-            (COLLISION / horizon) * CollisionCost(margin),
+            (COLLISION / horizon) * hard,
             horizon=horizon,
             num_samples=num_samples,
             temperature=temperature,

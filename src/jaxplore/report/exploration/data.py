@@ -46,6 +46,12 @@ class ExplorationRecord(NamedTuple):
         members: diagnostics of the members of a controller that holds several.
         stop: why the guard stopped the robot in the step, an index into `control.guard.REASONS`; 0
             if it did not, None without a guard.
+        load_transfer: load transfer between two pairs of wheels, as a share of the whole load;
+            above 1 one of them is without load. None for a robot without a chassis, as are the two
+            below.
+        wheel_travel: how far the ground moves each wheel from the plane of the four, as a share of
+            the travel of the suspension; above 1 a wheel hangs in the air.
+        is_tipped: whether the vehicle has tipped over.
     """
 
     state: StateVector
@@ -65,6 +71,9 @@ class ExplorationRecord(NamedTuple):
     worst_idleness: Scalar
     members: Members | None
     stop: Count | None = None
+    load_transfer: Scalar | None = None
+    wheel_travel: Scalar | None = None
+    is_tipped: Flag | None = None
 
 
 class AnomalyData(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 from jaxplore.control.guard import REASONS
 from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.exploration.anomalies import anomaly_metrics, report_texts
-from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
 from jaxplore.report.exploration.missions import (
     fusion_means,
     idleness,
@@ -59,6 +59,10 @@ class ExplorationMetrics(Metrics):
         non_finite_steps: number of steps without a single finite rollout.
         untraversable_steps: number of steps that ended with part of the robot on untraversable
             ground.
+        tipped_at: time at which the vehicle tipped over [s]; None if it did not.
+        load_transfer: greatest load transfer between two pairs of wheels, as a share of the load;
+            None for a robot without a chassis.
+        hanging_steps: number of steps that ended with a wheel in the air.
         num_targets: number of targets.
         targets_seen: number of targets that were found: seen, or with a detector reported.
         last_target_at: time at which the last target was found [s]; None if some were not.
@@ -118,6 +122,9 @@ class ExplorationMetrics(Metrics):
     minimum_effective_sample_size: float | None
     non_finite_steps: int
     untraversable_steps: int
+    tipped_at: float | None
+    load_transfer: float | None
+    hanging_steps: int
     num_targets: int
     targets_seen: int
     last_target_at: float | None
@@ -203,6 +210,15 @@ class ExplorationMetrics(Metrics):
         Column.total(
             "untraversable_steps", "untraversable [steps]", applies=lambda total: total > 0
         ),
+        Column.quartiles(
+            "load_transfer",
+            "load transfer",
+            digits=2,
+            missing=math.nan,
+            applies=lambda spread: math.isfinite(spread[1]),
+        ),
+        Column.total("num_tipped", "tipped over", applies=lambda total: total > 0),
+        Column.total("hanging_steps", "wheel in air [steps]", applies=lambda total: total > 0),
         Column.total("fault_steps", "faults [steps]", applies=lambda total: total > 0),
         Column.total("stopped_steps", "stopped [steps]", applies=lambda total: total > 0),
         Column.least("minimum_clearance", "clearance [m]"),
@@ -247,6 +263,7 @@ class ExplorationMetrics(Metrics):
                 if self.untraversable_steps
                 else []
             ),
+            *self._wheel_rows(),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             ("longest stall", f"{self.longest_stall:.2f} s"),
             *numbers("sample size", "{:.1f} effective, {:.1f} at least", *sizes),
@@ -258,6 +275,11 @@ class ExplorationMetrics(Metrics):
             *self.closing_rows(),
         ]
         return rows
+
+    @property
+    def num_tipped(self) -> int:
+        """Number of times that the vehicle tipped over: 0 or 1, because the run ends there."""
+        return int(self.tipped_at is not None)
 
     @property
     def is_map_known(self) -> bool:
@@ -309,6 +331,16 @@ class ExplorationMetrics(Metrics):
         alarms = f"{self.false_alarms} false alarms, {self.cleared} suspicions dropped"
         rows = [("anomalies", f"{self.anomalies_found} of {self.num_anomalies} found; {alarms}")]
         return rows + report_texts(self.reports)
+
+    def _wheel_rows(self) -> list[tuple[str, str]]:
+        rows = []
+        if self.load_transfer is not None:
+            rows.append(("load transfer", f"{percent(self.load_transfer)} at most"))
+        if self.hanging_steps:
+            rows.append(("wheel in the air", f"{self.hanging_steps} steps"))
+        if self.tipped_at is not None:
+            rows.append(("tipped over", f"after {self.tipped_at:.2f} s"))
+        return rows
 
     def _member_rows(self) -> list[tuple[str, str]]:
         if self.members is None:
@@ -382,6 +414,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
         non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
         untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
+        **_wheels(records, period),
         num_targets=len(recording.targets),
         targets_seen=int(records.targets_seen[-1]) if steps else 0,
         last_target_at=last_target_at(recording),
@@ -405,6 +438,20 @@ def _stops(stop: Any) -> tuple[dict[str, int], int]:
     codes = np.asarray(stop)
     numbers = {reason: episodes(codes == code) for code, reason in enumerate(REASONS) if code > 0}
     return {reason: number for reason, number in numbers.items() if number}, int((codes > 0).sum())
+
+
+def _wheels(records: ExplorationRecord, period: float) -> dict[str, Any]:
+    """Return the metrics of a vehicle on its wheels, by name."""
+    transfer, travel = records.load_transfer, records.wheel_travel
+    if records.is_tipped is None or transfer is None or travel is None:
+        return {"tipped_at": None, "load_transfer": None, "hanging_steps": 0}
+    tipped = _first(np.asarray(records.is_tipped, bool))
+    return {
+        # The record of step k holds what is true at its end.
+        "tipped_at": None if tipped is None else (tipped + 1) * period,
+        "load_transfer": finite(np.max(np.asarray(transfer), initial=0.0)),
+        "hanging_steps": int((np.asarray(travel) > 1.0).sum()),
+    }
 
 
 def _finished_at(recording: ExplorationData, coverage: float) -> float | None:

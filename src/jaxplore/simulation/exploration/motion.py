@@ -5,9 +5,11 @@ import jax.numpy as jnp
 from jaxplore._types import ControlVector, Count, Flag, Scalar
 from jaxplore.control.base import Info
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.simulation.exploration.state import ExplorationState
 from jaxplore.simulation.exploration.true_world import TrueWorld
+from jaxplore.simulation.exploration.wheels import Wheels, driven, stability, stood
 
 
 def move(
@@ -21,8 +23,9 @@ def move(
     info: Info,
     is_faulty: Flag,
     stop: Count | None,
-) -> ExplorationRecord:
-    """Move the robot, unless it would touch something solid, and return the record of the step.
+    chassis: Chassis | None,
+) -> tuple[ExplorationRecord, Wheels | None]:
+    """Move the robot, unless it would touch something solid.
 
     Args:
         robot: true model of the robot.
@@ -34,10 +37,20 @@ def move(
         info: diagnostics of the controller.
         is_faulty: whether a fault is active.
         stop: why the guard stops the robot; None without a guard.
+        chassis: chassis of the vehicle; None for a robot that cannot tip over.
+
+    Returns:
+        The record of the step, and the vehicle on its wheels after it.
     """
     moved = robot.step(state.robot, control, period)
+    if state.wheels is not None:
+        moved = driven(state.wheels, robot, state.robot, moved)
     stopped, is_collision = truth.stopped(robot, state.robot, moved, reach)
-    return ExplorationRecord(
+    wheels = state.wheels
+    if wheels is not None and chassis is not None:
+        used = stability(chassis, truth, robot, stopped, control)
+        wheels = stood(wheels, used, period)
+    record = ExplorationRecord(
         state=stopped,
         control=control,
         **state.progress._asdict(),
@@ -50,4 +63,6 @@ def move(
         members=info.members,
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
+        **({} if wheels is None else wheels.recorded()),
     )
+    return record, wheels

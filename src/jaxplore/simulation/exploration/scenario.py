@@ -33,6 +33,7 @@ from jaxplore.belief.perception_checks import as_sensors
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.guard import ScanPoints
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.chassis import Chassis
 from jaxplore.maps.collision import clearance_reach
 from jaxplore.maps.datum import ORIGIN, Datum
 from jaxplore.maps.ground import Ground
@@ -91,7 +92,9 @@ class ExplorationScenario(Scenario):
     robot's map knows to be free.
 
     The robot knows the ground of a terrain map, but not the obstacles on it. Untraversable cells do
-    not stop the robot: it can enter them, which is recorded.
+    not stop the robot: it can enter them, which is recorded. A robot with a chassis loses half of
+    its displacement while a wheel hangs in the air. It tips over where a pair of wheels is without
+    load for 0.2 s, on a slope or in a fast curve, and the run ends.
 
     Args:
         world: the true map, hidden from the robot; with the ground if it is a terrain map.
@@ -125,6 +128,7 @@ class ExplorationScenario(Scenario):
             those in sight of any sensor. Their start is drawn from the run's key.
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
         planted: what differs from the prior map, to judge reports of anomalies; none when absent.
+        chassis: wheels and centre of mass of the robot; without it the robot cannot tip over.
         datum: point of a map's coordinates to which all positions here are relative; frames and
             recordings are in the map's coordinates.
 
@@ -160,6 +164,7 @@ class ExplorationScenario(Scenario):
     moving_obstacles: MovingObstacles | None
     tracking_noise: Float[Array, "2"]
     planted: PlantedAnomalies | None
+    chassis: Chassis | None
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -187,6 +192,7 @@ class ExplorationScenario(Scenario):
         moving_obstacles: MovingObstacles | None = None,
         tracking_noise: Vector = (0.05, 0.1),
         planted: PlantedAnomalies | None = None,
+        chassis: Chassis | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
         all_sensors = as_sensors(sensors)
@@ -197,12 +203,13 @@ class ExplorationScenario(Scenario):
         _kinds.instance("faults", faults, Faults, may_be_none=True)
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
+        _kinds.instance("chassis", chassis, Chassis, may_be_none=True)
         _kinds.instance("datum", datum, Datum)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.placed = HostOnly(datum)
         world, ground = checks.grid_and_ground(world)
-        self.robot, self.sensors = robot, all_sensors
+        self.robot, self.sensors, self.chassis = robot, all_sensors, chassis
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles
@@ -305,6 +312,7 @@ class ExplorationScenario(Scenario):
             moving,
             self.sensors,
             is_guarded=self.guard is not None,
+            can_tip=self.chassis is not None,
         )
         return state, state.belief
 
@@ -341,7 +349,7 @@ class ExplorationScenario(Scenario):
         """
         # Moving obstacles move during the step as well, so contact is with those at its end.
         truth = self.true_world(state, moment._replace(time=moment.time + self.control_period))
-        record = move(
+        record, wheels = move(
             self.robot,
             state,
             control,
@@ -351,18 +359,21 @@ class ExplorationScenario(Scenario):
             info=info,
             is_faulty=moment.is_faulty,
             stop=moment.stop,
+            chassis=self.chassis,
         )
-        state = state._replace(robot=record.state)
+        state = state._replace(robot=record.state, wheels=wheels)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
     def is_unfinished(self, state: ExplorationState) -> Flag:
         """Check whether the loop continues: until the task is given up or finished, plus the hover
-        time.
+        time, or the robot has tipped over.
 
         A scenario without a goal that is finished at the start takes no step.
         """
         is_over = (state.finished > self.hover_steps) | self.is_given_up(state)
+        if state.wheels is not None:
+            is_over = is_over | state.wheels.is_tipped
         if self.goal is None and self.num_targets == 0:
             is_over = is_over | (self.is_finished(state) & (self.hover_steps == 0))
         return ~is_over

@@ -17,6 +17,7 @@ from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.finish import Gain
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
+from jaxplore.simulation.exploration.wheels import Wheels
 
 
 class ExplorationState(NamedTuple):
@@ -33,6 +34,7 @@ class ExplorationState(NamedTuple):
         moving_obstacles: moving obstacles with their drawn starts; None without any.
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
         points: end points of the last scan, for the guard; None without one.
+        wheels: the vehicle on its wheels; None for a robot that cannot tip over.
     """
 
     robot: StateVector
@@ -45,6 +47,7 @@ class ExplorationState(NamedTuple):
     moving_obstacles: MovingObstacles | None
     ranges: Float[Array, " B"]
     points: ScanPoints | None = None
+    wheels: Wheels | None = None
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:
@@ -63,6 +66,7 @@ def initial_state(
     sensors: Sequence[Sensor],
     *,
     is_guarded: bool = False,
+    can_tip: bool = False,
 ) -> ExplorationState:
     """Return the state at the start.
 
@@ -74,6 +78,7 @@ def initial_state(
         moving: moving obstacles; None without any.
         sensors: the sensors.
         is_guarded: whether a guard needs the end points of scans.
+        can_tip: whether the robot has a chassis that can tip over.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None:
@@ -91,4 +96,5 @@ def initial_state(
         moving_obstacles=moving,
         ranges=jnp.asarray(max_ranges(sensors)),
         points=ScanPoints.blank(number) if is_guarded else None,
+        wheels=Wheels.at_rest() if can_tip else None,
     )
