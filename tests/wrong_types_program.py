@@ -60,6 +60,7 @@ RECORDS = {
     "SumCost",
     "TargetScores",
     "TerrainMap",
+    "VolumeBelief",
     "GuidanceField",
     "WeightedCost",
 }
@@ -129,6 +130,8 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     targets = planning.Targets(zones, (1.0, 1.0))
     pose = jx.PoseInformation(lidar)
     quadrotor = jx.Quadrotor()
+    volume = jx.VoxelGrid.solid(np.pad(np.zeros((6, 6, 6), bool), 1, constant_values=True), 0.5)
+    camera = jx.DepthCamera(4, 3)
     virtual = jx.PathParameter(1.0)
     physical_proposal = jx.GaussianProposal([1.0, 2.0])
     common: dict[str, Any] = {
@@ -254,6 +257,14 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "ToeplitzNoise": {"weights": [0.2, 0.6, 0.2]},
         "Traffic": {"path": wide, "phi": [3.0], "offsets": [0.0], "rates": [1.0], "radii": [0.2]},
         "TrajectoryChoice": {"information": jx.TrajectoryInformation(pose)},
+        "VolumePerception": {"sensors": [camera]},
+        "VolumeScenario": {
+            "world": volume,
+            "robot": quadrotor,
+            "sensors": camera,
+            "start": (2.0, 2.0, 2.0, 0.0),
+        },
+        "VoxelGrid": {"log_odds": np.zeros((2, 3, 4))},
         "WaypointMode": {"drive": mppi},
         "World": {"size": (5.0, 5.0), "start": (1.0, 1.0, 0.0)},
         "Zones": {"member": np.ones((1, 4, 4), bool)},
@@ -266,11 +277,13 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "fuse_actions": {"actions": np.ones((2, 2)), "costs": np.ones(2)},
         "fusion_by_name": {"name": "median"},
         "generate_map": {"kind": "open"},
+        "generate_volume": {"kind": "forest"},
         "line_path": {"start": (0.0, 0.0)},
         "read_path": {"path": str(folder / "path.csv")},
         "path_datum": {"path": str(folder / "path.csv")},
         "map_datum": {"path": str(folder / "map.yaml")},
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
+        "volume_explorer": {"robot": quadrotor},
         "set_parameters": {"values": {"temperature": 0.2}},
         "step_with_gains": {"state": mppi.init(), "observation": jnp.zeros(5)},
     }

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jaxplore import simulation as simulation
     from jaxplore import study as study
     from jaxplore.belief import Perception as Perception
+    from jaxplore.belief import VolumePerception as VolumePerception
     from jaxplore.compilation_cache import enable_compilation_cache as enable_compilation_cache
     from jaxplore.control import MPPI as MPPI
     from jaxplore.control import AugmentedProposal as AugmentedProposal
@@ -91,8 +92,10 @@ if TYPE_CHECKING:
     from jaxplore.maps import OccupancyGrid as OccupancyGrid
     from jaxplore.maps import Shapes as Shapes
     from jaxplore.maps import TerrainMap as TerrainMap
+    from jaxplore.maps import VoxelGrid as VoxelGrid
     from jaxplore.maps import World as World
     from jaxplore.maps import generate_map as generate_map
+    from jaxplore.maps import generate_volume as generate_volume
     from jaxplore.maps import office as office
     from jaxplore.maps import start_pose as start_pose
     from jaxplore.maps import three_zones as three_zones
@@ -108,11 +111,14 @@ if TYPE_CHECKING:
     from jaxplore.planning import ground_portfolio as ground_portfolio
     from jaxplore.planning import informative_mppi as informative_mppi
     from jaxplore.planning import mpcc as mpcc
+    from jaxplore.planning import volume_explorer as volume_explorer
     from jaxplore.report import Metrics as Metrics
     from jaxplore.report import Recording as Recording
     from jaxplore.sensing import Camera as Camera
+    from jaxplore.sensing import DepthCamera as DepthCamera
     from jaxplore.sensing import InverseSensorModel as InverseSensorModel
     from jaxplore.sensing import Lidar as Lidar
+    from jaxplore.sensing import RingLidar as RingLidar
     from jaxplore.sensing import Sensor as Sensor
     from jaxplore.simulation import ExplorationScenario as ExplorationScenario
     from jaxplore.simulation import Faults as Faults
@@ -122,11 +128,12 @@ if TYPE_CHECKING:
     from jaxplore.simulation import Scenario as Scenario
     from jaxplore.simulation import Traffic as Traffic
     from jaxplore.simulation import Variation as Variation
+    from jaxplore.simulation import VolumeScenario as VolumeScenario
     from jaxplore.simulation import simulate as simulate
     from jaxplore.study import compare as compare
 
 _PACKAGES = {
-    "belief": ["Perception"],
+    "belief": ["Perception", "VolumePerception"],
     "compat": [],
     "compilation_cache": ["enable_compilation_cache"],
     "control": [
@@ -189,8 +196,10 @@ _PACKAGES = {
         "OccupancyGrid",
         "Shapes",
         "TerrainMap",
+        "VoxelGrid",
         "World",
         "generate_map",
+        "generate_volume",
         "office",
         "start_pose",
         "three_zones",
@@ -206,10 +215,11 @@ _PACKAGES = {
         "ground_portfolio",
         "informative_mppi",
         "mpcc",
+        "volume_explorer",
     ],
     "recorder": [],
     "report": ["Metrics", "Recording"],
-    "sensing": ["Camera", "InverseSensorModel", "Lidar", "Sensor"],
+    "sensing": ["Camera", "DepthCamera", "InverseSensorModel", "Lidar", "RingLidar", "Sensor"],
     "simulation": [
         "ExplorationScenario",
         "Faults",
@@ -219,6 +229,7 @@ _PACKAGES = {
         "Scenario",
         "Traffic",
         "Variation",
+        "VolumeScenario",
         "simulate",
     ],
     "study": ["compare"],

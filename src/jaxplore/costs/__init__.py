@@ -36,3 +36,8 @@ from jaxplore.costs.tracking import PathCost as PathCost
 from jaxplore.costs.tracking import ReferenceCost as ReferenceCost
 from jaxplore.costs.tracking import StateCost as StateCost
 from jaxplore.costs.tracking import WaypointCost as WaypointCost
+from jaxplore.costs.volume import AttitudeCost as AttitudeCost
+from jaxplore.costs.volume import BlindFlightCost as BlindFlightCost
+from jaxplore.costs.volume import VolumeClearanceCost as VolumeClearanceCost
+from jaxplore.costs.volume import VolumeGuidanceCost as VolumeGuidanceCost
+from jaxplore.costs.volume import VolumeInformationCost as VolumeInformationCost

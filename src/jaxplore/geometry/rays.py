@@ -91,8 +91,9 @@ def max_cells(length: float) -> int:
 class RayOffsets(NamedTuple):
     """Cells crossed by rays from a cell's centre, nearest first, as offsets from that cell.
 
-    `offset` (D, N, 2) is (row, column). `entry` and `exit` (D, N) are the distances at which each
-    cell is entered and left [cells]. Short rays are padded with offset 0 and infinite distances.
+    `offset` (D, N, n) is along the n axes of the grid, (row, column) in the plane. `entry` and
+    `exit` (D, N) are the distances at which each cell is entered and left [cells]. Short rays are
+    padded with offset 0 and infinite distances.
     """
 
     offset: np.ndarray
@@ -108,30 +109,40 @@ class RayOffsets(NamedTuple):
 def ray_offsets(angles: np.ndarray, length: float) -> RayOffsets:
     """Tabulate the cells that rays from a cell's centre leave within a length.
 
-    Rays in one direction cross the same offsets from every cell, so a whole map can be processed by
-    shifting it. The table is computed in double precision, once per sensor and resolution.
-
     Args:
         angles: directions (D,) from the column axis towards the row axis [rad].
         length: length of the rays [cells].
     """
-    # From a cell's centre, the n-th line of either family is n + 1/2 cells away along its axis.
+    return direction_offsets(np.stack([np.sin(angles), np.cos(angles)]), length)
+
+
+def direction_offsets(directions: np.ndarray, length: float) -> RayOffsets:
+    """Tabulate the cells that rays from a cell's centre leave within a length.
+
+    Rays in one direction cross the same offsets from every cell, so a whole map can be processed by
+    shifting it. The table is computed in double precision, once per sensor and resolution.
+
+    Args:
+        directions: unit vectors (n, D) along the axes of a grid of n dimensions.
+        length: length of the rays [cells].
+    """
+    # From a cell's centre, the k-th line of a family is k + 1/2 cells away along its axis.
     lines = np.arange(math.ceil(length) + 2) + 0.5
+    dimensions = len(directions)
     rays = []
-    for angle in angles:
-        direction = np.array([math.sin(angle), math.cos(angle)])
-        # The bound avoids a division by 0: a ray along an axis meets no line of one family.
+    for direction in np.asarray(directions, np.float64).T:
+        # The bound avoids a division by 0: a ray along an axis meets no line of another family.
         distance = np.concatenate([lines / max(abs(part), 1.0 / FAR) for part in direction])
         order = np.argsort(distance, kind="stable")
-        is_row = order < len(lines)
-        rows, columns = np.cumsum(is_row), np.cumsum(~is_row)
+        is_axis = order[:, None] // len(lines) == np.arange(dimensions)
+        counts = np.cumsum(is_axis, axis=0)
         exit_ = distance[order]
         entry = np.concatenate([[0.0], exit_[:-1]])
-        cell = np.stack([rows - is_row, columns - ~is_row], axis=-1) * np.sign(direction)
+        cell = (counts - is_axis) * np.sign(direction)
         is_kept = (exit_ <= length) & (exit_ - entry > TOUCH)
         rays.append((cell[is_kept].astype(np.int32), entry[is_kept], exit_[is_kept]))
     longest = max(1, max(len(cell) for cell, _, _ in rays))
-    offset = np.zeros((len(rays), longest, 2), np.int32)
+    offset = np.zeros((len(rays), longest, dimensions), np.int32)
     entry, exit_ = (np.full((len(rays), longest), np.inf) for _ in range(2))
     for index, (cell, enters, leaves) in enumerate(rays):
         offset[index, : len(cell)] = cell

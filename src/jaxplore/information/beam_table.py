@@ -217,13 +217,13 @@ class BeamTable(eqx.Module):
     def _simple(self, read: Read, start: Array, shape: tuple[int, int], direction: Array) -> Array:
         """Evaluate the recursion without noise, with no return counted."""
         # Rays are padded at their far end with cells of weight 0, where V is still 0.
-        starts, weights = _padded(start), _padded(self.weight[direction])
+        starts, weights = in_blocks(start), in_blocks(self.weight[direction])
         blocks = -(-self.length[direction] // UNROLL)
 
         def nearer(block: Array, value: Array) -> Array:
             nearest = (blocks - 1 - block) * UNROLL
-            cells = [list(start) for start in _parts(starts, nearest, UNROLL)]
-            shares = _parts(weights, nearest, UNROLL)
+            cells = [list(start) for start in parts_from(starts, nearest, UNROLL)]
+            shares = parts_from(weights, nearest, UNROLL)
             for cell, share in zip(reversed(cells), reversed(shares), strict=True):
                 value = share * read(1, cell) + read(0, cell) * value
             return value
@@ -239,9 +239,9 @@ class BeamTable(eqx.Module):
         end = 1.0 if self.no_return else 0.0
         sides = (width, width)
         # The noise reaches `width` cells beyond both ends of the ray. The shares there are 0.
-        starts = jnp.pad(_padded(start), (sides, (0, 0)))
-        weights = jnp.pad(_padded(self.weight[direction]), sides)
-        readings, kepts = _padded(self.reading[direction]), _padded(self.kept[direction])
+        starts = jnp.pad(in_blocks(start), (sides, (0, 0)))
+        weights = jnp.pad(in_blocks(self.weight[direction]), sides)
+        readings, kepts = in_blocks(self.reading[direction]), in_blocks(self.kept[direction])
         length = self.length[direction]
         blocks = -(-length // UNROLL)
 
@@ -250,14 +250,14 @@ class BeamTable(eqx.Module):
             nearest = (blocks - 1 - block) * UNROLL
             # Information C of a reading in each cell of the window, summed from its first cell.
             passed, before, worth, free = jnp.zeros(shape), [], [], []
-            cells = [list(start) for start in _parts(starts, nearest, UNROLL + 2 * width)]
-            shares = _parts(weights, nearest, UNROLL + 2 * width)
+            cells = [list(start) for start in parts_from(starts, nearest, UNROLL + 2 * width)]
+            shares = parts_from(weights, nearest, UNROLL + 2 * width)
             for cell, share in zip(cells, shares, strict=True):
                 before.append(passed)
                 worth.append(share * read(1, cell) + passed)
                 free.append(share * read(2, cell))
                 passed = passed + free[-1]
-            reading, kept = (_parts(rows, nearest, UNROLL) for rows in (readings, kepts))
+            reading, kept = (parts_from(rows, nearest, UNROLL) for rows in (readings, kepts))
             for part in reversed(range(UNROLL)):
                 here = part + width
                 passing = read(0, cells[here])
@@ -325,13 +325,14 @@ def near_share(entry: np.ndarray, exit_: np.ndarray, spacing: float | None) -> n
     return share
 
 
-def _parts(values: Array, first: Array, count: int) -> list[Array]:
+def parts_from(values: Array, first: Array, count: int) -> list[Array]:
     """Return `count` entries of an array as a list, starting at index `first`."""
     some: Array = jax.lax.dynamic_slice_in_dim(values, first, count, allow_negative_indices=False)
     return [jax.lax.index_in_dim(some, part, keepdims=False) for part in range(count)]
 
 
-def _padded(values: Array) -> Array:
+def in_blocks(values: Array) -> Array:
+    """Return values padded with zeros at their end to a multiple of `UNROLL`."""
     more = -values.shape[0] % UNROLL
     return jnp.pad(values, [(0, more)] + [(0, 0)] * (values.ndim - 1))
 

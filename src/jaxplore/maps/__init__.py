@@ -9,12 +9,14 @@ from jaxplore.maps.files.ros import map_datum as map_datum
 from jaxplore.maps.generators.generated import generate_map as generate_map
 from jaxplore.maps.generators.office import office as office
 from jaxplore.maps.generators.office import start_pose as start_pose
+from jaxplore.maps.generators.volumes import generate_volume as generate_volume
 from jaxplore.maps.ground import Ground as Ground
 from jaxplore.maps.ground import GroundSample as GroundSample
 from jaxplore.maps.occupancy_grid import OccupancyGrid as OccupancyGrid
 from jaxplore.maps.relative import relative_world as relative_world
 from jaxplore.maps.terrain import TerrainMap as TerrainMap
 from jaxplore.maps.terrain import TerrainSample as TerrainSample
+from jaxplore.maps.voxel_grid import VoxelGrid as VoxelGrid
 from jaxplore.maps.world import LabelledObject as LabelledObject
 from jaxplore.maps.world import MovingObstacle as MovingObstacle
 from jaxplore.maps.world import Shapes as Shapes

@@ -37,6 +37,7 @@ from jaxplore.planning.presets.quadrotor import goal_mppi as goal_mppi
 from jaxplore.planning.presets.quadrotor import informative_mppi as informative_mppi
 from jaxplore.planning.presets.quadrotor import random_walk as random_walk
 from jaxplore.planning.presets.target_explorer import target_explorer as target_explorer
+from jaxplore.planning.presets.volume import volume_explorer as volume_explorer
 from jaxplore.planning.strategy.follower import Follower as Follower
 from jaxplore.planning.strategy.followers import (
     DifferentialDriveFollower as DifferentialDriveFollower,

@@ -8,3 +8,7 @@ from jaxplore.sensing.detector import Detections as Detections
 from jaxplore.sensing.detector import Detector as Detector
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel as InverseSensorModel
 from jaxplore.sensing.lidar import Lidar as Lidar
+from jaxplore.sensing.volume import DepthCamera as DepthCamera
+from jaxplore.sensing.volume import RingLidar as RingLidar
+from jaxplore.sensing.volume import VolumeScan as VolumeScan
+from jaxplore.sensing.volume import VolumeSensor as VolumeSensor

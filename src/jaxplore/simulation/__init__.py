@@ -23,3 +23,4 @@ from jaxplore.simulation.scenario import AgentView as AgentView
 from jaxplore.simulation.scenario import Moment as Moment
 from jaxplore.simulation.scenario import Scenario as Scenario
 from jaxplore.simulation.variation import Variation as Variation
+from jaxplore.simulation.volume.scenario import VolumeScenario as VolumeScenario

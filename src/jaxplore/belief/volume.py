@@ -1,0 +1,393 @@
+"""What a robot knows of a volume, and what follows from it: distances, information, guidance."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Scalar
+from jaxplore._xla import on_device
+from jaxplore.belief.volume_geodesic import volume_geodesic
+from jaxplore.information.voxel_table import VoxelTable
+from jaxplore.maps.volume_clearance import squared_distance
+from jaxplore.maps.volume_field import VolumeField
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.volume import Rotation, VolumeScan, VolumeSensor
+
+COARSE = 0.2
+"""Side of the coarser voxels in which information is computed [m], where the map's are finer."""
+NODE = 2
+"""Coarser voxels between the nodes of the lattice."""
+NEAR = 0.6
+"""Distance within which time counts in full as time near a viewpoint, and not at all at twice that
+[m]."""
+FAR = 1e3
+"""Cost-to-go where no path leads [m]."""
+
+
+class ViewField(eqx.Module):
+    """Information of a scan by position and heading, read in O(1).
+
+    It is the expected gain of each voxel in view times its volume, so that it does not depend on
+    the resolution.
+
+    Args:
+        values: (A, D, H, W) information for A equally spaced headings at the nodes [nat m^3].
+        origin: position (x, y, z) of node (0, 0, 0) [m].
+        spacing: distance between nodes [m]; static.
+    """
+
+    values: Float[Array, "A D H W"]
+    origin: Float[Array, "3"]
+    spacing: float = eqx.field(static=True)
+
+    def __call__(self, x: Scalar, y: Scalar, z: Scalar, heading: Scalar) -> Scalar:
+        """Return the information at a position [m] and a heading [rad]."""
+        number = self.values.shape[0]
+        turns = jnp.where(jnp.isfinite(heading), heading, 0.0) * (number / (2.0 * math.pi))
+        low = jnp.floor(turns)
+        share = turns - low
+        first = low.astype(jnp.int32) % number
+        nothing = jnp.zeros(())
+
+        def at(index: Array) -> Scalar:
+            # One lattice with the headings side by side along z would interpolate across them, so
+            # each heading is a field of its own.
+            return VolumeField(self.values[index], self.origin, self.spacing, nothing)(x, y, z)
+
+        return (1.0 - share) * at(first) + share * at((first + 1) % number)
+
+
+class VolumeBelief(eqx.Module):
+    """What a robot knows of a volume.
+
+    Args:
+        grid: log-odds of the voxels.
+        clearance: distance to the nearest voxel that is not known to be free, up to the reach of
+            the perception [m].
+        information: information of a scan by position and heading.
+        guidance: cost-to-go to the remaining information [m].
+        dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
+            more [s].
+    """
+
+    grid: VoxelGrid
+    clearance: VolumeField
+    information: ViewField
+    guidance: VolumeField
+    dwell: Float[Array, "A D H W"]
+
+
+class VolumePerception(eqx.Module):
+    """Update of the belief of a volume from scans.
+
+    Args:
+        sensors: the sensors; the information is that of the first one.
+        resolution: side of a voxel [m].
+        radius: radius of the robot [m].
+        margin: clearance beyond the radius that paths keep [m].
+        sensor_model: inverse sensor model; the default one when absent.
+        decay_length: additional distance that the robot travels for e times the information [m].
+        min_information: information below which a viewpoint is ignored [nat m^3]: that of about
+            0.16 m^3 of unknown voxels.
+        occupancy_prior: probability of occupancy of an unknown voxel in expected information.
+        patience: time near a viewpoint, looking into a sector, after which the information there
+            counts 1/e [s]: what was not seen by then is not seen from there.
+        memory: time constant with which that time is forgotten [s].
+        num_sectors: number of headings of the field.
+        num_elevations: rays of each heading, one above the other.
+        max_clearance: reach of the clearance [m].
+
+    Raises:
+        ValueError: no sensor, a part of another class, a number outside its range.
+    """
+
+    sensors: tuple[VolumeSensor, ...]
+    sensor_model: InverseSensorModel
+    required: Scalar
+    decay_length: Scalar
+    min_information: Scalar
+    occupancy_prior: Scalar
+    patience: Scalar
+    memory: Scalar
+    table: VoxelTable
+    in_view: Float[Array, "A A"]
+    pool: int = eqx.field(static=True)
+    reach: int = eqx.field(static=True)
+    box: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        sensors: Sequence[VolumeSensor],
+        resolution: float,
+        radius: ArrayLike,
+        *,
+        margin: ArrayLike = 0.1,
+        sensor_model: InverseSensorModel | None = None,
+        decay_length: ArrayLike = 4.0,
+        min_information: ArrayLike = 0.016,
+        occupancy_prior: ArrayLike = 0.1,
+        patience: ArrayLike = 1.0,
+        memory: ArrayLike = 60.0,
+        num_sectors: int = 16,
+        num_elevations: int = 5,
+        max_clearance: float = 1.2,
+    ) -> None:
+        _kinds.instance("sensors", sensors, list, tuple)
+        for each in sensors:
+            _kinds.instance("sensors", each, VolumeSensor)
+        if not sensors:
+            raise ValueError("sensors is empty; accepted: one sensor or more")
+        _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
+        self.sensors = tuple(sensors)
+        self.sensor_model = InverseSensorModel() if sensor_model is None else sensor_model
+        self.required = _checks.scalar("radius", radius, above=0.0) + _checks.scalar(
+            "margin", margin, at_least=0.0
+        )
+        self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
+        self.min_information = _checks.scalar("min_information", min_information, above=0.0)
+        self.occupancy_prior = _checks.scalar(
+            "occupancy_prior", occupancy_prior, above=0.0, below=1.0
+        )
+        self.patience = _checks.scalar("patience", patience, above=0.0)
+        self.memory = _checks.scalar("memory", memory, above=0.0)
+        side = _checks.number("resolution", resolution, above=0.0)
+        leading = self.sensors[0]
+        self.pool = max(1, round(COARSE / side))
+        length = leading.max_range / (self.pool * side)
+        self.table = VoxelTable(num_sectors, num_elevations, *leading.elevations, length, NODE)
+        self.in_view = on_device(_in_view(num_sectors, leading.field_of_view))
+        self.reach = math.ceil(_checks.number("max_clearance", max_clearance, above=0.0) / side)
+        farthest = max(each.max_range for each in self.sensors)
+        self.box = 2 * (math.ceil(farthest / side) + self.reach + 1)
+
+    def init(self, grid: VoxelGrid, position: Float[Array, "3"]) -> VolumeBelief:
+        """Return the belief before the first scan.
+
+        No sensor sees where the robot itself is, so the ball that it needs is known to be free.
+
+        Args:
+            grid: log-odds of the voxels that are known in advance.
+            position: position (x, y, z) of the robot [m].
+        """
+        side = grid.resolution
+        depth, height, width = grid.shape
+        z, y, x = jnp.meshgrid(
+            *(jnp.arange(n, dtype=jnp.float32) + 0.5 for n in (depth, height, width)),
+            indexing="ij",
+        )
+        gap = jnp.stack([z, y, x]) - grid.to_grid(position)[:, None, None, None]
+        is_in = jnp.sum(gap * gap, axis=0) * side**2 <= (self.required + 2.0 * side) ** 2
+        is_new = is_in & grid.is_unknown
+        known = jnp.where(is_new, self.sensor_model.free, grid.log_odds)
+        grid = eqx.tree_at(lambda each: each.log_odds, grid, known)
+        field = VolumeField(jnp.zeros(grid.shape), grid.origin + 0.5 * side, side, jnp.zeros(()))
+        clearance = eqx.tree_at(
+            lambda each: each.values, field, self._clearance(grid, field.values, position)
+        )
+        shape, origin, spacing = self._lattice(grid)
+        nothing = jnp.zeros((self.table.num_sectors, *shape))
+        return VolumeBelief(
+            grid,
+            clearance,
+            ViewField(nothing, origin, spacing),
+            VolumeField(jnp.full(shape, FAR), origin, spacing, jnp.asarray(FAR)),
+            nothing,
+        )
+
+    def update(
+        self,
+        belief: VolumeBelief,
+        position: Float[Array, "3"],
+        rotation: Rotation,
+        scans: Sequence[VolumeScan],
+    ) -> VolumeBelief:
+        """Return the belief after scans: the map, and the clearance where it may have changed."""
+        grid = belief.grid
+        for sensor, scan in zip(self.sensors, scans, strict=True):
+            grid = sensor.updated(grid, position, rotation, scan, self.sensor_model)
+        clearance = self._clearance(grid, belief.clearance.values, position)
+        known: VolumeBelief = eqx.tree_at(
+            lambda each: (each.grid, each.clearance.values), belief, (grid, clearance)
+        )
+        return known
+
+    def update_fields(
+        self,
+        belief: VolumeBelief,
+        position: Float[Array, "3"],
+        heading: Scalar,
+        elapsed: Scalar,
+    ) -> VolumeBelief:
+        """Return the belief with new fields of information and guidance.
+
+        With I_a the information of sector a at a node s, d the length of the path to it, and D_a
+        the time spent near it with the sector in view, the cost-to-go is
+
+            U(x) = min over s of d(x, s) - decay_length ln W(s)
+            W(s) = sum over a of I_a(s) exp(-D_a(s) / patience)
+
+        Args:
+            belief: the belief.
+            position: position (x, y, z) of the robot [m].
+            heading: its heading [rad].
+            elapsed: time since the last update [s].
+        """
+        grid = belief.grid
+        shape, _, spacing = self._lattice(grid)
+        probability = self._pooled(grid)
+        sectors = self.table.information(probability, (1, 1, 1), shape, self.sensor_model)
+        # By volume, so that the information does not depend on the resolution.
+        sectors = sectors * (grid.resolution * self.pool) ** 3
+        # Half-way between the nodes, too, the robot must fit.
+        room = _blocks(belief.clearance.values, self.pool).min(axis=-1)
+        half = room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
+        half_open = half >= self.required
+        dwell = self._dwelt(belief, position, heading, elapsed)
+        sectors = sectors * jnp.exp(-dwell / self.patience)
+        total = sectors.sum(axis=0)
+        is_worth = total >= self.min_information
+        reward = self.decay_length * jnp.log(jnp.maximum(total, 1e-6))
+        source = jnp.where(is_worth, -reward / spacing, jnp.inf)
+        room_at = half[::2, ::2, ::2]
+        tightness = jnp.clip(3.0 - room_at / self.required, 0.0, 2.0) / 2.0
+        costs = volume_geodesic(source, 1.0 + tightness, half_open) * spacing
+        guidance = _extended(costs, spacing)
+        views = jnp.einsum("ha,adrc->hdrc", self.in_view, sectors)
+        known: VolumeBelief = eqx.tree_at(
+            lambda each: (each.information.values, each.guidance.values, each.dwell),
+            belief,
+            (views, guidance, dwell),
+        )
+        return known
+
+    def _dwelt(
+        self,
+        belief: VolumeBelief,
+        position: Float[Array, "3"],
+        heading: Scalar,
+        elapsed: Scalar,
+    ) -> Float[Array, "A D H W"]:
+        """Return the time near each node with each sector in view, with the last one added [s]."""
+        field = belief.guidance
+        along = [
+            field.origin[axis] + field.spacing * jnp.arange(size, dtype=jnp.float32)
+            for axis, size in zip((2, 1, 0), field.values.shape, strict=True)
+        ]
+        z, y, x = jnp.meshgrid(*along, indexing="ij")
+        gap = jnp.stack([x, y, z]) - position[:, None, None, None]
+        distance = jnp.sqrt(jnp.sum(gap * gap, axis=0))
+        near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
+        number = self.table.num_sectors
+        index = jnp.round(heading * (number / (2.0 * math.pi))).astype(jnp.int32) % number
+        shares = self.in_view[index][:, None, None, None]
+        is_known = jnp.isfinite(distance) & jnp.isfinite(heading)
+        more = jnp.where(is_known, elapsed * shares * near, 0.0)
+        return belief.dwell * jnp.exp(-elapsed / self.memory) + more
+
+    def _lattice(self, grid: VoxelGrid) -> tuple[tuple[int, int, int], Float[Array, "3"], float]:
+        """Return the numbers of nodes along z, y and x, the first node, and the spacing [m]."""
+        coarse = [-(-size // self.pool) for size in grid.shape]
+        depth, height, width = (max(1, (size - 2) // NODE + 1) for size in coarse)
+        side = grid.resolution * self.pool
+        return (depth, height, width), grid.origin + 1.5 * side, NODE * side
+
+    def _clearance(
+        self, grid: VoxelGrid, before: Float[Array, "D H W"], position: Float[Array, "3"]
+    ) -> Float[Array, "D H W"]:
+        """Return the clearance with what is new in a box around the robot [m]."""
+        sizes = [min(self.box, size) for size in grid.shape]
+        centre = jnp.floor(grid.to_grid(position)).astype(jnp.int32)
+        most = jnp.asarray([n - m for n, m in zip(grid.shape, sizes, strict=True)])
+        corner = list(jnp.clip(centre - jnp.asarray(sizes) // 2, 0, most))
+        part = jax.lax.dynamic_slice(grid.log_odds, corner, sizes)
+        is_free = eqx.tree_at(lambda each: each.log_odds, grid, part).is_free
+        # Beyond the box of the map all is closed.
+        squared = squared_distance(_walled(~is_free, corner, grid.shape), self.reach)
+        squared = squared[1:-1, 1:-1, 1:-1]
+        # From the centre of the nearest closed voxel to its face is half a voxel.
+        metres = jnp.maximum(jnp.sqrt(squared) - 0.5, 0.0) * grid.resolution
+        # Near the rim of the box, what lies outside could be nearer: there the old value counts, if
+        # it is smaller.
+        old = jax.lax.dynamic_slice(before, corner, sizes)
+        rim = _distance_to_rim(sizes, corner, grid.shape, self.reach)
+        metres = jnp.where(rim, jnp.minimum(old, metres), metres)
+        return jax.lax.dynamic_update_slice(before, metres, corner)
+
+    def _pooled(self, grid: VoxelGrid) -> Float[Array, "D2 H2 W2"]:
+        """Return the probability of the coarser voxels."""
+        is_occupied = _blocks(grid.is_occupied, self.pool).any(axis=-1)
+        is_free = _blocks(grid.is_free, self.pool).all(axis=-1)
+        low, high = self.sensor_model.minimum, self.sensor_model.maximum
+        known = jnp.where(is_occupied, jax.nn.sigmoid(high), jax.nn.sigmoid(low))
+        return jnp.where(is_occupied | is_free, known, self.occupancy_prior)
+
+
+def _blocks(values: Array, side: int) -> Array:
+    """Return the blocks of some voxels on a side along the last axis; an incomplete block repeats
+    its last voxels."""
+    widths = [(0, -size % side) for size in values.shape]
+    padded = jnp.pad(values, widths, mode="edge")
+    depth, height, width = (size // side for size in padded.shape)
+    split = padded.reshape(depth, side, height, side, width, side).transpose(0, 2, 4, 1, 3, 5)
+    return split.reshape(depth, height, width, side**3)
+
+
+def _walled(closed: Array, corner: list[Array], shape: tuple[int, int, int]) -> Array:
+    """Return a box with one more layer around, closed where the map ends."""
+    walled = jnp.pad(closed, 1)
+    for axis, (begin, size) in enumerate(zip(corner, shape, strict=True)):
+        index: list[slice | int] = [slice(None)] * 3
+        for side, ends in ((0, begin == 0), (-1, begin + closed.shape[axis] == size)):
+            index[axis] = side
+            walled = walled.at[tuple(index)].max(ends)
+    return walled
+
+
+def _distance_to_rim(
+    sizes: list[int], corner: list[Array], shape: tuple[int, int, int], reach: int
+) -> Bool[Array, "d h w"]:
+    """Return the mask of the voxels within reach of a rim of a box inside the map."""
+    near = jnp.zeros(sizes, bool)
+    for axis, (size, begin, most) in enumerate(zip(sizes, corner, shape, strict=True)):
+        along = jnp.arange(size)
+        low = (along < reach) & (begin > 0)
+        high = (along >= size - reach) & (begin + size < most)
+        near = near | jnp.expand_dims(low | high, [a for a in range(3) if a != axis])
+    return near
+
+
+def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
+    """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
+    for _ in range(2):
+        wide = jnp.pad(costs, 1, constant_values=jnp.inf)
+        depth, height, width = costs.shape
+        near = jnp.full_like(costs, jnp.inf)
+        for axis in range(3):
+            for begin in (0, 2):
+                index = [slice(1, 1 + n) for n in (depth, height, width)]
+                index[axis] = slice(begin, begin + costs.shape[axis])
+                near = jnp.minimum(near, wide[tuple(index)])
+        costs = jnp.where(jnp.isfinite(costs), costs, near + 2.0 * spacing)
+    return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, FAR), FAR)
+
+
+def _in_view(number: int, view: float) -> np.ndarray:
+    """Return the share (A, A) of each sector that is in view with each heading."""
+    headings = np.arange(number) * 2.0 * math.pi / number
+    width = 2.0 * math.pi / number
+    shares = np.zeros((number, number))
+    for h, heading in enumerate(headings):
+        for a in range(number):
+            for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+                low, high = a * width + turn, (a + 1) * width + turn
+                shares[h, a] += max(
+                    0.0, min(high, heading + view / 2.0) - max(low, heading - view / 2.0)
+                )
+    return (shares / width).astype(np.float32)

@@ -1,0 +1,136 @@
+"""Costs of flight in a volume: clearance, guidance, information, looking where one flies."""
+
+import jax.numpy as jnp
+
+from jaxplore import _checks
+from jaxplore._types import ArrayLike, ControlVector, Scalar
+from jaxplore.belief.volume import VolumeBelief
+from jaxplore.costs.base import Cost
+from jaxplore.dynamics.base import State
+
+
+def place(state: State) -> tuple[Scalar, Scalar, Scalar]:
+    """Return the position (x, y, z) in the volume, with z up: the models have z down [m]."""
+    return state["x"], state["y"], -state["z"]
+
+
+class VolumeClearanceCost(Cost):
+    """Cost of being near voxels that are not known to be free, with d the clearance,
+
+        ((keep - d)_+ / keep)^2 + collision ((radius + margin - d)_+ / 0.05 m)^2
+
+    Args:
+        radius: radius of the robot [m].
+        keep: clearance of the robot's centre from which on nothing costs [m].
+        margin: distance by which the robot is enlarged in the second term [m].
+        collision: cost of being 5 cm too near.
+
+    Raises:
+        ValueError: a radius or a distance that is not positive, a negative margin or cost.
+    """
+
+    radius: Scalar
+    keep: Scalar
+    margin: Scalar
+    collision: Scalar
+
+    def __init__(
+        self,
+        radius: ArrayLike = 0.3,
+        keep: ArrayLike = 0.6,
+        margin: ArrayLike = 0.05,
+        collision: ArrayLike = 5.0,
+    ) -> None:
+        self.radius = _checks.scalar("radius", radius, above=0.0)
+        self.keep = _checks.scalar("keep", keep, above=0.0)
+        self.margin = _checks.scalar("margin", margin, at_least=0.0)
+        self.collision = _checks.scalar("collision", collision, at_least=0.0)
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the cost at the position of the robot."""
+        clearance = belief.clearance(*place(state))
+        near = jnp.maximum(self.keep - clearance, 0.0) / self.keep
+        deep = jnp.maximum(self.radius + self.margin - clearance, 0.0) / 0.05
+        return near * near + self.collision * deep * deep
+
+
+class VolumeGuidanceCost(Cost):
+    """Cost-to-go to the remaining information, `U(x, y, z)` [m]."""
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the cost-to-go at the position of the robot."""
+        return belief.guidance(*place(state))
+
+
+class VolumeInformationCost(Cost):
+    """Reward for the information of a scan with this position and heading, `-I` [nat m^3].
+
+    The sensor is taken to be level: a quadrotor that accelerates looks up or down for a moment.
+    """
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the negative information."""
+        return -belief.information(*place(state), state.heading)
+
+
+class BlindFlightCost(Cost):
+    """Cost of flying where the camera does not look, with v the velocity in the frame of the
+    heading:
+
+        (-v_ahead)_+^2 + side v_left^2 [m^2/s^2]
+
+    Source: perception-aware flight, as in Falanga, Foehn, Lu and Scaramuzza, "PAMPC", IROS 2018,
+    with the direction of flight in place of a point of interest.
+
+    Args:
+        side: cost of flying sideways, of that of flying backwards.
+
+    Raises:
+        ValueError: a negative cost.
+    """
+
+    side: Scalar
+
+    def __init__(self, side: ArrayLike = 0.6) -> None:
+        self.side = _checks.scalar("side", side, at_least=0.0)
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the cost of the velocity."""
+        sin, cos = jnp.sin(state.heading), jnp.cos(state.heading)
+        ahead = cos * state["vx"] + sin * state["vy"]
+        left = cos * state["vy"] - sin * state["vx"]
+        backwards = jnp.maximum(-ahead, 0.0)
+        return backwards * backwards + self.side * left * left
+
+
+class AttitudeCost(Cost):
+    """Cost of tilt and of body rates, `(1 - cos tilt)^2 + rates |omega|^2`.
+
+    Args:
+        rates: cost of 1 rad/s.
+
+    Raises:
+        ValueError: a negative cost.
+    """
+
+    rates: Scalar
+
+    def __init__(self, rates: ArrayLike = 0.025) -> None:
+        self.rates = _checks.scalar("rates", rates, at_least=0.0)
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
+    ) -> Scalar:
+        """Compute the cost of the attitude."""
+        # The cosine of the tilt is 1 - 2 (qx^2 + qy^2).
+        tilted = 2.0 * (state["qx"] * state["qx"] + state["qy"] * state["qy"])
+        squared = sum(state[name] * state[name] for name in ("wx", "wy", "wz"))
+        return tilted * tilted + self.rates * squared

@@ -1,0 +1,94 @@
+"""MPPI for a quadrotor that explores a volume."""
+
+import numpy as np
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike
+from jaxplore.control.mppi import MPPI
+from jaxplore.costs.base import Cost
+from jaxplore.costs.bounds import SpeedLimitCost
+from jaxplore.costs.effort import QuadraticControlCost
+from jaxplore.costs.volume import (
+    AttitudeCost,
+    BlindFlightCost,
+    VolumeClearanceCost,
+    VolumeGuidanceCost,
+    VolumeInformationCost,
+)
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.planning.presets.flight import Flight
+
+
+def volume_explorer(
+    robot: Quadrotor,
+    *,
+    horizon: int = 30,
+    num_samples: int = 512,
+    dt: ArrayLike = 0.05,
+    control_period: ArrayLike = 0.05,
+    temperature: ArrayLike = 0.1,
+    max_speed: ArrayLike = 2.0,
+    clearance: ArrayLike = 0.6,
+    obstacle_weight: ArrayLike = 20.0,
+    guidance_weight: ArrayLike = 1.0,
+    information_weight: ArrayLike = 20.0,
+    blind_weight: ArrayLike = 0.5,
+    attitude_weight: ArrayLike = 2.0,
+    speed_weight: ArrayLike = 10.0,
+    control_weight: ArrayLike = 0.01,
+) -> MPPI:
+    """Build MPPI with which a quadrotor explores a volume.
+
+    The quadrotor descends the cost-to-go to the remaining information, looks where there is much of
+    it and where it flies, and keeps away from all that is not known to be free.
+
+    Args:
+        robot: model of the robot.
+        horizon: model steps ahead, T.
+        num_samples: rollouts, K.
+        dt: model step [s].
+        control_period: time between commands [s].
+        temperature: temperature of the softmax, in units of the cost of one step.
+        max_speed: greatest speed without a cost [m/s].
+        clearance: distance kept from what is not known to be free [m].
+        obstacle_weight: weight of `VolumeClearanceCost`.
+        guidance_weight: weight of `VolumeGuidanceCost`.
+        information_weight: weight of `VolumeInformationCost`.
+        blind_weight: weight of `BlindFlightCost`.
+        attitude_weight: weight of `AttitudeCost`.
+        speed_weight: weight of `SpeedLimitCost`.
+        control_weight: weight of `QuadraticControlCost`.
+
+    Raises:
+        ValueError: a robot that is no quadrotor, a value that a part does not accept.
+    """
+    _kinds.instance("robot", robot, Quadrotor)
+
+    keep = _checks.scalar("clearance", clearance, above=0.0)
+    fastest = _checks.scalar("max_speed", max_speed, above=0.0)
+
+    def weighted(name: str, weight: ArrayLike, cost: Cost) -> Cost:
+        return _checks.scalar(name, weight) * cost
+
+    cost = (
+        weighted("obstacle_weight", obstacle_weight, VolumeClearanceCost(robot.radius, keep))
+        + weighted("guidance_weight", guidance_weight, VolumeGuidanceCost())
+        + weighted("information_weight", information_weight, VolumeInformationCost())
+        + weighted("blind_weight", blind_weight, BlindFlightCost())
+        + weighted("attitude_weight", attitude_weight, AttitudeCost())
+        + weighted("speed_weight", speed_weight, SpeedLimitCost(fastest))
+        + weighted(
+            "control_weight",
+            control_weight,
+            QuadraticControlCost(np.ones(robot.control_size)),
+        )
+    )
+    flight = Flight(
+        horizon=horizon,
+        num_samples=num_samples,
+        dt=dt,
+        control_period=_checks.scalar("control_period", control_period, above=0.0),
+        temperature=temperature,
+        weighting="adaptive",
+    )
+    return flight.mppi(robot, cost)

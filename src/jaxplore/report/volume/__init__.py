@@ -1,0 +1,1 @@
+"""Reports of explorations of a volume."""

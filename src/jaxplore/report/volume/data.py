@@ -1,0 +1,186 @@
+"""Data of an exploration of a volume."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxplore._types import ControlVector, Flag, Scalar, StateVector
+from jaxplore.maps.datum import moved
+from jaxplore.report._numbers import finite
+from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
+from jaxplore.report.motion import episodes
+from jaxplore.report.recording import Frame, RunData, moved_records, moved_states
+
+
+class VolumeRecord(NamedTuple):
+    """The record of a step; in a recording every field has a leading axis of steps.
+
+    Args:
+        state: (nx,) state after the step.
+        control: (nu,) control that took effect during the step.
+        coverage: share of the reachable volume that is known to be free.
+        clearance: distance from the robot's edge to the nearest solid voxel [m], up to the reach of
+            the examined box.
+        is_collision: whether the step would have led to a collision; the robot stopped instead.
+        effective_sample_size: effective sample size of the controller's rollouts.
+        is_finite: whether any rollout had a finite cost.
+    """
+
+    state: StateVector
+    control: ControlVector
+    coverage: Scalar
+    clearance: Scalar
+    is_collision: Flag
+    effective_sample_size: Scalar
+    is_finite: Flag
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class VolumeFrame(Frame):
+    """A snapshot of an exploration of a volume.
+
+    Args:
+        state: (nx,) state of the robot.
+        level: (H, W) level slice of the map at the height of the robot: `UNKNOWN`, `FREE` or
+            `OCCUPIED`.
+        upright: (D, W) vertical slice of the map along x, through the robot.
+        plan: (T + 1, 2) positions of the nominal trajectory [m].
+    """
+
+    state: np.ndarray
+    level: np.ndarray
+    upright: np.ndarray
+    plan: np.ndarray
+
+    places = ("plan",)
+
+
+UNKNOWN, FREE, OCCUPIED = 0, 1, 2
+"""States of a voxel in a slice."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class VolumeData(RunData):
+    """Data of an exploration of a volume: every step, frames, and the true world.
+
+    Args:
+        world: (D, H, W) voxels that are truly occupied.
+        belief: (D, H, W) states of the voxels of the robot's map at the end.
+        reachable: (D, H, W) voxels that count for the coverage.
+        resolution: side of a voxel [m].
+        origin: corner (x, y, z) of the first voxel [m].
+        start: (nx,) state at the start.
+        state_names: names of the components of the state.
+        initial_coverage: coverage before the first step.
+        target_coverage: coverage at which the exploration is finished.
+        robot_radius: radius of the robot [m].
+    """
+
+    records: VolumeRecord
+    frames: tuple[VolumeFrame, ...]
+    world: np.ndarray
+    belief: np.ndarray
+    reachable: np.ndarray
+    resolution: float
+    origin: np.ndarray
+    start: np.ndarray
+    state_names: tuple[str, ...]
+    initial_coverage: float
+    target_coverage: float
+    robot_radius: float
+
+    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+        """Return the fields that have positions, with an offset (2,) [m] added."""
+        return {
+            "records": moved_records(self.records, offset, self.state_names),
+            "start": moved_states(self.start, offset, self.state_names),
+            "origin": moved(self.origin, offset),
+        }
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Positions (N + 1, 3) of the robot with z up, the start included [m]."""
+        states = np.concatenate([self.start[None], self.records.state])
+        x, y, z = (self.state_names.index(name) for name in "xyz")
+        return np.asarray(states[:, [x, y, z]] * np.array([1.0, 1.0, -1.0]))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class VolumeMetrics(Metrics):
+    """Metrics of an exploration of a volume.
+
+    Args:
+        coverage: share of the reachable volume that is known to be free at the end.
+        time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
+            reached [s]; None if never.
+        path_to: distance flown until then [m].
+        path_length: distance flown in the whole run [m].
+        volume: reachable volume [m^3].
+        collisions: contacts; successive steps in contact are one.
+        minimum_clearance: least distance from the robot's edge to a solid voxel [m].
+        mean_speed: mean speed [m/s].
+        mean_effective_sample_size: mean effective sample size.
+        curve: time, coverage and path, for plots.
+    """
+
+    coverage: float
+    time_to: dict[str, float | None]
+    path_to: dict[str, float | None]
+    path_length: float
+    volume: float
+    collisions: int
+    minimum_clearance: float | None
+    mean_speed: float
+    mean_effective_sample_size: float | None
+    curve: dict[str, list[float | None]]
+    columns = (
+        Column.finished(),
+        Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
+        Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
+        Column.quartiles("path_length", "path [m]"),
+        Column.total("collisions", "collisions"),
+        Column.least("minimum_clearance", "clearance [m]"),
+        Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
+    )
+    plotted = (Curve("coverage", "coverage"),)
+
+    def series(self) -> dict[str, list[float | None]]:
+        """Return `curve`."""
+        return self.curve
+
+
+LEVELS = (50, 90, 95, 99)
+"""Levels of coverage whose times are metrics [%]."""
+
+
+def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> VolumeMetrics:
+    """Compute the metrics of an exploration of a volume.
+
+    Args:
+        data: the run; one without a step has the metrics of its start.
+        seed: seed of the run.
+    """
+    records, period = data.records, data.control_period
+    coverage = np.concatenate([[data.initial_coverage], records.coverage]).astype(np.float64)
+    steps = np.linalg.norm(np.diff(data.positions, axis=0), axis=1)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
+    reached = {str(level): np.flatnonzero(coverage >= level / 100) for level in LEVELS}
+    done = np.flatnonzero(coverage >= data.target_coverage)
+    sizes = np.asarray(records.effective_sample_size, np.float64)
+    curve = {"time": data.time, "coverage": coverage, "path": path}
+    return VolumeMetrics(
+        **data.common_metrics(
+            finished_at=float(done[0] * period) if len(done) else None, seed=seed
+        ),
+        coverage=float(coverage[-1]),
+        time_to={name: float(k[0] * period) if len(k) else None for name, k in reached.items()},
+        path_to={name: float(path[k[0]]) if len(k) else None for name, k in reached.items()},
+        path_length=float(path[-1]),
+        volume=float(data.reachable.sum()) * data.resolution**3,
+        collisions=episodes(np.asarray(records.is_collision, bool)),
+        minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
+        mean_speed=float(path[-1] / max(period, data.num_steps * period)),
+        mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
+        curve=sampled_series(curve, period),
+    )

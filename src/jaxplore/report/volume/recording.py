@@ -1,0 +1,179 @@
+"""The recording of an exploration of a volume, and its pictures."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from jaxplore.report.drawing import colours
+from jaxplore.report.recording import Recording
+from jaxplore.report.volume.data import (
+    FREE,
+    OCCUPIED,
+    VolumeData,
+    VolumeFrame,
+    VolumeMetrics,
+    compute_volume_metrics,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WIDTH = 640
+"""Width of a frame [pixels]."""
+GAP = 8
+"""Height of the gap between the two slices [pixels]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class VolumeRecording(VolumeData, Recording):
+    """A finished exploration of a volume. Its folder has `volume.png`, `slices.png`, `coverage.png`
+    and `exploration.gif`."""
+
+    animation = "exploration.gif"
+
+    def metrics(self, *, seed: int | None = None) -> VolumeMetrics:
+        """Compute the metrics of the run."""
+        return compute_volume_metrics(self, seed=seed)
+
+    def frame_image(self, frame: VolumeFrame, *, scale: float = 1.0) -> Image.Image:
+        """Draw a level slice at the height of the robot, and below it a vertical one through it."""
+        pixels = scale * WIDTH / self.world.shape[2]
+        level = _slice_image(frame.level, pixels)
+        upright = _slice_image(frame.upright, pixels)
+        gap = round(scale * GAP)
+        size = level.width, level.height + gap + upright.height
+        picture = Image.new("RGB", size, "white")
+        picture.paste(level, (0, 0))
+        picture.paste(upright, (0, level.height + gap))
+        draw = ImageDraw.Draw(picture)
+        points = (self.positions[: frame.step + 1] - self.origin) / self.resolution * pixels
+        trail = [(x, level.height - y) for x, y, _ in points.tolist()]
+        side = [(x, size[1] - z) for x, _, z in points.tolist()]
+        plan = (frame.plan - self.origin[:2]) / self.resolution * pixels
+        radius = self.robot_radius / self.resolution * pixels
+        for line, colour in ((trail, "#1f77b4"), (side, "#1f77b4")):
+            if len(line) > 1:
+                draw.line(line, fill=colour, width=max(1, round(2 * scale)))
+        if len(plan) > 1:
+            ahead = [(x, level.height - y) for x, y in plan.tolist()]
+            draw.line(ahead, fill="#d62728", width=max(1, round(2 * scale)))
+        for x, y in (trail[-1], side[-1]):
+            draw.ellipse(
+                (x - radius, y - radius, x + radius, y + radius), outline="#d62728", width=2
+            )
+        return picture
+
+    def figures(self) -> dict[str, Callable[[], "Figure"]]:
+        """Return functions that draw the figures, by file name without suffix."""
+        return {
+            "volume": partial(volume_figure, self),
+            "slices": partial(slices_figure, self),
+            "coverage": partial(coverage_figure, self),
+        }
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
+        `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `reachable` (D, H, W), `origin`,
+        `resolution`, `control_period`, `start` and `state_names`.
+        """
+        return {
+            **super().arrays(),
+            "positions": self.positions,
+            "world": self.world,
+            "belief": self.belief,
+            "reachable": self.reachable,
+            "origin": self.origin,
+            "resolution": np.asarray(self.resolution),
+            "start": self.start,
+            "state_names": np.asarray(self.state_names, np.str_),
+        }
+
+
+def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
+    """Draw a slice whose first row is the lowest."""
+    pixels_of = np.array([colours.UNKNOWN, colours.FREE, colours.OCCUPIED], np.uint8)
+    image = Image.fromarray(pixels_of[states[::-1]])
+    rows, columns = states.shape
+    return image.resize((round(columns * pixels), round(rows * pixels)), Image.Resampling.NEAREST)
+
+
+def volume_figure(data: VolumeData) -> "Figure":
+    """Draw what the robot found in space, and its path.
+
+    Of the occupied voxels those are drawn whose upper or side neighbour is known to be free; the
+    ceiling is left out.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 6.5))
+    axes = figure.add_subplot(projection="3d")
+    occupied, free = data.belief == OCCUPIED, data.belief == FREE
+    seen = np.zeros_like(occupied)
+    for axis, step in ((0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
+        seen |= np.roll(free, step, axis)
+    # The ceiling would hide the rest, with what noise makes of it.
+    seen[-2:] = False
+    k, j, i = np.nonzero(occupied & seen)
+    # More points than this hide each other.
+    chosen = np.linspace(0, max(0, len(k) - 1), min(len(k), 20_000)).astype(int)
+    x, y, z = (
+        data.origin[axis] + (voxels[chosen] + 0.5) * data.resolution
+        for axis, voxels in enumerate((i, j, k))
+    )
+    axes.scatter(x, y, z, c=z, cmap="viridis", s=4.0, alpha=0.6, linewidths=0.0)
+    path = data.positions
+    axes.plot(*path.T, color="#d62728", linewidth=1.5)
+    axes.scatter(*path[0], color="#d62728", marker="o", s=20)
+    axes.set_xlabel("x [m]")
+    axes.set_ylabel("y [m]")
+    axes.set_zlabel("z [m]")
+    size = np.array(data.world.shape[::-1]) * data.resolution
+    axes.set_zticks(data.origin[2] + np.array([0.0, 0.5, 1.0]) * size[2])
+    axes.set_box_aspect(size, zoom=1.25)
+    axes.view_init(elev=50.0, azim=-65.0)
+    return figure
+
+
+def slices_figure(data: VolumeData) -> "Figure":
+    """Draw level slices of the map at a quarter, a half and three quarters of its height."""
+    from matplotlib.figure import Figure
+
+    depth, height, width = data.world.shape
+    layers = sorted({depth // 4, depth // 2, 3 * depth // 4})
+    each = 0.6 + 6.0 * height / width
+    figure = Figure(figsize=(7.0, 0.4 + each * len(layers)))
+    left, low = data.origin[:2]
+    extent = (left, left + width * data.resolution, low, low + height * data.resolution)
+    path = data.positions
+    for number, layer in enumerate(layers, start=1):
+        axes = figure.add_subplot(len(layers), 1, number)
+        image = np.asarray(_slice_image(data.belief[layer], 1.0))
+        axes.imshow(image, extent=extent)
+        axes.plot(path[:, 0], path[:, 1], color="#1f77b4", linewidth=1.0)
+        axes.set_title(f"z = {data.origin[2] + (layer + 0.5) * data.resolution:.2f} m", fontsize=9)
+        axes.set_ylabel("y [m]")
+    axes.set_xlabel("x [m]")
+    figure.tight_layout()
+    return figure
+
+
+def coverage_figure(data: VolumeData) -> "Figure":
+    """Draw the share of the reachable volume that is known, over time."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 3.5))
+    axes = figure.add_subplot()
+    coverage = np.concatenate([[data.initial_coverage], data.records.coverage])
+    axes.plot(data.time, 100.0 * coverage, color="#1f77b4")
+    axes.axhline(100.0 * data.target_coverage, color="0.6", linestyle="--", linewidth=1.0)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("volume known [%]")
+    axes.set_ylim(0.0, 101.0)
+    figure.tight_layout()
+    return figure

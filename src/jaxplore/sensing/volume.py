@@ -1,0 +1,314 @@
+"""Sensors of a volume: depth cameras and lidars of several rings, which tilt with the body."""
+
+import abc
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxplore import _checks
+from jaxplore._describe import describe_fields
+from jaxplore._types import ArrayLike, Key, Scalar
+from jaxplore.geometry.voxel_rays import VoxelStep, walk
+from jaxplore.maps.voxel_grid import VoxelGrid, flat_index
+from jaxplore.sensing.fan import checked_range, checked_view
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+
+Rotation = Float[Array, "3 3"]
+"""Rotation from the body, x ahead, y to the left, z up, to the world."""
+HIT, PASSED = 2, 1
+
+
+class VolumeScan(NamedTuple):
+    """One scan of R rays.
+
+    Args:
+        ranges: (R,) [m]; the greatest range where nothing was met.
+        is_return: (R,) whether the ray met something.
+    """
+
+    ranges: Float[Array, " R"]
+    is_return: Bool[Array, " R"]
+
+
+class VolumeSensor(eqx.Module):
+    """Rays from one point that measure ranges; abstract.
+
+    Args:
+        max_range: greatest range [m]; static.
+        field_of_view: angle of the view around the vertical axis, centred on the heading [rad];
+            static.
+        range_noise: standard deviation of a range r is `range_noise + quadratic_noise r^2` [m].
+        quadratic_noise: see `range_noise` [1/m].
+    """
+
+    max_range: eqx.AbstractVar[float]
+    field_of_view: eqx.AbstractVar[float]
+    range_noise: eqx.AbstractVar[Scalar]
+    quadratic_noise: eqx.AbstractVar[Scalar]
+
+    def __repr__(self) -> str:
+        return describe_fields(self)
+
+    @property
+    @abc.abstractmethod
+    def directions(self) -> np.ndarray:
+        """Unit vectors (3, R) of the rays in the frame of the body."""
+
+    @property
+    @abc.abstractmethod
+    def elevations(self) -> tuple[float, float]:
+        """Elevations of the lower and the upper edge of the view of a level body [rad]."""
+
+    def scan(
+        self, world: VoxelGrid, position: Float[Array, "3"], rotation: Rotation, *, key: Key
+    ) -> VolumeScan:
+        """Simulate a scan.
+
+        A ray returns from where it enters the first occupied voxel. What is unknown to the true
+        world, and all beyond its box, lets rays through.
+
+        Args:
+            world: the true world.
+            position: position (x, y, z) of the sensor [m].
+            rotation: rotation from the body to the world.
+            key: random key of the noise.
+        """
+        start, direction = _rays(world, position, rotation, self.directions)
+        limit = self.max_range / world.resolution
+        length = jnp.full(direction.shape[1], limit, jnp.float32)
+        solid = world.is_occupied.reshape(-1)
+
+        def visit(
+            met: Float[Array, " R"], step: VoxelStep
+        ) -> tuple[Float[Array, " R"], Bool[Array, " R"]]:
+            is_here = world.contains(step.voxel) & step.is_crossed
+            index = flat_index(step.voxel, world.shape)
+            is_hit = is_here & solid.at[index].get(mode="fill", fill_value=False)
+            met = jnp.where(is_hit & jnp.isinf(met), step.entry, met)
+            return met, jnp.isinf(met)
+
+        met = walk(start, direction, length, visit, jnp.full_like(length, jnp.inf))
+        exact = jnp.minimum(met, limit) * world.resolution
+        is_return = met <= limit
+        std = self.range_noise + self.quadratic_noise * exact * exact
+        noisy = exact + std * jax.random.normal(key, exact.shape, exact.dtype)
+        ranges = jnp.where(is_return, jnp.clip(noisy, 0.0, self.max_range), self.max_range)
+        return VolumeScan(ranges, is_return)
+
+    def updated(
+        self,
+        grid: VoxelGrid,
+        position: Float[Array, "3"],
+        rotation: Rotation,
+        scan: VolumeScan,
+        model: InverseSensorModel,
+    ) -> VoxelGrid:
+        """Return the grid after a scan.
+
+        A voxel that a return lies in was measured occupied, and another one that a ray passed
+        through was measured free: each voxel once per scan, as in OctoMap. A ray without a return
+        passes through all voxels within the greatest range. Ranges that are not finite, or not
+        positive, are no measurements.
+
+        Source: Hornung et al., "OctoMap", Autonomous Robots 2013, section 5.1.
+
+        Args:
+            grid: log-odds of the voxels.
+            position: position (x, y, z) of the sensor [m].
+            rotation: rotation from the body to the world.
+            scan: the scan.
+            model: inverse sensor model.
+        """
+        start, direction = _rays(grid, position, rotation, self.directions)
+        is_measured = jnp.isfinite(scan.ranges) & (scan.ranges > 0.0)
+        reading = jnp.where(is_measured, scan.ranges, -1.0) / grid.resolution
+        # The return lies behind the face that it came from. Noise-free readings end exactly there.
+        reading = reading + jnp.where(scan.is_return & is_measured, INSIDE, 0.0)
+        size = math.prod(grid.shape)
+
+        def visit(seen: Array, step: VoxelStep) -> tuple[Array, Bool[Array, " R"]]:
+            is_in = step.is_crossed & grid.contains(step.voxel)
+            is_end = scan.is_return & (step.entry <= reading) & (reading < step.exit)
+            is_passed = step.exit <= reading + jnp.where(scan.is_return, 0.0, 1.0)
+            what = jnp.where(is_end, HIT, jnp.where(is_passed, PASSED, 0)).astype(jnp.int8)
+            index = jnp.where(is_in, flat_index(step.voxel, grid.shape), size)
+            return seen.at[index].max(what, mode="drop"), ~is_end
+
+        seen = walk(start, direction, reading, visit, jnp.zeros(size, jnp.int8))
+        seen = seen.reshape(grid.shape)
+        change = jnp.where(seen == HIT, model.occupied, jnp.where(seen == PASSED, model.free, 0.0))
+        bounded = jnp.clip(grid.log_odds + change, model.minimum, model.maximum)
+        values = jnp.where(seen > 0, bounded, grid.log_odds)
+        known: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, values)
+        return known
+
+
+INSIDE = 0.01
+"""Share of a voxel by which a return lies behind the face that it came from."""
+
+
+def _rays(
+    grid: VoxelGrid, position: Float[Array, "3"], rotation: Rotation, directions: np.ndarray
+) -> tuple[Float[Array, "3 R"], Float[Array, "3 R"]]:
+    """Return starts and directions of rays along the axes (z, y, x) of a grid [voxels]."""
+    ways = jnp.flip(rotation @ jnp.asarray(directions), axis=0)
+    return jnp.broadcast_to(grid.to_grid(position)[:, None], ways.shape), ways
+
+
+class DepthCamera(VolumeSensor):
+    """Depth camera: a pinhole whose pixels are evenly spaced in the image.
+
+    Ranges are along the rays. The noise of a stereo camera grows with the square of the depth.
+
+    Args:
+        columns: number of pixels across; static.
+        rows: number of pixels from top to bottom; static.
+        max_range: greatest range [m]; static.
+        field_of_view: angle between the left and the right edge of the image [rad]; static.
+        vertical_view: angle between its upper and its lower edge [rad]; static.
+        tilt: pitch of the middle of the view, negative downwards [rad]; static.
+        range_noise: standard deviation at range 0 [m].
+        quadratic_noise: its growth with the square of the range [1/m].
+
+    Raises:
+        ValueError: no pixels, a range that is not positive, a view outside (0, pi), a negative
+            noise.
+    """
+
+    columns: int = eqx.field(static=True)
+    rows: int = eqx.field(static=True)
+    max_range: float = eqx.field(static=True)
+    field_of_view: float = eqx.field(static=True)
+    vertical_view: float = eqx.field(static=True)
+    tilt: float = eqx.field(static=True)
+    range_noise: Scalar
+    quadratic_noise: Scalar
+
+    def __init__(
+        self,
+        columns: int = 64,
+        rows: int = 48,
+        max_range: float = 5.0,
+        field_of_view: float = math.radians(80.0),
+        vertical_view: float = math.radians(60.0),
+        tilt: float = 0.0,
+        range_noise: ArrayLike = 0.0,
+        quadratic_noise: ArrayLike = 0.002,
+    ) -> None:
+        self.columns = _checks.positive_int("columns", columns, at_most=MOST_PIXELS)
+        self.rows = _checks.positive_int("rows", rows, at_most=MOST_PIXELS)
+        self.max_range = checked_range("max_range", max_range)
+        self.field_of_view = _checks.number("field_of_view", field_of_view, above=0.0, below=WIDE)
+        self.vertical_view = _checks.number("vertical_view", vertical_view, above=0.0, below=WIDE)
+        self.tilt = _checks.number("tilt", tilt, at_least=-0.5 * math.pi, at_most=0.5 * math.pi)
+        self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
+        self.quadratic_noise = _checks.scalar("quadratic_noise", quadratic_noise, at_least=0.0)
+
+    @property
+    def elevations(self) -> tuple[float, float]:
+        """Elevations of the lower and the upper edge in the middle of the image [rad]."""
+        half, quarter = 0.5 * self.vertical_view, 0.5 * math.pi
+        return max(self.tilt - half, -quarter + 1e-3), min(self.tilt + half, quarter)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Unit vectors (3, R) of the pixels, row by row from the top, each from left to right."""
+        left = _centres(self.columns) * math.tan(0.5 * self.field_of_view)
+        up = _centres(self.rows) * math.tan(0.5 * self.vertical_view)
+        up, left = np.meshgrid(up, left, indexing="ij")
+        ahead = np.ones_like(left)
+        cos, sin = math.cos(self.tilt), math.sin(self.tilt)
+        ways = np.stack([cos * ahead - sin * up, left, sin * ahead + cos * up]).reshape(3, -1)
+        return (ways / np.linalg.norm(ways, axis=0)).astype(np.float32)
+
+
+class RingLidar(VolumeSensor):
+    """Lidar of several rings, which turns around its vertical axis.
+
+    Args:
+        rings: number of rings; static.
+        columns: number of rays of each ring; static.
+        max_range: greatest range [m]; static.
+        field_of_view: angle around the vertical axis, in (0, 2 pi], centred on the heading [rad];
+            static.
+        lowest: elevation of the lowest ring [rad]; static.
+        highest: elevation of the highest ring [rad]; static.
+        range_noise: standard deviation at range 0 [m].
+        quadratic_noise: its growth with the square of the range [1/m].
+
+    Raises:
+        ValueError: no rays, a range that is not positive, a view outside (0, 2 pi], elevations that
+            are not in order within a right angle, a negative noise.
+    """
+
+    rings: int = eqx.field(static=True)
+    columns: int = eqx.field(static=True)
+    max_range: float = eqx.field(static=True)
+    field_of_view: float = eqx.field(static=True)
+    lowest: float = eqx.field(static=True)
+    highest: float = eqx.field(static=True)
+    range_noise: Scalar
+    quadratic_noise: Scalar
+
+    def __init__(
+        self,
+        rings: int = 16,
+        columns: int = 360,
+        max_range: float = 10.0,
+        field_of_view: float = 2.0 * math.pi,
+        lowest: float = math.radians(-15.0),
+        highest: float = math.radians(15.0),
+        range_noise: ArrayLike = 0.02,
+        quadratic_noise: ArrayLike = 0.0,
+    ) -> None:
+        self.rings = _checks.positive_int("rings", rings, at_most=MOST_PIXELS)
+        self.columns = _checks.positive_int("columns", columns, at_most=MOST_PIXELS)
+        self.max_range = checked_range("max_range", max_range)
+        self.field_of_view = checked_view("field_of_view", field_of_view)
+        quarter = 0.5 * math.pi
+        self.lowest = _checks.number("lowest", lowest, at_least=-quarter, at_most=quarter)
+        self.highest = _checks.number("highest", highest, at_least=self.lowest, at_most=quarter)
+        self.range_noise = _checks.scalar("range_noise", range_noise, at_least=0.0)
+        self.quadratic_noise = _checks.scalar("quadratic_noise", quadratic_noise, at_least=0.0)
+
+    @property
+    def elevations(self) -> tuple[float, float]:
+        """Elevations of the lowest and the highest ring, half a ring beyond them [rad]."""
+        half = 0.5 * (self.highest - self.lowest) / max(1, self.rings - 1)
+        quarter = 0.5 * math.pi
+        half = max(half, 0.01)
+        return max(self.lowest - half, -quarter + 1e-3), min(self.highest + half, quarter)
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Unit vectors (3, R) of the rays, ring by ring from the lowest."""
+        elevation = np.linspace(self.lowest, self.highest, self.rings)
+        around = _azimuths(self.columns, self.field_of_view)
+        elevation, around = np.meshgrid(elevation, around, indexing="ij")
+        level = np.cos(elevation)
+        ways = np.stack([level * np.cos(around), level * np.sin(around), np.sin(elevation)])
+        return ways.reshape(3, -1).astype(np.float32)
+
+
+MOST_PIXELS = 4096
+"""Greatest number of rows or columns of rays."""
+WIDE = math.pi - 0.01
+"""Greatest view of a pinhole [rad]: the tangent of its half is finite."""
+
+
+def _centres(number: int) -> np.ndarray:
+    """Return the centres of pixels from 1 to -1."""
+    return 1.0 - (2.0 * np.arange(number) + 1.0) / number
+
+
+def _azimuths(number: int, view: float) -> np.ndarray:
+    is_full = view >= 2.0 * math.pi - 1e-6
+    gaps = number if is_full else max(1, number - 1)
+    first = -math.pi if is_full else -0.5 * view
+    return np.zeros(1) if number == 1 else first + view / gaps * np.arange(number)

@@ -1,0 +1,360 @@
+"""The scenario of a quadrotor that explores an unknown volume."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import (
+    ArrayLike,
+    ControlVector,
+    Count,
+    Flag,
+    Key,
+    Scalar,
+    StateVector,
+    Vector,
+)
+from jaxplore._xla import on_device
+from jaxplore.belief.volume import VolumeBelief, VolumePerception
+from jaxplore.control.base import Controller, Info
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
+from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
+from jaxplore.report.volume.recording import VolumeRecording
+from jaxplore.sensing.volume import VolumeSensor
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.clock import whole_steps
+from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.scenario import Inspect, Moment, Scenario
+
+TOUCHING = 1.0
+"""Reach of the box in which the distance to solid voxels is examined [m]."""
+
+
+class VolumeState(NamedTuple):
+    """State of the exploration of a volume.
+
+    Args:
+        robot: (nx,) true state of the robot.
+        belief: the robot's belief.
+        coverage: share of the reachable volume that is known to be free.
+    """
+
+    robot: StateVector
+    belief: VolumeBelief
+    coverage: Scalar
+
+
+class VolumeScenario(Scenario):
+    """Exploration of an unknown volume by a quadrotor with depth cameras or lidars.
+
+    The volume has z up, the model of the quadrotor has z down (NED): a height is `-z` of the state.
+    Voxels that the world does not know to be free are solid. *Reachable* are the free voxels that
+    are connected with the start through faces; coverage is the share of them that the robot's map
+    knows to be free. The exploration is finished at the target coverage.
+
+    Args:
+        world: the true volume, hidden from the robot.
+        robot: true model of the robot.
+        sensors: one sensor or several; the information is that of the first one.
+        start: start (x, y, z, yaw) with z up [m, m, m, rad], level and at rest.
+        perception: update of the belief; made for the sensors and the world when absent.
+        control_rate: rate of the controls [Hz].
+        sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
+        field_rate: rate of updates of the information and guidance [Hz], likewise.
+        target_coverage: share of the reachable volume at which the exploration is finished.
+        faults: injected faults of odometry, scans and delays; none when absent.
+
+    Raises:
+        ValueError: a part of another class, a start that is off the volume or so close to a solid
+            voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
+            (0, 1].
+    """
+
+    frame_type = VolumeFrame
+    metrics_type = VolumeMetrics
+
+    world: VoxelGrid
+    robot: Quadrotor
+    sensors: tuple[VolumeSensor, ...]
+    perception: VolumePerception
+    start: StateVector
+    control_period: Scalar
+    steps_per_scan: Count
+    steps_per_field: Count
+    target_coverage: Scalar
+    reachable: Bool[Array, "D H W"]
+    num_reachable: Scalar
+    faults: Faults | None
+    reach: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        world: VoxelGrid,
+        robot: Quadrotor,
+        sensors: VolumeSensor | Sequence[VolumeSensor],
+        start: Vector,
+        *,
+        perception: VolumePerception | None = None,
+        control_rate: float = 20.0,
+        sensing_rate: float = 10.0,
+        field_rate: float = 5.0,
+        target_coverage: ArrayLike = 0.95,
+        faults: Faults | None = None,
+    ) -> None:
+        _kinds.instance("world", world, VoxelGrid)
+        _kinds.instance("robot", robot, Quadrotor)
+        _kinds.instance("perception", perception, VolumePerception, may_be_none=True)
+        _kinds.instance("faults", faults, Faults, may_be_none=True)
+        several = isinstance(sensors, Sequence)
+        given = tuple(sensors) if isinstance(sensors, Sequence) else (sensors,)
+        for each in given:
+            _kinds.instance("sensors", each, VolumeSensor)
+        if several and not given:
+            raise ValueError("sensors is empty; accepted: one sensor or more")
+        self.world, self.robot, self.sensors, self.faults = world, robot, given, faults
+        place = np.asarray(_checks.vector("start", start, 4), np.float64)
+        radius = float(robot.radius)
+        solid = ~np.asarray(world.is_free)
+        self.reachable = on_device(_reachable(solid, world, place, radius))
+        number = np.count_nonzero(np.asarray(self.reachable))
+        self.num_reachable = on_device(np.asarray(number, np.float32))
+        self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
+        if perception is None:
+            perception = VolumePerception(given, world.resolution, robot.radius)
+        self.perception = perception
+        rate = _checks.number("control_rate", control_rate, above=0.0)
+        self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
+        self.steps_per_scan = whole_steps("sensing_rate", sensing_rate, rate)
+        self.steps_per_field = whole_steps("field_rate", field_rate, rate)
+        self.target_coverage = _checks.scalar(
+            "target_coverage", target_coverage, above=0.0, at_most=1.0
+        )
+        self.reach = math.ceil(max(TOUCHING, 2.0 * radius) / world.resolution)
+
+    @property
+    def steps_per_measurement(self) -> int:
+        """Control periods between two scans."""
+        return int(self.steps_per_scan)
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a voxel [m]."""
+        return self.world.resolution
+
+    def init(self, key: Key | None) -> tuple[VolumeState, VolumeBelief]:
+        """Return the initial state, and the belief that knows where the robot is to be free."""
+        blank = eqx.tree_at(
+            lambda each: each.log_odds, self.world, jnp.zeros_like(self.world.log_odds)
+        )
+        belief = self.perception.init(blank, position(self.start))
+        return VolumeState(self.start, belief, self._coverage(belief)), belief
+
+    def perceive(
+        self, state: VolumeState, moment: Moment, key: Key
+    ) -> tuple[VolumeState, VolumeBelief]:
+        """Scan and update the map at the sensing rate, derive the fields at the field rate."""
+        at, turn = position(moment.observed), attitude(moment.observed)
+        elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
+        truly, truly_turned = position(state.robot), attitude(state.robot)
+
+        def scanned(belief: VolumeBelief) -> VolumeBelief:
+            keys = jax.random.split(key, len(self.sensors))
+            scans = [
+                sensor.scan(self.world, truly, truly_turned, key=each)
+                for sensor, each in zip(self.sensors, keys, strict=True)
+            ]
+            return self.perception.update(belief, at, turn, scans)
+
+        is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
+        belief = jax.lax.cond(is_due, scanned, lambda same: same, state.belief)
+        belief = jax.lax.cond(
+            moment.step % self.steps_per_field == 0,
+            # A bound method of a module is no key of a cache while its arrays are traced.
+            lambda known: self.perception.update_fields(
+                known, at, self.robot.heading(moment.observed), elapsed
+            ),
+            lambda same: same,
+            belief,
+        )
+        coverage = jax.lax.cond(
+            is_due, lambda known: self._coverage(known), lambda _: state.coverage, belief
+        )
+        return state._replace(belief=belief, coverage=coverage), belief
+
+    def advance(
+        self, state: VolumeState, control: ControlVector, moment: Moment, info: Info
+    ) -> tuple[VolumeState, VolumeRecord]:
+        """Move the robot and record the step.
+
+        If the move would touch something solid, the robot stops instead, and the step counts as a
+        collision.
+        """
+        moved = self.robot.step(state.robot, control, self.control_period)
+        is_finite = jnp.all(jnp.isfinite(moved))
+        is_collision = is_finite & (self.clearance(moved) < 0.0)
+        after = jnp.where(is_finite, moved, state.robot)
+        after = jnp.where(is_collision, self._stopped(state.robot), after)
+        record = VolumeRecord(
+            state=after,
+            control=control,
+            coverage=state.coverage,
+            clearance=self.clearance(after),
+            is_collision=is_collision,
+            effective_sample_size=info.effective_sample_size,
+            is_finite=info.is_finite,
+        )
+        return state._replace(robot=after), record
+
+    def is_unfinished(self, state: VolumeState) -> Flag:
+        """Check whether the coverage is below its target."""
+        return state.coverage < self.target_coverage
+
+    def progress(self, state: VolumeState) -> tuple[float, str]:
+        """Return the share of the target coverage, and the coverage in words."""
+        coverage = float(state.coverage)
+        return min(1.0, coverage / float(self.target_coverage)), f"coverage {coverage:6.1%}"
+
+    def clearance(self, state: StateVector) -> Scalar:
+        """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.
+
+        Args:
+            state: (nx,) state of the robot.
+        """
+        grid = self.world.to_grid(position(state))
+        centre = jnp.floor(jnp.where(jnp.isfinite(grid), grid, 0.0)).astype(jnp.int32)
+        reach = self.reach
+        offsets = jnp.stack(
+            jnp.meshgrid(*[jnp.arange(-reach, reach + 1)] * 3, indexing="ij")
+        ).reshape(3, -1)
+        voxels = centre[:, None] + offsets
+        # Off the volume nothing is known to be free.
+        solid = self.world.at(voxels, outside=0.0) >= FREE_ENOUGH
+        low = voxels.astype(grid.dtype)
+        # Distance from the centre of the robot to each voxel, which is a cube.
+        gap = jnp.maximum(jnp.maximum(low - grid[:, None], grid[:, None] - low - 1.0), 0.0)
+        squared = jnp.where(solid, jnp.sum(gap * gap, axis=0), float(reach**2))
+        return jnp.sqrt(jnp.min(squared)) * self.world.resolution - self.robot.radius
+
+    def frame(
+        self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
+    ) -> dict[str, Any]:
+        """Return two slices of the map through the robot, and the plan."""
+        grid = state.belief.grid
+        kinds = voxel_states(grid)
+        voxel = jnp.floor(grid.to_grid(position(state.robot))).astype(jnp.int32)
+        depth, height, _ = grid.shape
+        layer, row = jnp.clip(voxel[0], 0, depth - 1), jnp.clip(voxel[1], 0, height - 1)
+        plan = jnp.zeros((0, 2))
+        if inspect is not None:
+            states = inspect(moment.observed, state.belief).nominal.states
+            plan = states[:, :2]
+        return {
+            "state": state.robot,
+            "level": kinds[layer],
+            "upright": kinds[:, row],
+            "plan": plan,
+        }
+
+    def recording(
+        self,
+        controller: Controller | None,
+        before: VolumeState,
+        run: ChunkedRun[Any, VolumeRecord, VolumeFrame],
+    ) -> VolumeRecording:
+        """Make the recording of a run."""
+        local = VolumeRecording(
+            **run.common(self.period),
+            world=np.asarray(self.world.is_occupied),
+            belief=np.asarray(voxel_states(run.state.task.belief.grid)),
+            reachable=np.asarray(self.reachable),
+            resolution=self.world.resolution,
+            origin=np.asarray(self.world.origin, np.float64),
+            start=np.asarray(self.start),
+            state_names=self.robot.state_names,
+            initial_coverage=float(before.coverage),
+            target_coverage=float(self.target_coverage),
+            robot_radius=float(self.robot.radius),
+        )
+        return local.moved(self.datum.offset)
+
+    def _coverage(self, belief: VolumeBelief) -> Scalar:
+        seen = jnp.sum(belief.grid.is_free & self.reachable, dtype=jnp.float32)
+        return seen / self.num_reachable
+
+    def _stopped(self, state: StateVector) -> StateVector:
+        """Return the state of a robot that keeps its position and attitude, at rest."""
+        still = jnp.asarray([name.startswith(("v", "w")) for name in self.robot.state_names])
+        return jnp.where(still, 0.0, state)
+
+
+FREE_ENOUGH = -1.0
+"""Log-odds from which on a voxel of the true world is solid."""
+
+
+def position(state: StateVector) -> Float[Array, "3"]:
+    """Return the position (x, y, z) of a quadrotor in the volume, with z up [m]."""
+    return state[:3] * jnp.asarray([1.0, 1.0, -1.0])
+
+
+def attitude(state: StateVector) -> Float[Array, "3 3"]:
+    """Return the rotation from the body, x ahead, y to the left, z up, to the volume.
+
+    The model is NED and FRD: mirrored in z, both y axes keep their names, and a turn from x towards
+    y remains one.
+    """
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    rotation = jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+    mirror = jnp.asarray([1.0, 1.0, -1.0])
+    return mirror[:, None] * rotation * mirror
+
+
+def voxel_states(grid: VoxelGrid) -> Array:
+    """Return the state of each voxel: `UNKNOWN`, `FREE` or `OCCUPIED`."""
+    kinds = jnp.where(grid.is_free, FREE, jnp.where(grid.is_occupied, OCCUPIED, UNKNOWN))
+    return kinds.astype(jnp.uint8)
+
+
+def _reachable(solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: float) -> np.ndarray:
+    """Return the free voxels that are connected with the start.
+
+    Raises:
+        ValueError: a start off the volume or too close to a solid voxel.
+    """
+    # Slow to import, and only needed here.
+    from scipy import ndimage
+
+    side, origin = world.resolution, np.asarray(world.origin, np.float64)
+    grid = ((start[:3] - origin) / side)[::-1]
+    voxel = np.floor(grid).astype(int)
+    where = f"start is ({start[0]:g}, {start[1]:g}, {start[2]:g})"
+    if not ((voxel >= 0) & (voxel < solid.shape)).all():
+        ends = origin + np.array(solid.shape[::-1]) * side
+        x, y, z = (f"{low:g} to {high:g}" for low, high in zip(origin, ends, strict=True))
+        raise ValueError(f"{where}, off the volume; accepted: x {x}, y {y}, z {z}")
+    reach = math.ceil(radius / side) + 1
+    low, high = np.maximum(voxel - reach, 0), np.minimum(voxel + reach + 1, solid.shape)
+    near = np.argwhere(solid[tuple(slice(a, b) for a, b in zip(low, high, strict=True))]) + low
+    gap = np.maximum(np.maximum(near - grid, grid - near - 1.0), 0.0)
+    rim = np.minimum(grid, solid.shape - grid).min()
+    if min(rim, np.linalg.norm(gap, axis=1).min(initial=np.inf)) * side < radius:
+        raise ValueError(
+            f"{where}, within {radius:g} m of a solid voxel; accepted: free space of the robot's "
+            "radius"
+        )
+    labels, _ = ndimage.label(~solid)
+    return np.asarray(labels == labels[tuple(voxel)])

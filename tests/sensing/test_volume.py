@@ -1,0 +1,154 @@
+"""Sensors of a volume against a plain ray caster, and the update of voxels by their scans."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+from jaxplore.sensing.volume import DepthCamera, RingLidar
+
+SIDE, SHAPE, ORIGIN = 0.25, (10, 14, 18), (-1.0, 2.0, -0.5)
+CAMERA = DepthCamera(12, 9, max_range=3.0, quadratic_noise=0.0)
+RINGS = RingLidar(5, 24, max_range=3.0, range_noise=0.0)
+MODEL = InverseSensorModel()
+scan = eqx.filter_jit(lambda sensor, world, at, turn, key: sensor.scan(world, at, turn, key=key))
+update = eqx.filter_jit(
+    lambda sensor, grid, at, turn, found: sensor.updated(grid, at, turn, found, MODEL)
+)
+
+
+def world(seed: int, share: float = 0.05) -> VoxelGrid:
+    solid = np.random.default_rng(seed).random(SHAPE) < share
+    return VoxelGrid.solid(solid, SIDE, ORIGIN)
+
+
+def pose(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return a position in the box and a rotation."""
+    rng = np.random.default_rng(seed)
+    size = SIDE * np.array(SHAPE[::-1])
+    at = np.array(ORIGIN) + rng.uniform(0.2, 0.8, 3) * size
+    return at.astype(np.float32), Rotation.random(rng=rng).as_matrix().astype(np.float32)
+
+
+def plain(solid: np.ndarray, at: np.ndarray, way: np.ndarray, limit: float) -> float:
+    """Return the range at which a ray enters the first solid voxel, by slabs of each voxel."""
+    best = math.inf
+    for k, j, i in np.argwhere(solid):
+        low = np.array(ORIGIN) + SIDE * np.array([i, j, k])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            one, two = (low - at) / way, (low + SIDE - at) / way
+        enter, leave = np.minimum(one, two).max(), np.maximum(one, two).min()
+        # A voxel of which the ray touches an edge does not count.
+        if leave - max(enter, 0.0) > 1e-3 * SIDE and enter < best:
+            best = max(float(enter), 0.0)
+    return min(best, limit)
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 2**31), st.sampled_from([CAMERA, RINGS]))
+def test_ranges_are_those_of_a_plain_ray_caster(seed: int, sensor) -> None:
+    given, (at, turn) = world(seed), pose(seed)
+    solid = np.asarray(given.is_occupied)
+    found = scan(sensor, given, jnp.asarray(at), jnp.asarray(turn), jax.random.key(0))
+    ways = (turn.astype(np.float64) @ sensor.directions.astype(np.float64)).T
+    wanted = [plain(solid, at.astype(np.float64), way, 3.0) for way in ways]
+    off = np.abs(np.asarray(found.ranges) - wanted)
+    # A ray along an edge meets one of two voxels, whichever rounding says.
+    assert (off > 2e-3).mean() < 0.01
+    np.testing.assert_array_equal(found.is_return, np.asarray(found.ranges) < 3.0)
+
+
+def test_a_scan_makes_known_what_it_crossed() -> None:
+    given, (at, turn) = world(3), pose(3)
+    blank = VoxelGrid.unknown(SIDE * np.array(SHAPE[::-1]), SIDE, ORIGIN)
+    assert blank.shape == SHAPE
+    found = scan(RINGS, given, jnp.asarray(at), jnp.asarray(turn), jax.random.key(0))
+    known = update(RINGS, blank, jnp.asarray(at), jnp.asarray(turn), found)
+    free, hit = np.asarray(known.is_free), np.asarray(known.is_occupied)
+    solid = np.asarray(given.is_occupied)
+    # Without noise nothing is wrong: what is solid is hit, what is free is passed.
+    assert not (free & solid).any()
+    assert not (hit & ~solid).any()
+    assert free.sum() > 100
+    # Each return is in a voxel that is known to be occupied now.
+    returns = np.asarray(found.is_return)
+    ways = turn @ RINGS.directions
+    points = at[:, None] + (np.asarray(found.ranges) + 0.02 * SIDE) * ways
+    voxels = np.floor(np.asarray(known.to_grid(jnp.asarray(points)))).astype(int)
+    inside = returns & np.asarray(known.contains(jnp.asarray(voxels)))
+    assert inside.sum() > 20
+    k, j, i = voxels[:, inside]
+    assert hit[k, j, i].mean() > 0.98
+    np.testing.assert_allclose(np.asarray(known.log_odds)[hit], 2.0)
+    np.testing.assert_allclose(np.asarray(known.log_odds)[free], -2.0)
+    # A second look adds up, and stays within the bounds of the model.
+    for _ in range(4):
+        known = update(RINGS, known, jnp.asarray(at), jnp.asarray(turn), found)
+    np.testing.assert_allclose(np.asarray(known.log_odds)[hit], 5.0)
+    np.testing.assert_allclose(np.asarray(known.log_odds)[free], -7.0)
+
+
+def test_what_is_no_measurement_changes_nothing() -> None:
+    blank = VoxelGrid.unknown(SIDE * np.array(SHAPE[::-1]), SIDE, ORIGIN)
+    at, turn = pose(1)
+    found = scan(RINGS, world(1), jnp.asarray(at), jnp.asarray(turn), jax.random.key(0))
+    for wrong in (math.nan, -1.0, 0.0, math.inf):
+        bad = found._replace(ranges=jnp.full_like(found.ranges, wrong))
+        known = update(RINGS, blank, jnp.asarray(at), jnp.asarray(turn), bad)
+        assert not np.asarray(known.log_odds).any()
+    lost = update(RINGS, blank, jnp.full(3, jnp.nan), jnp.asarray(turn), found)
+    assert not np.asarray(lost.log_odds).any()
+
+
+def test_a_quarter_turn_of_the_world_turns_what_is_known() -> None:
+    cube = np.random.default_rng(5).random((8, 8, 8)) < 0.1
+    cube[3:5, 3:5, 3:5] = False
+    at = jnp.asarray([1.0, 1.0, 1.0])
+    quarter = jnp.asarray([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    known = []
+    for solid, turn in ((cube, jnp.eye(3)), (np.rot90(cube, 1, (2, 1)), quarter)):
+        given, blank = VoxelGrid.solid(solid, SIDE), VoxelGrid.unknown((2, 2, 2), SIDE)
+        found = scan(RINGS, given, at, turn, jax.random.key(0))
+        known.append(np.asarray(update(RINGS, blank, at, turn, found).log_odds))
+    turned = np.rot90(known[0], 1, (2, 1))
+    # Rays along the axes meet the edges of voxels.
+    assert (turned != known[1]).mean() < 0.01
+
+
+def test_noise_grows_with_the_square_of_the_range() -> None:
+    room = np.ones((8, 8, 40), bool)
+    room[1:-1, 1:-1, 1:-1] = False
+    given = VoxelGrid.solid(room, SIDE)
+    sensor = DepthCamera(1, 1, max_range=9.0, quadratic_noise=0.01)
+    keys = jax.random.split(jax.random.key(0), 2000)
+    for near in (2.0, 6.0):
+        at = jnp.asarray([9.75 - near, 1.0, 1.0])
+        ranges = jax.vmap(lambda key, at=at: sensor.scan(given, at, jnp.eye(3), key=key).ranges)(
+            keys
+        )
+        assert float(ranges.mean()) == pytest.approx(near, abs=0.02)
+        assert float(ranges.std()) == pytest.approx(0.01 * near**2, rel=0.1)
+
+
+def test_directions_are_those_of_a_pinhole_and_of_rings() -> None:
+    camera = DepthCamera(64, 48)
+    ways = camera.directions.reshape(3, 48, 64)
+    np.testing.assert_allclose(np.linalg.norm(ways, axis=0), 1.0, atol=1e-6)
+    # The outermost pixels are half a pixel within the view.
+    across = math.atan(math.tan(math.radians(40.0)) * 63 / 64)
+    assert math.atan2(ways[1, 0, 0], ways[0, 0, 0]) == pytest.approx(across, abs=1e-5)
+    assert ways[2, 0, 0] > 0.0 > ways[2, -1, 0]
+    down = DepthCamera(1, 1, tilt=-0.3).directions[:, 0]
+    np.testing.assert_allclose(down, [math.cos(0.3), 0.0, -math.sin(0.3)], atol=1e-6)
+    rings = RingLidar(16, 360).directions.reshape(3, 16, 360)
+    np.testing.assert_allclose(
+        np.arcsin(rings[2, :, 0]), np.radians(np.linspace(-15, 15, 16)), atol=1e-5
+    )

@@ -1,0 +1,232 @@
+"""A quadrotor explores a volume in the closed loop, and what the scenario says of it."""
+
+import json
+import math
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxplore as jx
+from jaxplore.costs import (
+    AttitudeCost,
+    BlindFlightCost,
+    VolumeClearanceCost,
+    VolumeGuidanceCost,
+    VolumeInformationCost,
+)
+from jaxplore.maps.generators.volumes import START
+from jaxplore.simulation.loop import run_chunk
+from jaxplore.simulation.volume.scenario import attitude, position
+
+SIDE = 0.2
+ROBOT = jx.Quadrotor()
+CAMERA = jx.DepthCamera(32, 24)
+
+
+def room(has_wall: bool = True) -> jx.VoxelGrid:
+    """Return a room of 6 m by 4 m by 2.4 m with half a wall across it."""
+    solid = np.zeros((12, 20, 30), bool)
+    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
+    solid[:, :8, 15] = has_wall
+    return jx.VoxelGrid.solid(solid, SIDE)
+
+
+def scenario(has_wall: bool = True, start=(1.2, 2.0, 1.2, 0.3), **more) -> jx.VolumeScenario:
+    more = {"target_coverage": 0.75, **more}
+    return jx.VolumeScenario(room(has_wall), ROBOT, CAMERA, start, **more)
+
+
+@pytest.fixture(scope="module")
+def controller():
+    return jx.volume_explorer(ROBOT, horizon=20, num_samples=256)
+
+
+@pytest.fixture(scope="module")
+def run(controller):
+    return jx.simulate(controller, scenario(), 500, key=jax.random.key(0))
+
+
+def test_it_explores_a_room_without_a_contact(run) -> None:
+    metrics = run.metrics
+    assert metrics.is_finished
+    # Of voxels of this size many at floor and ceiling are between the rays of the camera.
+    assert metrics.coverage >= 0.75
+    assert metrics.collisions == 0
+    assert metrics.minimum_clearance > 0.0
+    assert 0.0 < metrics.time_to["50"] < metrics.finished_at
+    assert metrics.time_to["95"] is None
+    assert metrics.volume == pytest.approx(28 * 18 * 10 * SIDE**3 - 7 * 10 * SIDE**3, rel=1e-6)
+    # Hardly anything is taken to be free that is not: where a ray grazes a wall, a reading that is
+    # too long by the noise cuts the corner of a voxel.
+    recording = run.recording
+    wrong = (recording.belief == 1) & recording.world
+    assert wrong.mean() < 0.01
+
+
+def test_equal_seeds_give_equal_runs_and_other_rooms_do_not_recompile(run, controller) -> None:
+    before = run_chunk._cached._cache_size()
+    again = jx.simulate(controller, scenario(), 500, key=jax.random.key(0))
+    np.testing.assert_array_equal(again.recording.records.state, run.recording.records.state)
+    other = jx.simulate(
+        controller,
+        scenario(False, (4.0, 2.0, 1.0, -2.0), target_coverage=0.6),
+        100,
+        key=jax.random.key(1),
+    )
+    assert other.metrics.coverage >= 0.6
+    assert run_chunk._cached._cache_size() == before
+
+
+def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
+    run.save(tmp_path / "run")
+    names = {each.name for each in (tmp_path / "run").iterdir()}
+    assert names == {
+        *("metrics.json", "arrays.npz", "state.npz", "exploration.gif"),
+        *("volume.png", "slices.png", "coverage.png"),
+    }
+    assert json.loads((tmp_path / "run" / "metrics.json").read_text())["collisions"] == 0
+    loaded = jx.Run.load(tmp_path / "run")
+    assert loaded.metrics == run.metrics
+    with np.load(tmp_path / "run" / "arrays.npz", allow_pickle=False) as arrays:
+        np.testing.assert_allclose(arrays["positions"][0], [1.2, 2.0, 1.2], atol=1e-6)
+        assert arrays["belief"].shape == (12, 20, 30)
+    frame = run.recording.frames[-1]
+    picture = run.recording.frame_image(frame, scale=0.5)
+    assert picture.width == 320
+    # The level slice and the upright one are slices of what was known.
+    assert set(np.unique(frame.level)) <= {0, 1, 2}
+    assert frame.level.shape == (20, 30)
+    assert frame.upright.shape == (12, 30)
+
+
+def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
+    given = scenario()
+    clearance = eqx.filter_jit(given.clearance)
+    for x, y, z, wanted in (
+        (1.2, 2.0, 1.2, 0.7),  # to the wall at x = 0.2 m
+        (2.5, 1.0, 1.2, 0.2),  # to the half wall at x = 3.0 m
+        (3.1, 2.0, 1.2, 0.1),  # to its end at y = 1.6 m
+        (3.4, 2.0, 1.2, math.hypot(0.2, 0.4) - 0.3),  # to its edge
+        (2.0, 2.0, 0.4, -0.1),  # in contact with the floor
+    ):
+        state = ROBOT.at_pose(x, y, 0.0, -z)
+        assert float(clearance(state)) == pytest.approx(wanted, abs=1e-5)
+
+
+def test_a_contact_stops_the_robot() -> None:
+    given = scenario(False, (0.8, 2.0, 1.2, math.pi))
+    state, _ = given.init(None)
+    fast = state.robot.at[3].set(-3.0)
+    moment = _moment(given)
+    after, record = given.advance(
+        state._replace(robot=fast.at[0].set(0.6)), ROBOT.default_control, *moment
+    )
+    assert bool(record.is_collision)
+    np.testing.assert_allclose(after.robot[:3], [0.6, 2.0, -1.2], atol=1e-6)
+    np.testing.assert_array_equal(after.robot[3:6], 0.0)
+    lost = state._replace(robot=state.robot.at[3].set(jnp.nan))
+    after, record = given.advance(lost, ROBOT.default_control, *moment)
+    assert not bool(record.is_collision)
+
+
+def _moment(given):
+    from jaxplore.control.base import Info
+    from jaxplore.simulation.scenario import Moment
+
+    nothing, no = jnp.zeros(()), jnp.array(False)
+    info = Info(jnp.zeros((1, 4)), nothing[None], nothing[None], nothing, no)
+    return Moment(jnp.zeros((), jnp.int32), nothing, given.start, no, no), info
+
+
+def test_attitudes_turn_the_body_with_z_up() -> None:
+    level = np.asarray(attitude(ROBOT.at_pose(0.0, 0.0, 0.7)))
+    cos, sin = math.cos(0.7), math.sin(0.7)
+    np.testing.assert_allclose(level, [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], atol=1e-6)
+    # A positive pitch of an FRD body lifts the nose.
+    half = 0.15
+    up = jnp.zeros(13).at[6].set(math.cos(half)).at[8].set(math.sin(half))
+    nose = np.asarray(attitude(up))[:, 0]
+    np.testing.assert_allclose(nose, [math.cos(0.3), 0.0, math.sin(0.3)], atol=1e-6)
+    np.testing.assert_allclose(position(ROBOT.at_pose(1.0, 2.0, 0.0, -3.0)), [1.0, 2.0, 3.0])
+
+
+def test_costs_are_what_they_say() -> None:
+    given = scenario(False)
+    _, belief = given.init(None)
+    belief = eqx.tree_at(
+        lambda each: (each.clearance.values, each.guidance.values, each.information.values),
+        belief,
+        (
+            jnp.full(belief.clearance.values.shape, 0.4),
+            jnp.full(belief.guidance.values.shape, -3.0),
+            jnp.full(belief.information.values.shape, 7.0),
+        ),
+    )
+    values = ROBOT.at_pose(2.0, 2.0, 0.5, -1.2)
+    sin, cos = math.sin(0.5), math.cos(0.5)
+    # 1 m/s backwards and 2 m/s to the left of the heading.
+    values = values.at[3].set(-cos - 2.0 * sin).at[4].set(-sin + 2.0 * cos).at[10].set(2.0)
+    state = jx.State(values, ROBOT)
+
+    def price(cost) -> float:
+        return float(cost.stage(state, jnp.zeros(4), jnp.zeros(()), belief))
+
+    assert price(VolumeGuidanceCost()) == pytest.approx(-3.0)
+    assert price(VolumeInformationCost()) == pytest.approx(-7.0)
+    assert price(BlindFlightCost(0.5)) == pytest.approx(1.0 + 0.5 * 4.0, rel=1e-5)
+    assert price(AttitudeCost(0.1)) == pytest.approx(0.1 * 4.0)
+    near = VolumeClearanceCost(0.3, keep=0.8, margin=0.2, collision=3.0)
+    assert price(near) == pytest.approx(0.5**2 + 3.0 * (0.1 / 0.05) ** 2, rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["forest", "warehouse"])
+def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
+    first, again, other = (jx.generate_volume(kind, seed, resolution=0.2) for seed in (3, 3, 4))
+    solid = np.asarray(first.is_occupied)
+    np.testing.assert_array_equal(solid, again.is_occupied)
+    assert (solid != np.asarray(other.is_occupied)).mean() > 0.01
+    assert solid[[0, -1]].all()
+    assert solid[:, [0, -1]].all()
+    assert solid[:, :, [0, -1]].all()
+    assert 0.02 < solid[1:-1, 1:-1, 1:-1].mean() < 0.4
+    # A quadrotor fits at the start, and most of the free space is one piece.
+    given = jx.VolumeScenario(first, ROBOT, CAMERA, (*START, 0.0))
+    assert np.asarray(given.reachable).sum() > 0.9 * (~solid).sum()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"start": (9.0, 2.0, 1.0, 0.0)},
+            r"start is \(9, 2, 1\), off the volume; accepted: x 0 to 6",
+        ),
+        ({"start": (0.3, 2.0, 1.0, 0.0)}, r"start is \(0.3, 2, 1\), within 0.3 m of a solid voxel"),
+        ({"start": (1.0, 2.0)}, r"start is \(1.0, 2.0\); accepted: 4 finite"),
+        ({"target_coverage": 1.5}, "target_coverage is 1.5; accepted"),
+        ({"sensing_rate": 7.0}, "sensing_rate is 7"),
+    ],
+)
+def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        scenario(**change)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: jx.generate_volume("cave"), "kind is 'cave'; accepted: forest, warehouse"),
+        (lambda: jx.generate_volume("forest", size=(2.0, 9.0, 3.0)), r"size is .*at least \(5, 5"),
+        (lambda: jx.VoxelGrid(np.zeros((3, 3)), 0.1), "log_odds has shape"),
+        (lambda: jx.VoxelGrid(np.full((2, 2, 2), np.nan), 0.1), "log_odds has NaN"),
+        (lambda: jx.VoxelGrid.solid(np.zeros((2, 2, 2)), 0.1), "mask has type float64"),
+        (lambda: jx.VoxelGrid.unknown((1.0, 0.0, 1.0), 0.1), "size is"),
+    ],
+)
+def test_volumes_that_are_none_are_refused(call, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        call()
