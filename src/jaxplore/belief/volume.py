@@ -285,7 +285,8 @@ class VolumePerception(eqx.Module):
         distance = jnp.sqrt(jnp.sum(gap * gap, axis=0))
         near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
         number = self.table.num_sectors
-        index = jnp.round(heading * (number / (2.0 * math.pi))).astype(jnp.int32) % number
+        angle = jnp.where(jnp.isfinite(heading), heading, 0.0)
+        index = jnp.round(angle * (number / (2.0 * math.pi))).astype(jnp.int32) % number
         shares = self.in_view[index][:, None, None, None]
         is_known = jnp.isfinite(distance) & jnp.isfinite(heading)
         more = jnp.where(is_known, elapsed * shares * near, 0.0)
@@ -303,7 +304,9 @@ class VolumePerception(eqx.Module):
     ) -> Float[Array, "D H W"]:
         """Return the clearance with what is new in a box around the robot [m]."""
         sizes = [min(self.box, size) for size in grid.shape]
-        centre = jnp.floor(grid.to_grid(position)).astype(jnp.int32)
+        here = grid.to_grid(position)
+        # Converting NaN to an integer is undefined: it depends on the machine.
+        centre = jnp.floor(jnp.where(jnp.isfinite(here), here, 0.0)).astype(jnp.int32)
         most = jnp.asarray([n - m for n, m in zip(grid.shape, sizes, strict=True)])
         corner = list(jnp.clip(centre - jnp.asarray(sizes) // 2, 0, most))
         part = jax.lax.dynamic_slice(grid.log_odds, corner, sizes)
@@ -316,7 +319,7 @@ class VolumePerception(eqx.Module):
         # Near the rim of the box, what lies outside could be nearer: there the old value counts, if
         # it is smaller.
         old = jax.lax.dynamic_slice(before, corner, sizes)
-        rim = _distance_to_rim(sizes, corner, grid.shape, self.reach)
+        rim = _near_rim(sizes, corner, grid.shape, self.reach)
         metres = jnp.where(rim, jnp.minimum(old, metres), metres)
         return jax.lax.dynamic_update_slice(before, metres, corner)
 
@@ -350,7 +353,7 @@ def _walled(closed: Array, corner: list[Array], shape: tuple[int, int, int]) -> 
     return walled
 
 
-def _distance_to_rim(
+def _near_rim(
     sizes: list[int], corner: list[Array], shape: tuple[int, int, int], reach: int
 ) -> Bool[Array, "d h w"]:
     """Return the mask of the voxels within reach of a rim of a box inside the map."""

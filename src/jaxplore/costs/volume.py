@@ -7,6 +7,7 @@ from jaxplore._types import ArrayLike, ControlVector, Scalar
 from jaxplore.belief.volume import VolumeBelief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
+from jaxplore.geometry.angles import sin_cos
 
 
 def place(state: State) -> tuple[Scalar, Scalar, Scalar]:
@@ -104,7 +105,7 @@ class BlindFlightCost(Cost):
         self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
     ) -> Scalar:
         """Compute the cost of the velocity."""
-        sin, cos = jnp.sin(state.heading), jnp.cos(state.heading)
+        sin, cos = sin_cos(state.heading)
         ahead = cos * state["vx"] + sin * state["vy"]
         left = cos * state["vy"] - sin * state["vx"]
         backwards = jnp.maximum(-ahead, 0.0)

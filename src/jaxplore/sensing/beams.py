@@ -15,6 +15,32 @@ ROUNDING = 1e-6
 """Tolerance of distances [m], and of bearings at the edge of the field of view [rad]."""
 
 
+def covers_circle(view: float) -> bool:
+    """Return whether a field of view [rad] is 2 pi."""
+    return view >= 2.0 * math.pi - 1e-6
+
+
+def angle_between(number: int, view: float) -> float:
+    """Return the angle between neighbouring beams that are evenly spaced in a field of view [rad].
+
+    Args:
+        number: number of beams.
+        view: angle between the outermost beams [rad]; 2 pi for a full circle.
+    """
+    # On a full circle the last beam is followed by the first: there are as many gaps as beams.
+    return view / (number if covers_circle(view) else max(1, number - 1))
+
+
+def fan_angles(number: int, view: float) -> np.ndarray:
+    """Return the directions (number,) of such beams, symmetric to the heading [rad]."""
+    # A single beam has no edges to lie on: it points along the heading.
+    if number == 1:
+        return np.zeros(1)
+    first = -math.pi if covers_circle(view) else -view / 2.0
+    angles: np.ndarray = first + angle_between(number, view) * np.arange(number)
+    return angles
+
+
 class Beams(eqx.Module):
     """Fan of beams with equal angles between them, symmetric to the heading; abstract.
 
@@ -31,23 +57,17 @@ class Beams(eqx.Module):
     @property
     def is_full_circle(self) -> bool:
         """Whether the field of view is 2 pi."""
-        return self.field_of_view >= 2.0 * math.pi - 1e-6
+        return covers_circle(self.field_of_view)
 
     @property
     def beam_spacing(self) -> float:
         """Angle between neighbouring beams [rad]."""
-        # On a full circle the last beam is followed by the first: there are as many gaps as beams.
-        gaps = self.num_beams if self.is_full_circle else max(1, self.num_beams - 1)
-        return self.field_of_view / gaps
+        return angle_between(self.num_beams, self.field_of_view)
 
     @property
     def beam_angles(self) -> np.ndarray:
         """Direction of each beam (B,) relative to the heading [rad]."""
-        # A single beam has no edges to lie on: it points along the heading.
-        if self.num_beams == 1:
-            return np.zeros(1, np.float32)
-        first = -math.pi if self.is_full_circle else -self.field_of_view / 2.0
-        return (first + self.beam_spacing * np.arange(self.num_beams)).astype(np.float32)
+        return fan_angles(self.num_beams, self.field_of_view).astype(np.float32)
 
 
 class Scan(NamedTuple):

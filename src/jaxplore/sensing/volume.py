@@ -16,6 +16,7 @@ from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.geometry.voxel_rays import VoxelStep, walk
 from jaxplore.maps.voxel_grid import VoxelGrid, flat_index
+from jaxplore.sensing.beams import fan_angles
 from jaxplore.sensing.fan import checked_range, checked_view
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
@@ -289,7 +290,7 @@ class RingLidar(VolumeSensor):
     def directions(self) -> np.ndarray:
         """Unit vectors (3, R) of the rays, ring by ring from the lowest."""
         elevation = np.linspace(self.lowest, self.highest, self.rings)
-        around = _azimuths(self.columns, self.field_of_view)
+        around = fan_angles(self.columns, self.field_of_view)
         elevation, around = np.meshgrid(elevation, around, indexing="ij")
         level = np.cos(elevation)
         ways = np.stack([level * np.cos(around), level * np.sin(around), np.sin(elevation)])
@@ -305,10 +306,3 @@ WIDE = math.pi - 0.01
 def _centres(number: int) -> np.ndarray:
     """Return the centres of pixels from 1 to -1."""
     return 1.0 - (2.0 * np.arange(number) + 1.0) / number
-
-
-def _azimuths(number: int, view: float) -> np.ndarray:
-    is_full = view >= 2.0 * math.pi - 1e-6
-    gaps = number if is_full else max(1, number - 1)
-    first = -math.pi if is_full else -0.5 * view
-    return np.zeros(1) if number == 1 else first + view / gaps * np.arange(number)

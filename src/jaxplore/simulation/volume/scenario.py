@@ -25,7 +25,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief.volume import VolumeBelief, VolumePerception
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.quadrotor import Quadrotor
-from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.voxel_grid import FREE_BELOW, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
@@ -237,7 +237,7 @@ class VolumeScenario(Scenario):
         ).reshape(3, -1)
         voxels = centre[:, None] + offsets
         # Off the volume nothing is known to be free.
-        solid = self.world.at(voxels, outside=0.0) >= FREE_ENOUGH
+        solid = self.world.at(voxels, outside=0.0) >= FREE_BELOW
         low = voxels.astype(grid.dtype)
         # Distance from the centre of the robot to each voxel, which is a cube.
         gap = jnp.maximum(jnp.maximum(low - grid[:, None], grid[:, None] - low - 1.0), 0.0)
@@ -294,10 +294,6 @@ class VolumeScenario(Scenario):
         """Return the state of a robot that keeps its position and attitude, at rest."""
         still = jnp.asarray([name.startswith(("v", "w")) for name in self.robot.state_names])
         return jnp.where(still, 0.0, state)
-
-
-FREE_ENOUGH = -1.0
-"""Log-odds from which on a voxel of the true world is solid."""
 
 
 def position(state: StateVector) -> Float[Array, "3"]:
