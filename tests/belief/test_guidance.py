@@ -415,6 +415,24 @@ def narrow_roads(blocked, source):
 WIDE, NARROW = 0.25, 0.15
 
 
+def beside_bottleneck(cells: np.ndarray) -> np.ndarray:
+    """Return the blocks of 2 x 2 cells that have cells, and beside, above or below them a block
+    with cells, of which none touches one of theirs."""
+    found = np.zeros((12, 12), bool)
+    for row, column in itertools.product(range(12), repeat=2):
+        own = [(2 * row + i, 2 * column + j) for i in (0, 1) for j in (0, 1)]
+        own = [each for each in own if cells[each]]
+        for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            r, c = row + down, column + right
+            if not (0 <= r < 12 and 0 <= c < 12 and own):
+                continue
+            others = [(2 * r + i, 2 * c + j) for i in (0, 1) for j in (0, 1)]
+            others = [each for each in others if cells[each]]
+            gaps = [max(abs(a - p), abs(b - q)) for a, b in own for p, q in others]
+            found[row, column] |= bool(gaps) and min(gaps) > 1
+    return found
+
+
 @given(st.integers(0, 2**32 - 1))
 def test_narrow_passages_cost_more_and_no_path_ends_in_them(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -427,15 +445,17 @@ def test_narrow_passages_cost_more_and_no_path_ends_in_them(seed: int) -> None:
     source = np.where(rng.random((12, 12)) < 0.05, rng.uniform(1, 9, (12, 12)), np.inf)
     roads, found, *_ = narrow_roads(blocked, source.astype(np.float32))
     room = (distance_transform_edt(np.pad(~blocked, 1))[1:-1, 1:-1] - 0.5) * 0.1
+    cells = room >= NARROW - 1e-4
     room = np.minimum(room, 2.0).reshape(12, 2, 12, 2).max(axis=(1, 3))
-    is_open, fits = room >= WIDE - 1e-4, room >= NARROW - 1e-4
+    is_open = room >= WIDE - 1e-4
+    fits = is_open | ((room >= NARROW - 1e-4) & ~beside_bottleneck(cells))
     tight = np.clip(1.0 - (room - WIDE) / WIDE / 2.0, 0.0, 1.0)
     slowness = 0.2 * np.where(is_open, 1.0 + tight, NARROW_PRICE)
     corners = np.zeros((12, 12), bool)
     for row, column in itertools.product(range(11), repeat=2):
-        cells = blocked[2 * row + 1 : 2 * row + 3, 2 * column + 1 : 2 * column + 3]
+        (a, b), (c, d) = cells[2 * row + 1 : 2 * row + 3, 2 * column + 1 : 2 * column + 3]
         is_wide = (is_open | ~fits)[row : row + 2, column : column + 2].all()
-        corners[row, column] = is_wide or not cells.any()
+        corners[row, column] = is_wide or (a and d) or (b and c)
     expected = by_dijkstra(np.where(is_open, source, np.inf), slowness, fits, corners=corners)
     np.testing.assert_array_equal(roads.is_narrow, fits & ~is_open)
     np.testing.assert_allclose(found, expected, rtol=1e-4)
@@ -467,6 +487,60 @@ def test_a_field_falls_through_a_narrow_passage_and_is_else_as_without(turn, len
     far = np.rot90(np.arange(24)[None, :] >= (20 + length) // 2 + 4, turn) & np.ones((24, 24), bool)
     np.testing.assert_allclose(field.values[far], wide.values[far], rtol=1e-5)
     np.testing.assert_allclose(field.descent[:, far], wide.descent[:, far], atol=1e-5)
+
+
+@jax.jit
+def roads_from(blocked, source, start):
+    """Return the lattice of a robot, its field from a start, and that without one."""
+    clearance = clearance_field(blocked, GridFrame(0.1), 2.0)
+    roads = TurnsOnTheSpot(jnp.float32(NARROW)).roadmap(clearance, jnp.float32(WIDE), 2)
+    return roads, roads.field(source, start), roads.field(source)
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_the_passage_that_the_robot_is_in_is_not_closed(turn: int) -> None:
+    # Two rooms with a source each, and a passage between them. From its middle it is as far to the
+    # one as to the other, so no path from a room leads through it.
+    blocked = np.zeros((48, 48), bool)
+    blocked[:, 18:30] = True
+    blocked[22:26, :] = False
+    source = np.full((24, 24), np.inf, np.float32)
+    source[12, 3] = source[12, 20] = 0.0
+    inside = np.zeros((24, 24), bool)
+    inside[11, 11] = True
+    blocked, source, inside = (np.rot90(each, turn) for each in (blocked, source, inside))
+    (node,) = np.argwhere(inside)
+    point = jnp.asarray((node[::-1] + 0.5) * 0.2, jnp.float32)
+    roads, field, without = roads_from(blocked, source, point)
+    assert roads.is_narrow[tuple(node)]
+    lengths = np.asarray(roads.lengths(jnp.asarray(source)))
+    # Its value is its cost-to-go, and a ridge where nothing says that the robot is there.
+    assert field.values[tuple(node)] == lengths[tuple(node)]
+    assert without.values[tuple(node)] != lengths[tuple(node)]
+    # An open node as the start changes nothing.
+    place = jnp.asarray((np.argwhere(source == 0.0)[0][::-1] + 0.5) * 0.2, jnp.float32)
+    _, outside, _ = roads_from(blocked, source, place)
+    np.testing.assert_array_equal(outside.values, without.values)
+
+
+@pytest.mark.parametrize("turn", range(4))
+def test_no_path_leads_through_a_bottleneck_between_two_nodes(turn: int) -> None:
+    # A passage three cells wide that is shifted by a cell at the common edge of two blocks: each of
+    # them has a cell in which the robot fits, and between these cells it does not.
+    source = np.full((24, 24), np.inf, np.float32)
+    source[11, 3] = 0.0
+    far = np.zeros((24, 24), bool)
+    far[11, 20] = True
+    for shift in (0, 1):
+        cells = np.zeros((48, 48), bool)
+        cells[:, 16:34] = True
+        cells[21:24, 16:24] = cells[21 + shift : 24 + shift, 24:34] = False
+        room = (distance_transform_edt(~cells) - 0.5) * 0.1
+        fits = (room >= NARROW - 1e-4)[:, 16:34]
+        assert fits.reshape(24, 2, 9, 2).any(axis=(1, 3))[11].all()
+        given, ends, node = (np.rot90(each, turn) for each in (cells, source, far))
+        roads, *_ = roads_from(given, ends, jnp.zeros(2))
+        assert np.isfinite(np.asarray(roads.lengths(jnp.asarray(ends)))[node][0]) == (shift == 0)
 
 
 def test_a_diagonal_wall_bounds_the_stride() -> None:

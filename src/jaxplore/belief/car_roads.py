@@ -217,8 +217,8 @@ class CarRoadmap(Roadmap):
         cost = jnp.where(self.is_open_at, cost, jnp.inf)
         return nearest_open(cost, jnp.where(self.is_open, away, jnp.inf), spacing, self.corners)
 
-    def field(self, source: Float[Array, "H W"]) -> "CarGuidance":
-        """Return the cost-to-go as a field over positions and headings."""
+    def field(self, source: Float[Array, "H W"], start: Position | None = None) -> "CarGuidance":
+        """Return the cost-to-go as a field over positions and headings; the start is not read."""
         return self._field(source)[0]
 
     def field_and_cost(

@@ -28,6 +28,7 @@ def exploration_field(
     stride: int,
     goal: Position | None,
     is_explored: Flag,
+    start: Position | None = None,
 ) -> GuidanceField:
     """Return the cost-to-go to remaining information [m] and the direction of its descent.
 
@@ -60,17 +61,32 @@ def exploration_field(
         stride: number of cells between nodes; static.
         goal: goal position (x, y) that is one more source [m]; None without one.
         is_explored: whether the goal is the only source; without a goal it has no effect.
+        start: position (x, y) of the robot [m], see `Roadmap.field`.
     """
     roads = locomotion.roadmap(clearance, required, stride)
-    # The bound keeps the logarithm finite where there is no information.
-    reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
-    is_leftover = worth < min_information
-    detour = jnp.where(is_leftover, LEFTOVER_DETOUR, 0.0)
-    is_source = worth >= LEFTOVER_SHARE * min_information
-    source = jnp.where(is_source, detour - reward, jnp.inf)
+    source = information_sources(worth, decay_length, min_information)
     if goal is not None:
         source = _with_goal(source, roads, goal, is_explored)
-    return roads.field(source)
+    return roads.field(source, start)
+
+
+def information_sources(
+    worth: Float[Array, "*nodes"], decay_length: Scalar, min_information: Scalar
+) -> Float[Array, "*nodes"]:
+    """Return the cost of each place as the end of a path, `-decay_length ln W` [m].
+
+    Places below `min_information` get the additional cost `LEFTOVER_DETOUR`, and it is infinite
+    below `LEFTOVER_SHARE` of that.
+
+    Args:
+        worth: discounted information W of each node.
+        decay_length: additional distance that the robot travels for e times the information [m].
+        min_information: information below which a place comes last, in the unit of `worth`.
+    """
+    # The bound keeps the logarithm finite where there is no information.
+    reward = decay_length * jnp.log(jnp.maximum(worth, 1e-6))
+    detour = jnp.where(worth < min_information, LEFTOVER_DETOUR, 0.0)
+    return jnp.where(worth >= LEFTOVER_SHARE * min_information, detour - reward, jnp.inf)
 
 
 def leads_to_goal(field: GuidanceField, position: Position) -> Flag:

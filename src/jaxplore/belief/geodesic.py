@@ -49,6 +49,7 @@ def narrow_passages(
     half: Float[Array, "H W"],
     is_narrow: Bool[Array, "H W"],
     corners: Bool[Array, "H W"] | None,
+    begins: Bool[Array, "H W"] | None = None,
 ) -> Bool[Array, "H W"]:
     """Return the narrow nodes through which shortest paths from other nodes lead.
 
@@ -57,6 +58,7 @@ def narrow_passages(
         half: half the cost of a step of one node spacing (H, W), as there.
         is_narrow: mask (H, W) of the narrow nodes.
         corners: mask (H, W) of the corners that a diagonal step may pass; all when absent.
+        begins: mask (H, W) of narrow nodes where a path begins, too; none when absent.
     """
     costs = []
     for step in NEIGHBOURS:
@@ -70,6 +72,10 @@ def narrow_passages(
     goes_on = jnp.isfinite(value) & (least <= value + 1e-4 * (1.0 + jnp.abs(value)))
     steps = [goes_on & (cost == least) for cost in costs]
 
+    first = jnp.zeros_like(is_narrow)
+    if begins is not None:
+        first = is_narrow & begins & jnp.isfinite(value)
+
     def follow(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         is_used, _ = carry
         comes_from = ~is_narrow | is_used
@@ -77,11 +83,10 @@ def narrow_passages(
             neighbour(comes_from & taken, (-step[0], -step[1]), False)
             for step, taken in zip(NEIGHBOURS, steps, strict=True)
         ]
-        more = is_narrow & functools.reduce(jnp.logical_or, led_to)
+        more = is_narrow & functools.reduce(jnp.logical_or, led_to) | first
         return more, jnp.any(more & ~is_used)
 
-    none = jnp.zeros_like(is_narrow)
-    is_used, _ = jax.lax.while_loop(lambda carry: carry[1], follow, (none, jnp.array(True)))
+    is_used, _ = jax.lax.while_loop(lambda carry: carry[1], follow, (first, jnp.array(True)))
     return is_used
 
 

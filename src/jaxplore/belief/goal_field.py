@@ -23,6 +23,7 @@ def goal_field(
     unknown_factor: Scalar,
     max_clearance: float,
     stride: int,
+    start: Position | None = None,
 ) -> GuidanceField:
     """Return the cost-to-go to a goal [m] and the direction of its descent.
 
@@ -46,6 +47,7 @@ def goal_field(
         unknown_factor: additional cost per metre in unknown space.
         max_clearance: upper bound of the clearance [m]; static.
         stride: number of cells between nodes; static.
+        start: position (x, y) of the robot [m], see `Roadmap.field`.
     """
     solid = grid.is_occupied if blocked is None else grid.is_occupied | blocked
     clearance = clearance_field(solid, grid.frame, max_clearance)
@@ -62,4 +64,4 @@ def goal_field(
         lambda tightness: 1.0 + TIGHT * tightness**4,
         1.0 + unknown_factor * share,
     )
-    return roads.field(roads.sources_at(goal))
+    return roads.field(roads.sources_at(goal), start)

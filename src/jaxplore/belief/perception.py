@@ -383,6 +383,7 @@ class Perception(eqx.Module):
             unknown_factor=self.unknown_factor,
             max_clearance=self.max_clearance,
             stride=self.field_sensor.stride,
+            start=pose[:2],
         ).from_pose(pose)
 
     def _guided(
@@ -407,6 +408,7 @@ class Perception(eqx.Module):
             stride=self.field_sensor.stride,
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
+            start=pose[:2],
         ).from_pose(pose)
         if self.goal is not None and not self.is_goal_apart:
             is_goal_next = leads_to_goal(guidance, pose[:2])

@@ -41,6 +41,11 @@ class Roadmap(eqx.Module):
     corners: Bool[Array, "H W"] | None
     is_narrow: Bool[Array, "H W"] | None = eqx.field(default=None, kw_only=True)
 
+    @property
+    def spacing(self) -> float:
+        """Distance between nodes [m]."""
+        return self.frame.resolution
+
     def lengths(self, source: Float[Array, "H W"]) -> Float[Array, "H W"]:
         """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
 
@@ -61,9 +66,17 @@ class Roadmap(eqx.Module):
         """Return the sources (H, W) of paths that end at a point, see `point_sources` [m]."""
         return point_sources(point, self.frame, self.is_open, self.corners)
 
-    def field(self, source: Float[Array, "H W"]) -> GuidanceField:
-        """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
-        return self._extended(self.lengths(source))
+    def field(self, source: Float[Array, "H W"], start: Position | None = None) -> GuidanceField:
+        """Return the cost-to-go of `lengths` as a field, extended into closed nodes.
+
+        Narrow nodes are closed unless a path leads through them.
+
+        Args:
+            source: cost (H, W) at the nodes where paths may end [m]; infinite elsewhere.
+            start: position (x, y) of the robot [m], whose path may begin in a narrow passage; none
+                when absent.
+        """
+        return self._extended(self.lengths(source), start)
 
     def field_and_cost(
         self, source: Float[Array, "H W"], pose: Pose
@@ -71,17 +84,28 @@ class Roadmap(eqx.Module):
         """Return the field, and the cost of the path from a pose [m]; infinite without a path."""
         lengths = self.lengths(source)
         start = self.sources_at(pose[:2])
-        return self._extended(lengths), (start + lengths).min()
+        return self._extended(lengths, pose[:2]), (start + lengths).min()
 
-    def _extended(self, lengths: Float[Array, "H W"]) -> GuidanceField:
+    def _extended(self, lengths: Float[Array, "H W"], start: Position | None) -> GuidanceField:
         """Return a cost-to-go as a field, extended into closed nodes."""
         if self.is_narrow is not None:
             # Narrow nodes along walls are closed, so that a wall looks to the robot as without
             # them.
             half = 0.5 * jnp.where(jnp.isfinite(lengths), self.slowness, jnp.inf)
-            is_used = narrow_passages(lengths, half, self.is_narrow, self.corners)
+            begins = None if start is None else self._nearest_passable(start)
+            is_used = narrow_passages(lengths, half, self.is_narrow, self.corners, begins)
             lengths = jnp.where(self.is_narrow & ~is_used, jnp.inf, lengths)
         return descent_field(lengths, self.frame, LAYERS, self.corners)
+
+    def _nearest_passable(self, point: Position) -> Bool[Array, "H W"]:
+        """Return the mask of the passable node nearest to a point, if it is in its block or beside
+        it."""
+        passable = self.is_open if self.is_narrow is None else self.is_open | self.is_narrow
+        rows, columns = passable.shape
+        centres = self.frame.cell_centre(jnp.stack(jnp.mgrid[:rows, :columns], axis=-1))
+        offset = centres - point
+        distance = jnp.where(passable, jnp.sqrt((offset * offset).sum(axis=-1)), jnp.inf)
+        return (distance <= distance.min()) & (distance < 1.5 * self.spacing)
 
 
 Price = Callable[[Array], Array]
@@ -159,9 +183,11 @@ class TurnsOnTheSpot(Locomotion):
         slowness = frame.resolution * price(tightness)
         corners, is_narrow = clear_corners(clearance, stride), None
         if self.narrow is not None:
-            is_narrow = fit(room, self.narrow)[0] & ~is_open
+            fits = fit(clearance.values, self.narrow)[0]
+            passable = fit(room, self.narrow)[0]
+            is_narrow = passable & ~is_open & ~_beside_bottleneck(passable, fits, stride)
             slowness = jnp.where(is_narrow, frame.resolution * NARROW_PRICE, slowness)
-            corners = _corners_at(is_narrow, clearance, stride)
+            corners = _corners_at(is_narrow, fits, stride)
         slowness = slowness if factor is None else slowness * factor
         return Roadmap(frame, slowness, is_open, corners, is_narrow=is_narrow)
 
@@ -205,30 +231,73 @@ def clear_corners(clearance: ScalarField, stride: int) -> Bool[Array, "H W"] | N
 
 
 def _corners_at(
-    is_narrow: Bool[Array, "H W"], clearance: ScalarField, stride: int
+    is_narrow: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
 ) -> Bool[Array, "H W"]:
     """Return the mask (H, W) of the corners that a diagonal step may pass, see `clear_corners`.
 
-    Blocks of several cells may touch on two sides of a wall where one of them is narrow, with the
-    wall at the corner between them (`narrowest`). So there the cells at the corner must be free.
+    Two blocks at a corner may each have a cell in which the robot fits, and a bottleneck or a wall
+    at the corner between them. So where one of them is narrow, the robot must fit in the two cells
+    of one of the blocks' diagonals at the corner.
     """
     rows, columns = is_narrow.shape
-    is_clear = _block_corners(clearance.values > 0.0, stride)[:rows, :columns]
-    return is_clear if stride == 1 else is_clear | _block_corners(~is_narrow, 1)
+    first, second, third, fourth = _at_corners(fits, stride)
+    is_clear = ((first & fourth) | (second & third))[:rows, :columns]
+    return is_clear | _block_corners(~is_narrow, 1)
+
+
+def _beside_bottleneck(
+    passable: Bool[Array, "H W"], fits: Bool[Array, "h w"], stride: int
+) -> Bool[Array, "H W"]:
+    """Return the passable nodes with a passable node above, below or beside them to which no cell
+    leads in which the robot fits.
+
+    Each of the two has a cell in which the robot fits, but between these cells it does not.
+
+    Args:
+        passable: mask (H, W) of the nodes with a cell in which the robot fits.
+        fits: mask (h, w) of these cells.
+        stride: number of cells on a side of a block; static.
+    """
+    found = jnp.zeros_like(passable)
+    if stride == 1:
+        return found
+    rows, columns = passable.shape
+    height, width = fits.shape
+    padded = jnp.pad(fits, ((0, rows * stride - height), (0, columns * stride - width)))
+    blocks = padded.reshape(rows, stride, columns, stride)
+    for axis, last, first in (
+        (0, blocks[:, -1], blocks[:, 0]),
+        (1, blocks[..., -1], blocks[..., 0]),
+    ):
+        # The cells along the common edge, (rows, columns, stride).
+        last, first = (each if axis == 0 else jnp.moveaxis(each, 1, 2) for each in (last, first))
+        ahead = jnp.roll(first, -1, axis)
+        wide = jnp.pad(ahead, ((0, 0), (0, 0), (1, 1)))
+        touches = last & (wide[..., :-2] | wide[..., 1:-1] | wide[..., 2:])
+        is_cut = passable & jnp.roll(passable, -1, axis) & ~touches.any(axis=-1)
+        # The last node has none after it.
+        is_cut = is_cut.at[-1].set(False) if axis == 0 else is_cut.at[:, -1].set(False)
+        found |= is_cut | jnp.roll(is_cut, 1, axis)
+    return found
 
 
 def _block_corners(is_clear: Bool[Array, "rows columns"], stride: int) -> Bool[Array, "H W"]:
     """Return where all four cells at the corner after each block are clear; none off the map."""
-    height, width = is_clear.shape
+    return functools.reduce(jnp.logical_and, _at_corners(is_clear, stride))
+
+
+def _at_corners(cells: Bool[Array, "rows columns"], stride: int) -> list[Bool[Array, "H W"]]:
+    """Return the four cells at the corner after each block: of its own block, the one beside it,
+    the one below it, and across; False off the map."""
+    height, width = cells.shape
     rows, columns = -(-height // stride), -(-width // stride)
     # The last blocks are completed, and followed by one more cell.
-    padded = jnp.pad(is_clear, ((0, rows * stride - height + 1), (0, columns * stride - width + 1)))
-    parts = [
+    padded = jnp.pad(cells, ((0, rows * stride - height + 1), (0, columns * stride - width + 1)))
+    return [
         padded[i + stride - 1 :: stride, j + stride - 1 :: stride][:rows, :columns]
         for i in (0, 1)
         for j in (0, 1)
     ]
-    return functools.reduce(jnp.logical_and, parts)
 
 
 def point_sources(

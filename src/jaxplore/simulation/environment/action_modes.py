@@ -162,6 +162,7 @@ class WaypointMode(ActionMode):
             unknown_factor=perception.unknown_factor,
             max_clearance=perception.max_clearance,
             stride=perception.field_sensor.stride,
+            start=pose[:2],
         )
         return WaypointController(self.drive, way.from_pose(pose))
 
