@@ -8,7 +8,12 @@ from jaxplore.settings.reference import KINDS, Row, plain, rows, sections
 
 PAGE = Path(__file__).parent / "settings.md"
 KNOWN = Path(jaxplore.__file__).parent / "cli" / "known.json"
-TITLES = {"exploration": "Exploration", "path": "Path following", "drive": "The node"}
+TITLES = {
+    "exploration": "Exploration",
+    "path": "Path following",
+    "volume": "Volumes",
+    "drive": "The node",
+}
 BEGINNING = """\
 <!-- Written from the settings and their owners. To renew it: python docs/settings_page.py -->
 

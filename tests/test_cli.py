@@ -258,7 +258,7 @@ def test_version_help_and_settings(capsys) -> None:
     assert capsys.readouterr().out == f"jaxplore, version {jx.__version__}\n"
     main(["run", "--help"])
     text = capsys.readouterr().out
-    for word in ("--start X Y YAW", "--seed", "--settings", "runs/depot", "[default: 900.0]"):
+    for word in ("--start X Y [Z] YAW", "--seed", "--settings", "runs/depot", "[default: 900.0]"):
         assert word in text
     main(["settings"])
     assert yaml.safe_load(capsys.readouterr().out)["controller"]["num_samples"] == 1000
@@ -550,7 +550,8 @@ def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weigh
 
 def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: Path) -> None:
     assert "zone is not there; accepted: the YAML file of a ROS map" in fails("run", "zone")
-    assert "office, zones, warehouse, search-rescue, perimeter or path" in fails("run", "zone")
+    names = "perimeter, path, forest, office3d, maze3d, cave3d, warehouse3d or volume"
+    assert names in fails("run", "zone")
     (tmp_path / "maps").mkdir()
     assert "is a folder; accepted: a file" in fails("run", "maps")
     Path("maps/depot.yaml").write_text("")

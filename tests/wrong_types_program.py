@@ -131,7 +131,9 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     pose = jx.PoseInformation(lidar)
     quadrotor = jx.Quadrotor()
     volume = jx.VoxelGrid.solid(np.pad(np.zeros((6, 6, 6), bool), 1, constant_values=True), 0.5)
+    np.save(folder / "volume.npy", np.asarray(volume.is_occupied))
     camera = jx.DepthCamera(4, 3)
+    seen = jx.VolumePerception([camera], 0.5, 0.3)
     virtual = jx.PathParameter(1.0)
     physical_proposal = jx.GaussianProposal([1.0, 2.0])
     common: dict[str, Any] = {
@@ -264,6 +266,16 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
             "sensors": camera,
             "start": (2.0, 2.0, 2.0, 0.0),
         },
+        "VolumeTargetExplorer": {
+            "tracker": jx.volume_explorer(quadrotor),
+            "rule": planning.NearestFrontier(),
+            "perception": seen,
+            "grid": volume,
+            "min_information": 0.2,
+            "min_frontier": 0.4,
+            "near": 0.4,
+            "every": 5,
+        },
         "VoxelGrid": {"log_odds": np.zeros((2, 3, 4))},
         "WaypointMode": {"drive": mppi},
         "World": {"size": (5.0, 5.0), "start": (1.0, 1.0, 0.0)},
@@ -283,7 +295,14 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "path_datum": {"path": str(folder / "path.csv")},
         "map_datum": {"path": str(folder / "map.yaml")},
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
+        "read_volume": {"path": str(folder / "volume.npy")},
         "volume_explorer": {"robot": quadrotor},
+        "volume_target_explorer": {
+            "robot": quadrotor,
+            "rule": "nearest-cluster",
+            "perception": seen,
+            "grid": volume,
+        },
         "set_parameters": {"values": {"temperature": 0.2}},
         "step_with_gains": {"state": mppi.init(), "observation": jnp.zeros(5)},
     }

@@ -68,3 +68,6 @@ MOST_CANDIDATES = 1_000_000
 """Greatest number of candidates of a search, and of cells of its archive."""
 MOST_AT_ONCE = 10_000
 """Greatest number of runs in one program, of candidates in a generation, of workers."""
+
+MOST_VOXELS = 200_000_000
+"""Greatest number of voxels of a volume."""

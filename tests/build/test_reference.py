@@ -28,6 +28,7 @@ from jaxplore.settings.reference import (
     setting_names,
 )
 from jaxplore.settings.sections import Section, section_class
+from jaxplore.settings.volume import VolumeSettings
 
 
 def row_of(name: str, task: str = "exploration") -> Row:
@@ -76,7 +77,7 @@ def test_a_row_says_what_is_known() -> None:
 
 def test_a_setting_in_degrees_says_that_its_owner_takes_radians() -> None:
     in_degrees = [row for row in rows() if row.name.endswith("_degrees")]
-    assert len(in_degrees) == 4
+    assert len(in_degrees) == 10
     for row in in_degrees:
         assert row.unit == "degrees"
         if row.owner is None:
@@ -140,6 +141,9 @@ CASES: dict[str, dict[str, Any]] = {
     "traffic": {"path": "track", "obstacles": {"number": 2}},
     "discs": {"path": "track", "obstacles": {"discs": [[0.0, 0.0, 0.1]]}},
     "a bicycle along a path": {"path": "track", "robot": {"model": "bicycle"}},
+    "a volume file": {"volume": "room.npy", "resolution": 0.2},
+    "rules in a volume": {"volume": "forest", "architecture": "nearest-cluster"},
+    "a lidar in a volume": {"volume": "forest", "camera": None, "lidar": {}},
     "a robot along a path": {"path": "track", "robot": {"model": "differential_drive"}},
 }
 
@@ -148,7 +152,7 @@ CASES: dict[str, dict[str, Any]] = {
 def read(monkeypatch: pytest.MonkeyPatch) -> set[str]:
     """Return the names of the settings that are read from now on."""
     prefixes: dict[type, str] = {}
-    for kind in (Settings, PathSettings):
+    for kind in (Settings, PathSettings, VolumeSettings):
         prefixes[kind] = ""
         for name, field in kind.model_fields.items():
             inner = section_class(field.annotation)
@@ -176,11 +180,14 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Image.new("L", (40, 40)).save("heights.png")
     room = {"size": [4.0, 3.0], "resolution": 0.2, "start": [1.0, 1.5, 0.0]}
     Path("room.yaml").write_text(yaml.safe_dump(room))
+    solid = np.zeros((8, 12, 12), bool)
+    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
+    np.save("room.npy", solid)
     angle = np.linspace(0.0, 2.0 * np.pi, 40)
     np.savetxt("path.csv", 6.0 * np.stack([np.cos(angle), np.sin(angle)], 1), delimiter=",")
 
 
-NOT_READ_BY_BUILDING = {"map", "world", "path", "architecture", "goal"}
+NOT_READ_BY_BUILDING = {"map", "world", "path", "volume", "architecture", "goal"}
 """Settings that choose what is built: whether one is read depends on another of them."""
 
 

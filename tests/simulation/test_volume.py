@@ -18,9 +18,9 @@ from jaxplore.costs import (
     VolumeGuidanceCost,
     VolumeInformationCost,
 )
+from jaxplore.dynamics.quadrotor import attitude_upwards, position_upwards
 from jaxplore.maps.generators.volumes import START
 from jaxplore.simulation.loop import run_chunk
-from jaxplore.simulation.volume.scenario import attitude, position
 
 SIDE = 0.2
 ROBOT = jx.Quadrotor()
@@ -36,7 +36,7 @@ def room(has_wall: bool = True) -> jx.VoxelGrid:
 
 
 def scenario(has_wall: bool = True, start=(1.2, 2.0, 1.2, 0.3), **more) -> jx.VolumeScenario:
-    more = {"target_coverage": 0.75, **more}
+    more = {"target_coverage": 0.95, **more}
     return jx.VolumeScenario(room(has_wall), ROBOT, CAMERA, start, **more)
 
 
@@ -53,18 +53,16 @@ def run(controller):
 def test_it_explores_a_room_without_a_contact(run) -> None:
     metrics = run.metrics
     assert metrics.is_finished
-    # Of voxels of this size many at floor and ceiling are between the rays of the camera.
-    assert metrics.coverage >= 0.75
+    assert metrics.coverage >= 0.95
     assert metrics.collisions == 0
     assert metrics.minimum_clearance > 0.0
-    assert 0.0 < metrics.time_to["50"] < metrics.finished_at
-    assert metrics.time_to["95"] is None
+    assert 0.0 < metrics.time_to["50"] < metrics.time_to["95"] == metrics.finished_at
+    assert metrics.time_to["99"] is None
     assert metrics.volume == pytest.approx(28 * 18 * 10 * SIDE**3 - 7 * 10 * SIDE**3, rel=1e-6)
-    # Hardly anything is taken to be free that is not: where a ray grazes a wall, a reading that is
-    # too long by the noise cuts the corner of a voxel.
+    # Hardly anything is taken to be free that is not.
     recording = run.recording
     wrong = (recording.belief == 1) & recording.world
-    assert wrong.mean() < 0.01
+    assert wrong.mean() < 0.002
 
 
 def test_equal_seeds_give_equal_runs_and_other_rooms_do_not_recompile(run, controller) -> None:
@@ -85,7 +83,7 @@ def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
     run.save(tmp_path / "run")
     names = {each.name for each in (tmp_path / "run").iterdir()}
     assert names == {
-        *("metrics.json", "arrays.npz", "state.npz", "exploration.gif"),
+        *("metrics.json", "arrays.npz", "state.npz", "exploration.gif", "turntable.gif"),
         *("volume.png", "slices.png", "coverage.png"),
     }
     assert json.loads((tmp_path / "run" / "metrics.json").read_text())["collisions"] == 0
@@ -101,6 +99,40 @@ def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
     assert set(np.unique(frame.level)) <= {0, 1, 2}
     assert frame.level.shape == (20, 30)
     assert frame.upright.shape == (12, 30)
+    # The voxels of the last frame are those of the map at the end.
+    np.testing.assert_array_equal(frame.occupied((12, 20, 30)), run.recording.belief == 2)
+    assert frame.plan.shape == (21, 3)
+    np.testing.assert_allclose(frame.plan[0], run.recording.positions[-1], atol=0.3)
+
+
+def test_a_replay_shows_its_voxels_in_space(run) -> None:
+    from jaxplore.view.replay import Replay
+    from jaxplore.view.volume import VolumeScene
+
+    replay = Replay(run.recording)
+    try:
+        scene = replay._display._scene
+        assert isinstance(scene, VolumeScene)
+        replay._slider.value = float(run.recording.time[-1])
+        replay.tick(0.0)
+        points = np.asarray(scene._nodes["voxels"].points)
+        # What is drawn are the middles of occupied voxels below the ceiling.
+        found = np.argwhere(run.recording.belief[:-2] == 2)
+        np.testing.assert_allclose(points, (found[:, ::-1] + 0.5) * SIDE, atol=1e-5)
+        here = run.recording.positions[-1]
+        np.testing.assert_allclose(scene._nodes["robot"].position, here, atol=1e-5)
+        pieces = np.asarray(scene._nodes["trail"].points)
+        np.testing.assert_allclose(pieces[0, 0], [1.2, 2.0, 1.2], atol=1e-5)
+        np.testing.assert_allclose(pieces[-1, 1], here, atol=1e-5)
+        scene.show("voxels", is_shown=False)
+        assert not scene._nodes["voxels"].visible
+        (plot,) = replay._display.history.plots()
+        assert plot.names == ("coverage",)
+        assert plot.rows[-1, 1] == pytest.approx(run.metrics.coverage, abs=1e-6)
+        scene.clear()
+        assert not scene._nodes
+    finally:
+        replay.close()
 
 
 def test_the_clearance_is_the_distance_to_the_nearest_cube() -> None:
@@ -143,27 +175,28 @@ def _moment(given):
 
 
 def test_attitudes_turn_the_body_with_z_up() -> None:
-    level = np.asarray(attitude(ROBOT.at_pose(0.0, 0.0, 0.7)))
+    level = np.asarray(attitude_upwards(ROBOT.at_pose(0.0, 0.0, 0.7)))
     cos, sin = math.cos(0.7), math.sin(0.7)
     np.testing.assert_allclose(level, [[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], atol=1e-6)
     # A positive pitch of an FRD body lifts the nose.
     half = 0.15
     up = jnp.zeros(13).at[6].set(math.cos(half)).at[8].set(math.sin(half))
-    nose = np.asarray(attitude(up))[:, 0]
+    nose = np.asarray(attitude_upwards(up))[:, 0]
     np.testing.assert_allclose(nose, [math.cos(0.3), 0.0, math.sin(0.3)], atol=1e-6)
-    np.testing.assert_allclose(position(ROBOT.at_pose(1.0, 2.0, 0.0, -3.0)), [1.0, 2.0, 3.0])
+    above = position_upwards(ROBOT.at_pose(1.0, 2.0, 0.0, -3.0))
+    np.testing.assert_allclose(above, [1.0, 2.0, 3.0])
 
 
 def test_costs_are_what_they_say() -> None:
     given = scenario(False)
     _, belief = given.init(None)
     belief = eqx.tree_at(
-        lambda each: (each.clearance.values, each.guidance.values, each.information.values),
+        lambda each: (each.clearance.values, each.guidance.values, each.attention.values),
         belief,
         (
             jnp.full(belief.clearance.values.shape, 0.4),
             jnp.full(belief.guidance.values.shape, -3.0),
-            jnp.full(belief.information.values.shape, 7.0),
+            jnp.full(belief.attention.values.shape, 7.0),
         ),
     )
     values = ROBOT.at_pose(2.0, 2.0, 0.5, -1.2)
@@ -183,7 +216,7 @@ def test_costs_are_what_they_say() -> None:
     assert price(near) == pytest.approx(0.5**2 + 3.0 * (0.1 / 0.05) ** 2, rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", ["forest", "warehouse"])
+@pytest.mark.parametrize("kind", ["forest", "warehouse", "office", "maze", "cave"])
 def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
     first, again, other = (jx.generate_volume(kind, seed, resolution=0.2) for seed in (3, 3, 4))
     solid = np.asarray(first.is_occupied)
@@ -192,10 +225,11 @@ def test_a_volume_is_drawn_from_its_seed(kind: str) -> None:
     assert solid[[0, -1]].all()
     assert solid[:, [0, -1]].all()
     assert solid[:, :, [0, -1]].all()
-    assert 0.02 < solid[1:-1, 1:-1, 1:-1].mean() < 0.4
-    # A quadrotor fits at the start, and most of the free space is one piece.
+    assert 0.02 < solid[1:-1, 1:-1, 1:-1].mean() < (0.7 if kind == "cave" else 0.4)
+    # A quadrotor fits at the start, and nearly all of the free space can be seen from where it
+    # gets.
     given = jx.VolumeScenario(first, ROBOT, CAMERA, (*START, 0.0))
-    assert np.asarray(given.reachable).sum() > 0.9 * (~solid).sum()
+    assert np.asarray(given.observable).sum() > 0.95 * (~solid).sum()
 
 
 @pytest.mark.parametrize(
@@ -219,7 +253,7 @@ def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: jx.generate_volume("cave"), "kind is 'cave'; accepted: forest, warehouse"),
+        (lambda: jx.generate_volume("sea"), "kind is 'sea'; accepted: forest, warehouse, office"),
         (lambda: jx.generate_volume("forest", size=(2.0, 9.0, 3.0)), r"size is .*at least \(5, 5"),
         (lambda: jx.VoxelGrid(np.zeros((3, 3)), 0.1), "log_odds has shape"),
         (lambda: jx.VoxelGrid(np.full((2, 2, 2), np.nan), 0.1), "log_odds has NaN"),

@@ -12,7 +12,8 @@ from jaxtyping import Array, Bool, Float
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore._xla import on_device
-from jaxplore.belief.volume_geodesic import volume_geodesic
+from jaxplore.belief.exploration_field import information_sources
+from jaxplore.belief.volume_roads import FAR, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import squared_distance
 from jaxplore.maps.volume_field import VolumeField
@@ -27,8 +28,10 @@ NODE = 2
 NEAR = 0.6
 """Distance within which time counts in full as time near a viewpoint, and not at all at twice that
 [m]."""
-FAR = 1e3
-"""Cost-to-go where no path leads [m]."""
+
+
+ASIDE = 0.1
+"""Share of the time near a viewpoint that counts for sectors out of view."""
 
 
 class ViewField(eqx.Module):
@@ -72,6 +75,8 @@ class VolumeBelief(eqx.Module):
         clearance: distance to the nearest voxel that is not known to be free, up to the reach of
             the perception [m].
         information: information of a scan by position and heading.
+        attention: the same, with a share of what lies out of view, so that it rises as the robot
+            turns to it.
         guidance: cost-to-go to the remaining information [m].
         dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
             more [s].
@@ -80,6 +85,7 @@ class VolumeBelief(eqx.Module):
     grid: VoxelGrid
     clearance: VolumeField
     information: ViewField
+    attention: ViewField
     guidance: VolumeField
     dwell: Float[Array, "A D H W"]
 
@@ -94,12 +100,12 @@ class VolumePerception(eqx.Module):
         margin: clearance beyond the radius that paths keep [m].
         sensor_model: inverse sensor model; the default one when absent.
         decay_length: additional distance that the robot travels for e times the information [m].
-        min_information: information below which a viewpoint is ignored [nat m^3]: that of about
-            0.16 m^3 of unknown voxels.
+        min_information: information below which a viewpoint comes last [nat m^3].
         occupancy_prior: probability of occupancy of an unknown voxel in expected information.
         patience: time near a viewpoint, looking into a sector, after which the information there
             counts 1/e [s]: what was not seen by then is not seen from there.
         memory: time constant with which that time is forgotten [s].
+        turning: share of the information that counts towards turning to it.
         num_sectors: number of headings of the field.
         num_elevations: rays of each heading, one above the other.
         max_clearance: reach of the clearance [m].
@@ -116,8 +122,10 @@ class VolumePerception(eqx.Module):
     occupancy_prior: Scalar
     patience: Scalar
     memory: Scalar
+    turning: Scalar
     table: VoxelTable
     in_view: Float[Array, "A A"]
+    towards: Float[Array, "A A"]
     pool: int = eqx.field(static=True)
     reach: int = eqx.field(static=True)
     box: int = eqx.field(static=True)
@@ -130,11 +138,12 @@ class VolumePerception(eqx.Module):
         *,
         margin: ArrayLike = 0.1,
         sensor_model: InverseSensorModel | None = None,
-        decay_length: ArrayLike = 4.0,
-        min_information: ArrayLike = 0.016,
+        decay_length: ArrayLike = 8.0,
+        min_information: ArrayLike = 0.2,
         occupancy_prior: ArrayLike = 0.1,
         patience: ArrayLike = 1.0,
         memory: ArrayLike = 60.0,
+        turning: ArrayLike = 0.2,
         num_sectors: int = 16,
         num_elevations: int = 5,
         max_clearance: float = 1.2,
@@ -157,15 +166,22 @@ class VolumePerception(eqx.Module):
         )
         self.patience = _checks.scalar("patience", patience, above=0.0)
         self.memory = _checks.scalar("memory", memory, above=0.0)
+        self.turning = _checks.scalar("turning", turning, at_least=0.0)
         side = _checks.number("resolution", resolution, above=0.0)
         leading = self.sensors[0]
         self.pool = max(1, round(COARSE / side))
         length = leading.max_range / (self.pool * side)
         self.table = VoxelTable(num_sectors, num_elevations, *leading.elevations, length, NODE)
         self.in_view = on_device(_in_view(num_sectors, leading.field_of_view))
+        self.towards = on_device(_towards(num_sectors))
         self.reach = math.ceil(_checks.number("max_clearance", max_clearance, above=0.0) / side)
         farthest = max(each.max_range for each in self.sensors)
         self.box = 2 * (math.ceil(farthest / side) + self.reach + 1)
+
+    @property
+    def needs_turning(self) -> bool:
+        """Whether the first sensor sees less than a full circle, so that the robot must turn it."""
+        return self.sensors[0].field_of_view < 2.0 * math.pi
 
     def init(self, grid: VoxelGrid, position: Float[Array, "3"]) -> VolumeBelief:
         """Return the belief before the first scan.
@@ -191,13 +207,14 @@ class VolumePerception(eqx.Module):
         clearance = eqx.tree_at(
             lambda each: each.values, field, self._clearance(grid, field.values, position)
         )
-        shape, origin, spacing = self._lattice(grid)
-        nothing = jnp.zeros((self.table.num_sectors, *shape))
+        guidance = self.blank_field(grid)
+        nothing = jnp.zeros((self.table.num_sectors, *guidance.values.shape))
         return VolumeBelief(
             grid,
             clearance,
-            ViewField(nothing, origin, spacing),
-            VolumeField(jnp.full(shape, FAR), origin, spacing, jnp.asarray(FAR)),
+            ViewField(nothing, guidance.origin, guidance.spacing),
+            ViewField(nothing, guidance.origin, guidance.spacing),
+            guidance,
             nothing,
         )
 
@@ -228,10 +245,15 @@ class VolumePerception(eqx.Module):
         """Return the belief with new fields of information and guidance.
 
         With I_a the information of sector a at a node s, d the length of the path to it, and D_a
-        the time spent near it with the sector in view, the cost-to-go is
+        the time spent near it with the sector in view, and a tenth of the other time near it, the
+        cost-to-go is
 
             U(x) = min over s of d(x, s) - decay_length ln W(s)
             W(s) = sum over a of I_a(s) exp(-D_a(s) / patience)
+
+        The attention at a heading h is the information in view, and of each sector, whether it is
+        in view or not, `turning (1 + cos(h - h_a)) / 2`. Without it, a robot that looks away from
+        the only information would not know which way to turn.
 
         Args:
             belief: the belief.
@@ -240,57 +262,63 @@ class VolumePerception(eqx.Module):
             elapsed: time since the last update [s].
         """
         grid = belief.grid
-        shape, _, spacing = self._lattice(grid)
-        probability = self._pooled(grid)
-        sectors = self.table.information(probability, (1, 1, 1), shape, self.sensor_model)
+        shape, *_ = self._lattice(grid)
+        sectors = self.table.information(self.pooled(grid), (1, 1, 1), shape, self.sensor_model)
         # By volume, so that the information does not depend on the resolution.
         sectors = sectors * (grid.resolution * self.pool) ** 3
-        # Half-way between the nodes, too, the robot must fit.
-        room = _blocks(belief.clearance.values, self.pool).min(axis=-1)
-        half = room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
-        half_open = half >= self.required
-        dwell = self._dwelt(belief, position, heading, elapsed)
+        roads = self.roads(belief)
+        dwell = self._dwelt(belief, roads.distances(position), heading, elapsed)
         sectors = sectors * jnp.exp(-dwell / self.patience)
-        total = sectors.sum(axis=0)
-        is_worth = total >= self.min_information
-        reward = self.decay_length * jnp.log(jnp.maximum(total, 1e-6))
-        source = jnp.where(is_worth, -reward / spacing, jnp.inf)
-        room_at = half[::2, ::2, ::2]
-        tightness = jnp.clip(3.0 - room_at / self.required, 0.0, 2.0) / 2.0
-        costs = volume_geodesic(source, 1.0 + tightness, half_open) * spacing
-        guidance = _extended(costs, spacing)
-        views = jnp.einsum("ha,adrc->hdrc", self.in_view, sectors)
+        guidance = roads.field(
+            information_sources(sectors.sum(axis=0), self.decay_length, self.min_information)
+        )
+        views, attention = (
+            jnp.einsum("ha,adrc->hdrc", shares, sectors)
+            for shares in (self.in_view, self.in_view + self.turning * self.towards)
+        )
         known: VolumeBelief = eqx.tree_at(
-            lambda each: (each.information.values, each.guidance.values, each.dwell),
+            lambda each: (
+                each.information.values,
+                each.attention.values,
+                each.guidance,
+                each.dwell,
+            ),
             belief,
-            (views, guidance, dwell),
+            (views, attention, guidance, dwell),
         )
         return known
+
+    def roads(self, belief: VolumeBelief) -> VolumeRoads:
+        """Return the lattice of the places at which the robot fits; tight ones cost double."""
+        shape, origin, spacing = self._lattice(belief.grid)
+        # Half-way between the nodes, too, the robot must fit.
+        room = blocks(belief.clearance.values, self.pool).min(axis=-1)
+        half = room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
+        tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
+        return VolumeRoads(half >= self.required, 1.0 + tightness, origin, spacing)
 
     def _dwelt(
         self,
         belief: VolumeBelief,
-        position: Float[Array, "3"],
+        distance: Float[Array, "D H W"],
         heading: Scalar,
         elapsed: Scalar,
     ) -> Float[Array, "A D H W"]:
         """Return the time near each node with each sector in view, with the last one added [s]."""
-        field = belief.guidance
-        along = [
-            field.origin[axis] + field.spacing * jnp.arange(size, dtype=jnp.float32)
-            for axis, size in zip((2, 1, 0), field.values.shape, strict=True)
-        ]
-        z, y, x = jnp.meshgrid(*along, indexing="ij")
-        gap = jnp.stack([x, y, z]) - position[:, None, None, None]
-        distance = jnp.sqrt(jnp.sum(gap * gap, axis=0))
         near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
         number = self.table.num_sectors
         angle = jnp.where(jnp.isfinite(heading), heading, 0.0)
         index = jnp.round(angle * (number / (2.0 * math.pi))).astype(jnp.int32) % number
-        shares = self.in_view[index][:, None, None, None]
+        # Also where the robot does not look, so that it leaves a place at which it need not turn.
+        shares = jnp.maximum(self.in_view[index], ASIDE)[:, None, None, None]
         is_known = jnp.isfinite(distance) & jnp.isfinite(heading)
         more = jnp.where(is_known, elapsed * shares * near, 0.0)
         return belief.dwell * jnp.exp(-elapsed / self.memory) + more
+
+    def blank_field(self, grid: VoxelGrid) -> VolumeField:
+        """Return a cost-to-go that is 0 everywhere, on the lattice of the viewpoints."""
+        shape, origin, spacing = self._lattice(grid)
+        return VolumeField(jnp.zeros(shape), origin, spacing, jnp.asarray(FAR))
 
     def _lattice(self, grid: VoxelGrid) -> tuple[tuple[int, int, int], Float[Array, "3"], float]:
         """Return the numbers of nodes along z, y and x, the first node, and the spacing [m]."""
@@ -323,16 +351,28 @@ class VolumePerception(eqx.Module):
         metres = jnp.where(rim, jnp.minimum(old, metres), metres)
         return jax.lax.dynamic_update_slice(before, metres, corner)
 
-    def _pooled(self, grid: VoxelGrid) -> Float[Array, "D2 H2 W2"]:
-        """Return the probability of the coarser voxels."""
-        is_occupied = _blocks(grid.is_occupied, self.pool).any(axis=-1)
-        is_free = _blocks(grid.is_free, self.pool).all(axis=-1)
+    def pooled(self, grid: VoxelGrid) -> Float[Array, "D2 H2 W2"]:
+        """Return the probability of occupancy of the coarser voxels; unknown ones have the
+        prior."""
+        is_free, is_occupied = self.pooled_states(grid)
         low, high = self.sensor_model.minimum, self.sensor_model.maximum
         known = jnp.where(is_occupied, jax.nn.sigmoid(high), jax.nn.sigmoid(low))
         return jnp.where(is_occupied | is_free, known, self.occupancy_prior)
 
+    def pooled_states(
+        self, grid: VoxelGrid
+    ) -> tuple[Bool[Array, "D2 H2 W2"], Bool[Array, "D2 H2 W2"]]:
+        """Return the masks of the coarser voxels that are free and occupied.
 
-def _blocks(values: Array, side: int) -> Array:
+        One is occupied if any of its voxels is, and free if all of them are.
+        """
+        return (
+            blocks(grid.is_free, self.pool).all(axis=-1),
+            blocks(grid.is_occupied, self.pool).any(axis=-1),
+        )
+
+
+def blocks(values: Array, side: int) -> Array:
     """Return the blocks of some voxels on a side along the last axis; an incomplete block repeats
     its last voxels."""
     widths = [(0, -size % side) for size in values.shape]
@@ -366,21 +406,6 @@ def _near_rim(
     return near
 
 
-def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
-    """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
-    for _ in range(2):
-        wide = jnp.pad(costs, 1, constant_values=jnp.inf)
-        depth, height, width = costs.shape
-        near = jnp.full_like(costs, jnp.inf)
-        for axis in range(3):
-            for begin in (0, 2):
-                index = [slice(1, 1 + n) for n in (depth, height, width)]
-                index[axis] = slice(begin, begin + costs.shape[axis])
-                near = jnp.minimum(near, wide[tuple(index)])
-        costs = jnp.where(jnp.isfinite(costs), costs, near + 2.0 * spacing)
-    return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, FAR), FAR)
-
-
 def _in_view(number: int, view: float) -> np.ndarray:
     """Return the share (A, A) of each sector that is in view with each heading."""
     headings = np.arange(number) * 2.0 * math.pi / number
@@ -394,3 +419,10 @@ def _in_view(number: int, view: float) -> np.ndarray:
                     0.0, min(high, heading + view / 2.0) - max(low, heading - view / 2.0)
                 )
     return (shares / width).astype(np.float32)
+
+
+def _towards(number: int) -> np.ndarray:
+    """Return `(1 + cos(h - h_a)) / 2` (A, A) of each heading and the middle of each sector."""
+    headings = np.arange(number) * 2.0 * math.pi / number
+    gap = headings[:, None] - (headings + math.pi / number)[None, :]
+    return (0.5 + 0.5 * np.cos(gap)).astype(np.float32)

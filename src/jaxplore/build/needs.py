@@ -12,6 +12,8 @@ control periods and F frames, in bytes:
     bank        192 K P nu                            noise of P parameters, of each member
     local       20 (N_f D_f + N_l D_l) + 40 (W_f + W_l)    fields around a quadrotor: nodes,
                                                       directions, cells with margins
+    volume      120 D H W                             the voxels of the world and of the robot
+    views       64 A N + 24 R                         fields of A headings at N nodes, R rays
     record      300 S                                 every step, in the file that it is read from
     frames      2 min(F (H W + 4 N), 1e9)             maps for the animation
 
@@ -25,6 +27,8 @@ from typing import NamedTuple
 
 from jaxplore._files import read_yaml
 from jaxplore.belief.perception_checks import safe_stride
+from jaxplore.belief.volume import COARSE, NODE
+from jaxplore.build.volume import volume_shape
 from jaxplore.build.world import ENOUGH, is_ros_map
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import padded_shape
@@ -42,6 +46,7 @@ from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.path import ContouringNumbers, PathSettings
 from jaxplore.settings.robot import CameraSettings, LidarSettings, RobotSettings
 from jaxplore.settings.sections import RunSettings
+from jaxplore.settings.volume import VolumeSettings
 from jaxplore.simulation.chunks import MAX_FRAMES, MOST_FRAME_BYTES
 
 PROGRAMS = 0.65e9
@@ -108,6 +113,8 @@ def needs(settings: RunSettings, node: NodeSettings | None = None) -> tuple[Part
     """
     if isinstance(settings, Settings):
         return (_programs(), *_exploration(settings, node))
+    if isinstance(settings, VolumeSettings):
+        return (_programs(), *_volume(settings))
     assert isinstance(settings, PathSettings)
     return (_programs(), *_following(settings))
 
@@ -236,6 +243,35 @@ def _following(settings: PathSettings) -> Iterator[Part]:
     number = obstacles.number + corners
     yield _rollouts("controller", settings.robot, given, progress=1, hindrances=number * outcomes)
     yield _record("time_limit, control_rate", settings.time_limit * settings.control_rate)
+
+
+def _volume(settings: VolumeSettings) -> Iterator[Part]:
+    # A file is read to find its size, and so are its voxels.
+    depth, height, width = volume_shape(settings)
+    voxels, side = float(depth) * height * width, settings.resolution
+    yield Part(
+        "voxels",
+        f"{depth} x {height} x {width} voxels: generated.size, the file, resolution",
+        120.0 * voxels,
+    )
+    spacing = NODE * max(side, COARSE) / side
+    camera, lidar = settings.camera, settings.lidar
+    rays = (0 if camera is None else camera.columns * camera.rows) + (
+        0 if lidar is None else lidar.columns * lidar.rings
+    )
+    yield Part(
+        "views",
+        "fields.num_sectors, camera.columns, camera.rows, resolution",
+        64.0 * settings.fields.num_sectors * voxels / spacing**3 + 24.0 * rays,
+    )
+    given = settings.controller
+    yield Part(
+        "controller",
+        "controller.num_samples, controller.horizon",
+        8.0 * given.num_samples * given.horizon * _CONTROLS["quadrotor"]
+        + 200.0 * given.num_samples,
+    )
+    yield _record("time_limit, rates.control", settings.time_limit * settings.rates.control)
 
 
 def _rollouts(

@@ -5,9 +5,12 @@ from typing import Any, NamedTuple
 
 from jaxplore.build.exploration import build_exploration, compared_architectures, with_start
 from jaxplore.build.path import build_path_following
+from jaxplore.build.volume import build_volume
+from jaxplore.build.volume import with_start as with_start_in_volume
 from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.settings.path import PATH, TRACK, PathSettings, make_path_settings
 from jaxplore.settings.sections import RunSettings
+from jaxplore.settings.volume import GENERATED, VOLUME, VolumeSettings, make_volume_settings
 from jaxplore.simulation.experiment import Experiment
 
 
@@ -32,6 +35,8 @@ class Task(NamedTuple):
     with_start: Callable[[dict[str, Any]], dict[str, Any]]
 
 
+COMPARED = ("explorer", "nearest-cluster", "next-best-view", "gain-per-cost")
+"""Architectures that are compared in a volume by default."""
 TASKS = {
     "exploration": Task(
         "map",
@@ -50,6 +55,14 @@ TASKS = {
         lambda _: (),
         lambda entries: entries,
     ),
+    "volume": Task(
+        VOLUME,
+        VolumeSettings,
+        make_volume_settings,
+        build_volume,
+        lambda _: COMPARED,
+        with_start_in_volume,
+    ),
 }
 """Kinds of tasks by name. The first is the default."""
 
@@ -57,16 +70,17 @@ TASKS = {
 def make_settings(entries: dict[str, Any]) -> RunSettings:
     """Check entries, and return settings of the kind of task that they describe.
 
-    Entries with a `path`, or with the map `path`, describe path following; all others exploration.
+    Entries with a `path`, or with the map `path`, describe path following, those with a `volume`
+    the exploration of a volume, and all others that of a plane.
 
     Args:
         entries: names and values of settings, as in a settings file.
 
     Raises:
-        ValueError: a path beside a map, an unknown name or a value that is not accepted; one line
-            that names it.
+        ValueError: a path or a volume beside a map, an unknown name or a value that is not
+            accepted; one line that names it.
     """
-    entries = _with_path(entries)
+    entries = _with_selector(entries)
     return find_task(entries).check(entries)
 
 
@@ -74,9 +88,9 @@ def find_task(entries: dict[str, Any]) -> Task:
     """Return the kind of task that entries describe; see `make_settings`.
 
     Raises:
-        ValueError: a path beside a map.
+        ValueError: a path or a volume beside a map.
     """
-    entries = _with_path(entries)
+    entries = _with_selector(entries)
     named = [task for task in TASKS.values() if task.selector in entries]
     if len(named) > 1:
         given = " beside ".join(f"the {task.selector} {entries[task.selector]!r}" for task in named)
@@ -84,13 +98,17 @@ def find_task(entries: dict[str, Any]) -> Task:
     return named[0] if named else TASKS["exploration"]
 
 
-def _with_path(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return entries whose map `path` has become the path `track`."""
+def _with_selector(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return entries whose map `path` has become the path `track`, and the word for a volume as the
+    map the volume."""
+    name = entries.get("map")
     # Beside a `world`, `map` is a free name and selects nothing.
-    if entries.get("map") != PATH or entries.get("world") is not None:
+    if not isinstance(name, str) or entries.get("world") is not None:
         return entries
-    rest = {name: value for name, value in entries.items() if name != "map"}
-    return {PATH: TRACK, **rest}
+    rest = {each: value for each, value in entries.items() if each != "map"}
+    if name == PATH:
+        return {PATH: TRACK, **rest}
+    return {VOLUME: name, **rest} if name in (VOLUME, *GENERATED) else entries
 
 
 def build(settings: RunSettings) -> Experiment:

@@ -16,9 +16,22 @@ from jaxplore.settings.exploration import (
 )
 from jaxplore.settings.node import part_node
 from jaxplore.settings.path import PATH, TRACK
+from jaxplore.settings.volume import GENERATED, VOLUME, names_volume
 
 _OF_PATHS = {"laps": "laps", "obstacles": "obstacles.number"}
 """Options of path following only, and their settings."""
+_OF_VOLUMES = (
+    "seed",
+    "time_limit",
+    "start",
+    "target_coverage",
+    "resolution",
+    "architecture",
+    "robot__radius",
+    "robot__max_speed",
+    "controller__num_samples",
+)
+"""Options of the exploration of a volume."""
 _OF_BOTH = (
     "seed",
     "time_limit",
@@ -47,7 +60,7 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
     file = {} if settings_file is None else read_settings(settings_file, is_trusted=trust)
     entries, _ = part_node(file)
     entries = _with_map(entries, given.pop("map_"), given.pop("path_file", None), trust)
-    along_path = PATH in entries
+    along_path, in_volume = PATH in entries, VOLUME in entries
     for name, value in given.items():
         if value is None:
             continue
@@ -55,10 +68,14 @@ def option_entries(options: Mapping[str, Any]) -> dict[str, Any]:
             raise ValueError(
                 f"{name.replace('__', '.')} is {value} beside a path; accepted: with a map"
             )
+        if in_volume and name not in _OF_VOLUMES:
+            raise ValueError(
+                f"{name.replace('__', '.')} is {value} beside a volume; accepted: with a map"
+            )
         if not along_path and name in _OF_PATHS:
             raise ValueError(f"--{name} is {value}; accepted: along a path")
         assign(entries, _OF_PATHS.get(name, name.replace("__", ".")), value)
-    if not along_path and given["controller__num_samples"] is not None:
+    if not (along_path or in_volume) and given["controller__num_samples"] is not None:
         # The option sets the number of rollouts of every architecture.
         for section in ("informative", "portfolio"):
             assign(entries, f"{section}.num_samples", given["controller__num_samples"])
@@ -80,6 +97,14 @@ def _with_map(
         return {PATH: TRACK, **entries}
     if map_ is None:
         return entries
+    if names_volume(map_):
+        # The word `volume` stands for what the settings file names, or the default.
+        if map_ == VOLUME:
+            return entries if VOLUME in entries else {VOLUME: map_, **entries}
+        if map_ not in GENERATED:
+            _check_file(Path(map_))
+            map_ = str(Path(map_).absolute())
+        return {**entries, VOLUME: map_}
     # The settings file overrides those of a scenario, but not the map that the user names.
     named = map_entries(map_, is_trusted=trust)
     return {**named, **entries, "map": named["map"]}
@@ -92,7 +117,7 @@ def folder_name(entries: Mapping[str, Any]) -> str:
     """
     if entries.get(PATH) == TRACK:
         return PATH
-    file = Path(str(entries.get(PATH, entries.get("map"))))
+    file = Path(str(entries.get(PATH, entries.get(VOLUME, entries.get("map")))))
     return file.parent.name if file.stem == "map" and file.parent.name else file.stem
 
 
@@ -114,8 +139,8 @@ def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
 def _check_file(path: Path) -> None:
     """Raise a `ValueError` that names what there is, if a map is not a file."""
     accepted = (
-        "the YAML file of a ROS map, of a world or of a scenario, or "
-        f"{', '.join((OFFICE, ZONES, *SCENARIOS))} or {PATH}"
+        "the YAML file of a ROS map, of a world or of a scenario, a mesh or another file of a "
+        f"volume, or {', '.join((OFFICE, ZONES, *SCENARIOS, PATH, *GENERATED))} or {VOLUME}"
     )
     if path.is_dir():
         inside = sorted(path.glob("*.yaml"))

@@ -37,6 +37,37 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
 """Options of single settings: option, dotted setting, type, help."""
 
 
+class StartOption(click.Option):
+    """An option that takes three numbers, or four."""
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        """Let the option take one more argument, if it is a number."""
+        super().add_to_parser(parser, ctx)
+        for name in self.opts:
+            option = parser._long_opt[name]  # click has no public way to it
+
+            def process(value: Any, state: Any, former: Any = option.process) -> None:
+                if state.rargs and _is_number(state.rargs[0]):
+                    value = (*value, state.rargs.pop(0))
+                former(value, state)
+
+            option.process = process
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """Convert four texts as three of them are."""
+        if isinstance(value, tuple) and len(value) == self.nargs + 1:
+            return tuple(self.type(each, self, ctx) for each in value)
+        return super().type_cast_value(ctx, value)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def with_options(*without: str) -> Callable[[Any], Any]:
     """Return a decorator that adds the options of a run: the map, the start, and the settings."""
     added = [
@@ -45,11 +76,12 @@ def with_options(*without: str) -> Callable[[Any], Any]:
         ),
         click.option(
             "--start",
+            cls=StartOption,
             nargs=3,
             type=float,
-            metavar="X Y YAW",
-            help="Start pose [m, m, rad].  [default: that of the map or scenario, else the "
-            "position with the greatest clearance]",
+            metavar="X Y [Z] YAW",
+            help="Start pose [m, m, rad], with the height Z [m] in a volume.  [default: that of "
+            "the map or scenario, else the position with the greatest clearance]",
         ),
         click.option(
             "--goal",

@@ -54,9 +54,11 @@ def show_starts(given: Mapping[str, Entries], entries: Mapping[str, Entries]) ->
             chosen.setdefault(shown, []).append(name)
     for start, names in chosen.items():
         where = f" of {', '.join(names)}" if len(chosen) > 1 else ""
+        # In a volume a start has a height.
+        pose = "X Y YAW" if len(start.split()) == 3 else "X Y Z YAW"
         say(
             f"Start{where}: {start}, the position with the greatest clearance; another one: "
-            "--start X Y YAW",
+            f"--start {pose}",
             err=True,
         )
 

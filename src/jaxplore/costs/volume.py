@@ -68,7 +68,8 @@ class VolumeGuidanceCost(Cost):
 
 
 class VolumeInformationCost(Cost):
-    """Reward for the information of a scan with this position and heading, `-I` [nat m^3].
+    """Reward for the information of a scan with this position and heading, and for turning to what
+    is out of view: the negative attention of the belief [nat m^3].
 
     The sensor is taken to be level: a quadrotor that accelerates looks up or down for a moment.
     """
@@ -76,8 +77,8 @@ class VolumeInformationCost(Cost):
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
     ) -> Scalar:
-        """Compute the negative information."""
-        return -belief.information(*place(state), state.heading)
+        """Compute the negative attention."""
+        return -belief.attention(*place(state), state.heading)
 
 
 class BlindFlightCost(Cost):

@@ -4,6 +4,7 @@ import math
 from typing import ClassVar
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector, Vector
@@ -207,3 +208,26 @@ class Quadrotor(ContinuousDynamics):
             _checks.shaped(name, value, ())
         level = (math.cos(0.5 * yaw), 0.0, 0.0, math.sin(0.5 * yaw))
         return as_state(x, y, z, 0.0, 0.0, 0.0, *level, 0.0, 0.0, 0.0)
+
+
+def position_upwards(state: StateVector) -> Float[Array, "3"]:
+    """Return the position (x, y, z) of a quadrotor in a frame with z up [m]."""
+    return state[:3] * jnp.asarray([1.0, 1.0, -1.0])
+
+
+def attitude_upwards(state: StateVector) -> Float[Array, "3 3"]:
+    """Return the rotation from the body, x ahead, y to the left, z up, to that frame.
+
+    The model is NED and FRD: mirrored in z, both y axes keep their names, and a turn from x towards
+    y remains one.
+    """
+    w, x, y, z = state[6], state[7], state[8], state[9]
+    rotation = jnp.stack(
+        [
+            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+    mirror = jnp.asarray([1.0, 1.0, -1.0])
+    return mirror[:, None] * rotation * mirror

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from jaxplore._types import Scalar
 
@@ -52,6 +52,10 @@ class VolumeField(eqx.Module):
                     )
                     total = total + share_z * share_y * share_x * at_node
         return jnp.where(inside, total, self.outside)
+
+    def place(self, node: Int[Array, "3"]) -> Float[Array, "3"]:
+        """Return the position (x, y, z) of a node (k, j, i) [m]."""
+        return self.origin + self.spacing * jnp.flip(node).astype(jnp.float32)
 
 
 def _interval(along: Scalar, size: int) -> tuple[Array, Scalar]:

@@ -81,7 +81,7 @@ def choose(
     )
     rows, columns = frontiers.distance.shape
     cells = jnp.stack(jnp.mgrid[:rows, :columns], axis=-1)
-    places = frontiers.roads.frame.cell_centre(cells)
+    places = belief.guidance.frame.cell_centre(cells)
     away = places[:, :, None] - dropped[:, :2]
     is_dropped = (jnp.hypot(away[..., 0], away[..., 1]) < dropped[:, 2]).any(axis=-1)
     may_be = rule.candidates(frontiers) & ~is_dropped & (frontiers.distance >= min_distance)

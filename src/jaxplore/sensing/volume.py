@@ -66,6 +66,10 @@ class VolumeSensor(eqx.Module):
     def elevations(self) -> tuple[float, float]:
         """Elevations of the lower and the upper edge of the view of a level body [rad]."""
 
+    def noise_std(self, ranges: Float[Array, " R"]) -> Float[Array, " R"]:
+        """Return the standard deviation of ranges [m]."""
+        return self.range_noise + self.quadratic_noise * ranges * ranges
+
     def scan(
         self, world: VoxelGrid, position: Float[Array, "3"], rotation: Rotation, *, key: Key
     ) -> VolumeScan:
@@ -97,8 +101,7 @@ class VolumeSensor(eqx.Module):
         met = walk(start, direction, length, visit, jnp.full_like(length, jnp.inf))
         exact = jnp.minimum(met, limit) * world.resolution
         is_return = met <= limit
-        std = self.range_noise + self.quadratic_noise * exact * exact
-        noisy = exact + std * jax.random.normal(key, exact.shape, exact.dtype)
+        noisy = exact + self.noise_std(exact) * jax.random.normal(key, exact.shape, exact.dtype)
         ranges = jnp.where(is_return, jnp.clip(noisy, 0.0, self.max_range), self.max_range)
         return VolumeScan(ranges, is_return)
 
@@ -112,8 +115,9 @@ class VolumeSensor(eqx.Module):
     ) -> VoxelGrid:
         """Return the grid after a scan.
 
-        A voxel that a return lies in was measured occupied, and another one that a ray passed
-        through was measured free: each voxel once per scan, as in OctoMap. A ray without a return
+        A voxel that a return lies in was measured occupied, and another one whose middle, along the
+        ray, lies farther before the return than twice its standard deviation was measured free:
+        each voxel once per scan, as in OctoMap. A ray without a return
         passes through all voxels within the greatest range. Ranges that are not finite, or not
         positive, are no measurements.
 
@@ -129,19 +133,25 @@ class VolumeSensor(eqx.Module):
         start, direction = _rays(grid, position, rotation, self.directions)
         is_measured = jnp.isfinite(scan.ranges) & (scan.ranges > 0.0)
         reading = jnp.where(is_measured, scan.ranges, -1.0) / grid.resolution
-        # The return lies behind the face that it came from. Noise-free readings end exactly there.
-        reading = reading + jnp.where(scan.is_return & is_measured, INSIDE, 0.0)
+        # Half of the noisy readings of a face end before it. So what was met is taken to lie two
+        # standard deviations behind its reading, though at most half a voxel, and what was passed
+        # to end two before it: scans neither put a layer before a wall nor carve into it.
+        measured = jnp.where(is_measured, scan.ranges, 0.0)
+        doubtful = 2.0 * self.noise_std(measured) / grid.resolution
+        behind = jnp.clip(doubtful, INSIDE, 0.5)
+        met = reading + jnp.where(scan.is_return & is_measured, behind, 0.0)
+        passed = reading + jnp.where(scan.is_return, INSIDE - doubtful, 1.0)
         size = math.prod(grid.shape)
 
         def visit(seen: Array, step: VoxelStep) -> tuple[Array, Bool[Array, " R"]]:
             is_in = step.is_crossed & grid.contains(step.voxel)
-            is_end = scan.is_return & (step.entry <= reading) & (reading < step.exit)
-            is_passed = step.exit <= reading + jnp.where(scan.is_return, 0.0, 1.0)
+            is_end = scan.is_return & (step.entry <= met) & (met < step.exit)
+            is_passed = 0.5 * (step.entry + step.exit) <= passed
             what = jnp.where(is_end, HIT, jnp.where(is_passed, PASSED, 0)).astype(jnp.int8)
             index = jnp.where(is_in, flat_index(step.voxel, grid.shape), size)
             return seen.at[index].max(what, mode="drop"), ~is_end
 
-        seen = walk(start, direction, reading, visit, jnp.zeros(size, jnp.int8))
+        seen = walk(start, direction, met, visit, jnp.zeros(size, jnp.int8))
         seen = seen.reshape(grid.shape)
         change = jnp.where(seen == HIT, model.occupied, jnp.where(seen == PASSED, model.free, 0.0))
         bounded = jnp.clip(grid.log_odds + change, model.minimum, model.maximum)
@@ -151,7 +161,7 @@ class VolumeSensor(eqx.Module):
 
 
 INSIDE = 0.01
-"""Share of a voxel by which a return lies behind the face that it came from."""
+"""Share of a voxel by which a return without noise lies behind the face that it came from."""
 
 
 def _rays(

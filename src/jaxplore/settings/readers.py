@@ -21,6 +21,7 @@ from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import avoidance_cost
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
+from jaxplore.planning.presets.volume import volume_target_explorer
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.settings.accepted import choices
 from jaxplore.settings.defaults import Owner
@@ -34,6 +35,7 @@ from jaxplore.settings.exploration import (
 from jaxplore.settings.own import is_own
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
 from jaxplore.settings.robot import CARS, RobotSettings
+from jaxplore.settings.volume import GENERATED
 from jaxplore.simulation.following.traffic import Traffic
 
 
@@ -60,7 +62,7 @@ def reader(task: str, name: str, owner: str | None) -> Reader:
     """Return the runs that read a setting.
 
     Args:
-        task: kind of task, `exploration` or `path`, or `drive`.
+        task: kind of task, `exploration`, `path` or `volume`, or `drive`.
         name: dotted name of the setting.
         owner: qualified name of its owner; none for a setting without.
     """
@@ -160,6 +162,7 @@ _DRIVING, _EXPLORING, _FOLLOWING, _CHOOSING = (
 _ADAPTIVE = Reader(
     "runs with adaptive_horizon.rule", lambda settings: settings.adaptive_horizon.rule is not None
 )
+_GENERATED = Reader("generated volumes", lambda settings: settings.volume in GENERATED)
 _ANY_MODE = Reader("every mode", lambda _: True)
 
 _BY_NAME: dict[str, dict[str, Reader]] = {
@@ -216,6 +219,14 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "obstacles.seed": _IN_TRAFFIC,
         "controller.risk_level": _AMONG_OBSTACLES,
     },
+    "volume": {
+        "adaptive_horizon": _ADAPTIVE,
+        "adaptive_horizon.rule": EVERY,
+        "camera": Reader("runs with a camera", lambda settings: settings.camera is not None),
+        "lidar": Reader("runs with a lidar", lambda settings: settings.lidar is not None),
+        "file": Reader("volumes from a file", lambda settings: settings.volume not in GENERATED),
+        "generated": _GENERATED,
+    },
 }
 """Readers by the name of a setting, or of a section for all its settings that have no other. What
 is in no table is read by every run."""
@@ -262,6 +273,13 @@ _BY_OWNER: dict[str, dict[Owner, Reader]] = {
         read_path: _FROM_A_FILE,
         Traffic.random: _IN_TRAFFIC,
         avoidance_cost: _AMONG_OBSTACLES,
+    },
+    "volume": {
+        InverseSensorModel: _LOG_ODDS,
+        volume_target_explorer: Reader(
+            "rule-based explorers",
+            lambda settings: settings.architecture in BASELINES or is_own(settings.architecture),
+        ),
     },
 }
 """Readers by the owner of a setting: who builds the owner reads its settings."""

@@ -26,16 +26,21 @@ from jaxplore.settings.parameter_names import PER_METRE, controller_parameter
 from jaxplore.settings.path import PATH, TRACK, PathSettings, make_path_settings
 from jaxplore.settings.readers import EVERY, NONE, Reader, reader
 from jaxplore.settings.sections import RunSettings, section_class
+from jaxplore.settings.volume import GENERATED, VOLUME, VolumeSettings, make_volume_settings
 
-TASKS: dict[str, type[RunSettings]] = {"exploration": Settings, "path": PathSettings}
+TASKS: dict[str, type[RunSettings]] = {
+    "exploration": Settings,
+    "path": PathSettings,
+    "volume": VolumeSettings,
+}
 """Settings of each kind of task."""
 KINDS: dict[str, type[BaseModel]] = {**TASKS, "drive": DriveSettings}
 """Settings of each kind of task, and those of a drive beside them."""
-PLACES = (OFFICE, ZONES, *SCENARIOS, PATH)
-"""Names that stand for a map, a scenario or a path."""
+PLACES = (OFFICE, ZONES, *SCENARIOS, PATH, *GENERATED)
+"""Names that stand for a map, a scenario, a path or a volume."""
 _DEGREES = "_degrees"
 """End of the name of a setting in degrees. Owners take radians."""
-_UNNAMED = ("map", "world")
+_UNNAMED = ("map", "world", "volume")
 """Settings that say what a scenario is, and are no values of its own."""
 
 
@@ -43,7 +48,7 @@ class Row(NamedTuple):
     """What is known of a setting.
 
     Args:
-        task: kind of task, `exploration` or `path`, or `drive`.
+        task: kind of task, `exploration`, `path` or `volume`, or `drive`.
         name: dotted name.
         meaning: description, from the docstring of the owner or of the section.
         unit: unit; none without one.
@@ -140,6 +145,8 @@ def place_settings(place: str) -> RunSettings:
     """Return the default settings of one of the `PLACES`."""
     if place == PATH:
         return make_path_settings({PATH: TRACK})
+    if place in GENERATED:
+        return make_volume_settings({VOLUME: place})
     return make_exploration_settings({"map": place})
 
 

@@ -11,6 +11,7 @@ from jaxplore._files import parse_yaml
 from jaxplore._text import short_repr
 from jaxplore.settings.exploration import Settings, merge_entries, read_settings
 from jaxplore.settings.path import PathSettings
+from jaxplore.settings.volume import VolumeSettings
 
 Entries = Mapping[str, Any]
 """Settings as in a settings file."""
@@ -87,6 +88,10 @@ def _entry(name: str, value: Any) -> dict[str, Any]:
     """Return the settings entries that assign a setting or a controller parameter."""
     section, _, rest = name.partition(".")
     # A name that is no section of the settings is the path of a controller parameter.
-    if section not in {*Settings.model_fields, *PathSettings.model_fields}:
+    if section not in {
+        *Settings.model_fields,
+        *PathSettings.model_fields,
+        *VolumeSettings.model_fields,
+    }:
         return {"parameters": {name: value}}
     return {section: {rest: value} if rest else value}

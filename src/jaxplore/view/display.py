@@ -10,6 +10,7 @@ from jaxplore.maps.datum import ORIGIN, Datum, moved
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Frame, Recording
+from jaxplore.report.volume.data import VolumeData
 from jaxplore.view.curves import Curves
 from jaxplore.view.exploration import ExplorationScene
 from jaxplore.view.following import PathScene
@@ -17,6 +18,7 @@ from jaxplore.view.history import History, plain
 from jaxplore.view.other import PictureScene
 from jaxplore.view.rollouts import RolloutColours
 from jaxplore.view.scene import Scene
+from jaxplore.view.volume import VolumeScene
 
 if TYPE_CHECKING:
     import viser
@@ -168,4 +170,6 @@ def make_scene(server: "viser.ViserServer", recording: Recording) -> Scene:
         return ExplorationScene(server, recording)
     if isinstance(recording, PathData):
         return PathScene(server, recording)
+    if isinstance(recording, VolumeData):
+        return VolumeScene(server, recording)
     return PictureScene(server, recording)

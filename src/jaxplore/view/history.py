@@ -11,6 +11,7 @@ from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import speeds
 from jaxplore.report.recording import Frame, Recording
+from jaxplore.report.volume.data import VolumeData
 from jaxplore.simulation.record_buffer import RecordBuffer
 
 MOST_POINTS = 2000
@@ -77,7 +78,7 @@ class History:
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         self._records = RecordBuffer(_none_of(recording.records))
-        self._trail = Thinned(2, MOST_POINTS)
+        self._trail = Thinned(3 if isinstance(recording, VolumeData) else 2, MOST_POINTS)
         self._curve: Thinned | None = None
         self._terms: Thinned | None = None
         self._title, self._curves, self._term_names = "", tuple[str, ...](), tuple[str, ...]()
@@ -86,6 +87,8 @@ class History:
             has_targets = len(recording.targets) > 0
             self._title = "coverage and targets found" if has_targets else "coverage"
             self._curves = ("coverage", "targets found") if has_targets else ("coverage",)
+        elif isinstance(recording, VolumeData):
+            self._title, self._curves = "coverage", ("coverage",)
         elif isinstance(recording, PathData):
             self._title, self._curves = "speed [m/s]", ("speed",)
         if self._curves:
@@ -99,7 +102,8 @@ class History:
 
     @property
     def trail(self) -> np.ndarray:
-        """Positions (N, 2) of the robot so far [m]; none where the task has no positions."""
+        """Positions (N, 2) of the robot so far [m], (N, 3) in a volume; none where the task has no
+        positions."""
         return self._trail.rows
 
     def add(self, records: Any, time: np.ndarray) -> None:
@@ -112,9 +116,9 @@ class History:
             return
         part = dataclasses.replace(run, records=records, start=self._state)
         self._trail.add(part.positions[1:])
-        if isinstance(part, ExplorationData):
+        if isinstance(part, (ExplorationData, VolumeData)):
             values = [records.coverage]
-            if len(self._curves) > 1:
+            if isinstance(part, ExplorationData) and len(self._curves) > 1:
                 values.append(records.targets_seen / len(part.targets))
         else:
             values = [speeds(part)[1:]]

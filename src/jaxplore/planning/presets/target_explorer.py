@@ -39,11 +39,7 @@ def target_explorer(
         ValueError: a rule that is not in `RULES`, a part of another class, or a value that a part
             rejects.
     """
-    if isinstance(rule, str):
-        if rule not in RULES:
-            raise ValueError(f"rule is {rule!r}; accepted: {', '.join(RULES)}")
-        rule = RULES[rule]()
-    _kinds.instance("rule", rule, TargetRule, hint=f"or one of {', '.join(RULES)}")
+    rule = checked_rule(rule)
     _kinds.instance("perception", perception, Perception)
     _kinds.instance("grid", grid, OccupancyGrid)
     looks_around = perception.sensors[0].is_full_circle
@@ -62,3 +58,17 @@ def target_explorer(
         stays=not looks_around,
         locomotion=perception.locomotion,
     )
+
+
+def checked_rule(rule: TargetRule | str) -> TargetRule:
+    """Return a rule that is given as one or by its name in `RULES`.
+
+    Raises:
+        ValueError: a name that is not there, another class.
+    """
+    if isinstance(rule, str):
+        if rule not in RULES:
+            raise ValueError(f"rule is {rule!r}; accepted: {', '.join(RULES)}")
+        return RULES[rule]()
+    _kinds.instance("rule", rule, TargetRule, hint=f"or one of {', '.join(RULES)}")
+    return rule

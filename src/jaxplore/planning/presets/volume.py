@@ -1,9 +1,12 @@
 """MPPI for a quadrotor that explores a volume."""
 
+from typing import Any
+
 import numpy as np
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike
+from jaxplore.belief.volume import VolumePerception
 from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
@@ -16,7 +19,11 @@ from jaxplore.costs.volume import (
     VolumeInformationCost,
 )
 from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.presets.flight import Flight
+from jaxplore.planning.presets.target_explorer import checked_rule
+from jaxplore.planning.strategy.target_rules import TargetRule
+from jaxplore.planning.strategy.volume_targets import VolumeTargetExplorer
 
 
 def volume_explorer(
@@ -30,7 +37,7 @@ def volume_explorer(
     max_speed: ArrayLike = 2.0,
     clearance: ArrayLike = 0.6,
     obstacle_weight: ArrayLike = 20.0,
-    guidance_weight: ArrayLike = 1.0,
+    guidance_weight: ArrayLike = 2.0,
     information_weight: ArrayLike = 20.0,
     blind_weight: ArrayLike = 0.5,
     attitude_weight: ArrayLike = 2.0,
@@ -92,3 +99,51 @@ def volume_explorer(
         weighting="adaptive",
     )
     return flight.mppi(robot, cost)
+
+
+def volume_target_explorer(
+    robot: Quadrotor,
+    rule: TargetRule | str,
+    perception: VolumePerception,
+    grid: VoxelGrid,
+    *,
+    every: int = 4,
+    min_information: ArrayLike = 0.2,
+    min_frontier: ArrayLike = 0.4,
+    near: ArrayLike = 0.4,
+    **flying: Any,
+) -> VolumeTargetExplorer:
+    """Build an explorer that flies through a volume from target to target.
+
+    Args:
+        robot: model of the robot.
+        rule: rule that chooses the next target, or its name in `RULES`.
+        perception: perception of the scenario.
+        grid: a map with the shape and resolution of the scenario's.
+        every: number of commands between choices: 4 for commands at 20 Hz and fields at 5 Hz.
+        min_information: information of its best view below which a place is not visited
+            [nat m^3].
+        min_frontier: minimum area of a frontier, and of a cluster [m^2].
+        near: length of the path to a target at which it counts as reached [m].
+        flying: parameters of `volume_explorer`, which flies. A robot with a full-circle sensor
+            flies with an `information_weight` of 0: the rule alone decides where to look. Any other
+            robot must turn its sensor to the target, and stays until it has scanned it.
+
+    Raises:
+        ValueError: a rule that is not in `RULES`, a part of another class, or a value that a part
+            rejects.
+    """
+    rule = checked_rule(rule)
+    _kinds.instance("perception", perception, VolumePerception)
+    if not perception.needs_turning:
+        flying = {**flying, "information_weight": 0.0}
+    return VolumeTargetExplorer(
+        volume_explorer(robot, **flying),
+        rule,
+        perception,
+        grid,
+        every=every,
+        min_information=min_information,
+        min_frontier=min_frontier,
+        near=near,
+    )

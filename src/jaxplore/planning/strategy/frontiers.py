@@ -9,11 +9,13 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplore._types import Pose, Scalar
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.roadmap import Locomotion, Roadmap
+from jaxplore.belief.volume_roads import VolumeRoads
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
 
 class Frontiers(NamedTuple):
-    """Candidate places on the nodes of the guidance lattice.
+    """Candidate places on the nodes of the guidance lattice, (H, W) in the plane and (D, H, W) in a
+    volume, whose cells are voxels.
 
     A frontier cell is free and has an unknown neighbour (Yamauchi, "A frontier-based approach for
     autonomous exploration", CIRA 1997). The robot cannot reach it, since it keeps clear of unknown
@@ -24,22 +26,22 @@ class Frontiers(NamedTuple):
 
     Args:
         roads: road map of the places where the robot fits.
-        distance: (H, W) length of the shortest path to each node [m]; infinite where there is none.
-        worth: (H, W) information of a scan from each node, discounted by the time spent near it
+        distance: length of the shortest path to each node [m]; infinite where there is none.
+        worth: information of a scan from each node, discounted by the time spent near it
             [nat].
-        is_frontier: (H, W) frontier nodes among `is_view`.
-        is_cluster: (H, W) cluster nodes among `is_view`.
-        is_view: (H, W) nodes that can be reached and have at least `min_information`.
-        is_leftover: (H, W) nodes that can be reached and have at least `leftover_share` of that.
+        is_frontier: frontier nodes among `is_view`.
+        is_cluster: cluster nodes among `is_view`.
+        is_view: nodes that can be reached and have at least `min_information`.
+        is_leftover: nodes that can be reached and have at least `leftover_share` of that.
     """
 
-    roads: Roadmap
-    distance: Float[Array, "H W"]
-    worth: Float[Array, "H W"]
-    is_frontier: Bool[Array, "H W"]
-    is_cluster: Bool[Array, "H W"]
-    is_view: Bool[Array, "H W"]
-    is_leftover: Bool[Array, "H W"]
+    roads: Roadmap | VolumeRoads
+    distance: Float[Array, "*nodes"]
+    worth: Float[Array, "*nodes"]
+    is_frontier: Bool[Array, "*nodes"]
+    is_cluster: Bool[Array, "*nodes"]
+    is_view: Bool[Array, "*nodes"]
+    is_leftover: Bool[Array, "*nodes"]
 
 
 def find_frontiers(
@@ -112,22 +114,23 @@ def _frontier_lengths(
     return grid.resolution * count, grid.resolution * size
 
 
-def cluster_sizes(mask: Bool[Array, "H W"]) -> Int[Array, "H W"]:
+def cluster_sizes(mask: Bool[Array, "*cells"]) -> Int[Array, "*cells"]:
     """Return the number of cells of the cluster of each cell; 0 outside the mask.
 
-    A cluster is a set of cells that are connected by steps to 8 neighbours within the mask
-    (connected-component labelling). Each cell takes the greatest label around it, and then the
-    label of the cell that this label names, until no label changes. The latter makes the number of
-    rounds grow with the logarithm of the length of a cluster.
+    A cluster is a set of cells that are connected by steps to neighbours within the mask, 8 in the
+    plane and 26 in a volume (connected-component labelling). Each cell takes the greatest label
+    around it, and then the label of the cell that this label names, until no label changes. The
+    latter makes the number of rounds grow with the logarithm of the length of a cluster.
 
     Args:
-        mask: (H, W) cells.
+        mask: cells.
     """
+    window, strides = (3,) * mask.ndim, (1,) * mask.ndim
     own = jnp.arange(mask.size, dtype=jnp.int32).reshape(mask.shape)
 
     def spread(carry: tuple[Array, Array]) -> tuple[Array, Array]:
         label, _ = carry
-        around = jax.lax.reduce_window(label, -1, jax.lax.max, (3, 3), (1, 1), "SAME")
+        around = jax.lax.reduce_window(label, -1, jax.lax.max, window, strides, "SAME")
         # Labels are numbers of cells, and each cell's own label is at least its number.
         further = around.reshape(-1)[jnp.maximum(around, 0)]
         after = jnp.where(mask, further, -1)

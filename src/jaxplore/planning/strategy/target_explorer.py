@@ -2,56 +2,27 @@
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import ClassVar
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Scalar, StateVector
+from jaxplore._types import ArrayLike, Count, Position, Scalar, StateVector
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
 from jaxplore.belief.guidance import GuidanceField
-from jaxplore.belief.roadmap import Locomotion, TurnsOnTheSpot
-from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
-from jaxplore.control.model_checks import checked_call
+from jaxplore.belief.roadmap import Locomotion, Roadmap, TurnsOnTheSpot
+from jaxplore.control.base import ModelBasedController
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
+from jaxplore.planning.strategy.target_controller import TargetController, TargetState
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
-class TargetState(NamedTuple):
-    """State of a `TargetExplorer`.
-
-    Args:
-        tracker: state of the controller that drives.
-        node: (row, column) of the target on the guidance lattice.
-        has_target: whether there is a target.
-        guidance: cost to go to the target [m].
-        since: number of commands so far.
-    """
-
-    tracker: Any
-    node: Int[Array, "2"]
-    has_target: Flag
-    guidance: GuidanceField
-    since: Count
-
-
-class TargetExplorer(Controller):
-    """Chooses a target by a rule, drives there, and chooses the next one.
-
-    A target is kept until the robot is near it, no path leads to it, or it is no longer among the
-    candidates of the rule, for instance because it was seen from afar. A rule with `hysteresis`
-    replaces it earlier by a candidate that is better by as much. Without candidates, the
-    nearest place with a little information left is the target. Without such a place the robot
-    waits. Information that cannot be seen from a place after all is discounted while the robot is
-    near it and recovers later (`Belief.dwell`), so no place is given up for ever.
-
-    The tracker descends the cost to go to the target, which replaces the guidance in its belief.
-    Motion, obstacles and limits are those of the tracker, the same for all rules.
+class TargetExplorer(TargetController):
+    """Chooses a target in the plane by a rule and drives there: see `TargetController`.
 
     Args:
         tracker: controller that drives down `belief.guidance`, such as MPPI.
@@ -76,6 +47,8 @@ class TargetExplorer(Controller):
     Raises:
         ValueError: a number outside its range.
     """
+
+    belief_type: ClassVar[type] = Belief
 
     tracker: ModelBasedController
     rule: TargetRule
@@ -150,114 +123,45 @@ class TargetExplorer(Controller):
             jnp.zeros((), jnp.int32),
         )
 
-    def at_period(self, control_period: ArrayLike) -> "TargetExplorer":
-        """Return a copy of this controller that is called every `control_period` seconds."""
-        tracker = self.tracker.at_period(control_period)
-        same: TargetExplorer = eqx.tree_at(lambda explorer: explorer.tracker, self, tracker)
-        return same
+    def find(self, belief: Belief, observation: StateVector) -> Frontiers:
+        """Return the frontiers and views that the robot can reach.
 
-    def step(
-        self, state: TargetState, observation: StateVector, belief: Any = None, *, key: Key
-    ) -> tuple[ControlVector, TargetState, Info]:
-        """Choose a target if a choice is due, and plan towards it; see `Controller.step`."""
-        model = self.tracker.dynamics
-        observation = checked_call(model, state, TargetState, observation, key)
-        state, known, control_key = self._prepare(state, observation, belief, key)
-        control, tracker, info = self.tracker.step(
-            state.tracker, observation, known, key=control_key
+        Raises:
+            ValueError: a belief whose map has another shape.
+        """
+        if self.shape != belief.grid.shape:
+            raise ValueError(
+                f"shape is {self.shape}; accepted: that of the belief's map, which has arrays "
+                f"of {belief.grid.shape} cells"
+            )
+        return find_frontiers(
+            belief,
+            self.tracker.dynamics.pose(observation),
+            self.locomotion,
+            required_clearance=self.required_clearance,
+            min_information=self.min_information,
+            leftover_share=self.leftover_share,
+            min_frontier=self.min_frontier,
+            stride=self.stride,
+            near=self.nodes_to_unknown,
         )
-        return control, state._replace(tracker=tracker), info
 
-    def inspect(
+    def guidance(
         self,
+        frontiers: Frontiers,
+        source: Float[Array, "H W"],
         state: TargetState,
         observation: StateVector,
-        belief: Any = None,
-        *,
-        key: Key,
-        num_trajectories: int = 50,
-    ) -> SampledPlan:
-        """Return the trajectories of the tracker, with the target as the reference."""
-        model = self.tracker.dynamics
-        observation = checked_call(model, state, TargetState, observation, key)
-        state, known, control_key = self._prepare(state, observation, belief, key)
-        plan = self.tracker.inspect(
-            state.tracker, observation, known, key=control_key, num_trajectories=num_trajectories
-        )
-        here = self.tracker.dynamics.position(observation)
-        there = state.guidance.frame.cell_centre(state.node)
-        target = jnp.where(state.has_target, there, here)
-        return plan._replace(reference=jnp.stack([target, target]))
-
-    def _prepare(
-        self, state: TargetState, observation: StateVector, belief: Belief, key: Key
-    ) -> tuple[TargetState, Belief, Key]:
-        """Return the state with its target, the belief that leads there, and the tracker's key."""
-        _kinds.instance("belief", belief, Belief)
-        choice_key, control_key = jax.random.split(key)
-        state = self._choose_if_due(state, observation, belief, choice_key)
-        return state, dataclasses.replace(belief, guidance=state.guidance), control_key
-
-    def _choose_if_due(
-        self, state: TargetState, observation: StateVector, belief: Belief, key: Key
-    ) -> TargetState:
-        """Return the state after a choice, if one is due."""
-        is_due = state.since % self.every == 0
-
-        def choose(state: TargetState) -> TargetState:
-            if self.shape != belief.grid.shape:
-                raise ValueError(
-                    f"shape is {self.shape}; accepted: that of the belief's map, which has arrays "
-                    f"of {belief.grid.shape} cells"
-                )
-            frontiers = find_frontiers(
-                belief,
-                self.tracker.dynamics.pose(observation),
-                self.locomotion,
-                required_clearance=self.required_clearance,
-                min_information=self.min_information,
-                leftover_share=self.leftover_share,
-                min_frontier=self.min_frontier,
-                stride=self.stride,
-                near=self.nodes_to_unknown,
-            )
-            return self._choose(state, frontiers, key)
-
-        state = jax.lax.cond(is_due, choose, lambda same: same, state)
-        return state._replace(since=state.since + 1)
-
-    def _choose(self, state: TargetState, frontiers: Frontiers, key: Key) -> TargetState:
-        """Keep the target or choose a new one, and compute the cost to go to it."""
-        candidates = self.rule.candidates(frontiers)
-        # A target that is reached is dropped. A robot that stays keeps it while there is
-        # information.
-        away = frontiers.distance > self.near
-        if self.stays:
-            away |= frontiers.is_view
-        row, column = state.node
-        keeps = state.has_target & (candidates & away)[row, column]
-        shape, lead = candidates.shape, self.rule.hysteresis()
-
-        # Choosing may cost a search per frontier, so a rule without hysteresis is skipped while the
-        # target is kept.
-        def pick(_: None) -> tuple[Array, Flag]:
-            may_be = candidates & away
-            scores = self.rule.scores(frontiers, key=key)
-            if lead is not None:
-                scores = scores.at[row, column].add(jnp.where(keeps, lead, 0.0))
-            scores = jnp.where(may_be, scores, -jnp.inf)
-            leftover = jnp.where(frontiers.is_leftover & away, -frontiers.distance, -jnp.inf)
-            best = jnp.where(may_be.any(), jnp.argmax(scores), jnp.argmax(leftover))
-            is_any = may_be.any() | jnp.isfinite(leftover).any()
-            return jnp.stack(jnp.unravel_index(best, shape)).astype(jnp.int32), is_any
-
-        if lead is None:
-            node, has_target = jax.lax.cond(keeps, lambda _: (state.node, keeps), pick, None)
-        else:
-            node, has_target = pick(None)
-        # Without a target the cost to go is 0 everywhere, so that nothing attracts the robot.
-        source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
-        source = source.at[node[0], node[1]].set(0.0)
+    ) -> GuidanceField:
+        """Return the cost to go to a source as a field."""
+        assert isinstance(frontiers.roads, Roadmap)
+        field = frontiers.roads.field(source, self.tracker.dynamics.position(observation))
+        former = state.guidance
+        assert isinstance(former, GuidanceField)
         # The lattice is that of the state, whose frame a caller may have made without padding.
-        guidance = dataclasses.replace(frontiers.roads.field(source), frame=state.guidance.frame)
-        return state._replace(node=node, has_target=has_target, guidance=guidance)
+        return dataclasses.replace(field, frame=former.frame)
+
+    def target(self, state: TargetState) -> Position:
+        """Return the position (x, y) of the target of a state [m]."""
+        assert isinstance(state.guidance, GuidanceField)
+        return state.guidance.frame.cell_centre(state.node)

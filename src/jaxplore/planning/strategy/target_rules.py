@@ -11,8 +11,8 @@ from jaxplore import _checks
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.planning.strategy.frontiers import Frontiers
 
-Scores = Float[Array, "H W"]
-Mask = Bool[Array, "H W"]
+Scores = Float[Array, "*nodes"]
+Mask = Bool[Array, "*nodes"]
 
 
 class TargetRule(eqx.Module):
@@ -20,11 +20,11 @@ class TargetRule(eqx.Module):
 
     @abc.abstractmethod
     def candidates(self, frontiers: Frontiers) -> Mask:
-        """Return the nodes (H, W) that may be chosen. A target is kept while it is a candidate."""
+        """Return the nodes that may be chosen. A target is kept while it is a candidate."""
 
     @abc.abstractmethod
     def scores(self, frontiers: Frontiers, *, key: Key) -> Scores:
-        """Score each node (H, W); the candidate with the highest score is chosen."""
+        """Score each node; the candidate with the highest score is chosen."""
 
     def hysteresis(self) -> Scalar | None:
         """Return the lead in score that another candidate needs to replace the target.
@@ -128,7 +128,7 @@ class GainPerCost(TargetRule):
         """Return the information per metre [nat/m]."""
         # At the node of the robot the distance may be 0: at least a node spacing keeps the ratio
         # finite.
-        return frontiers.worth / jnp.maximum(frontiers.distance, frontiers.roads.frame.resolution)
+        return frontiers.worth / jnp.maximum(frontiers.distance, frontiers.roads.spacing)
 
 
 class NextBestView(TargetRule):
@@ -215,7 +215,11 @@ class DistanceAdvantage(TargetRule):
 
         lengths = jax.lax.map(path_lengths, index)
         # Places in the sample that are no frontier do not count, nor does a frontier for itself.
-        counts = ((value >= 0.0)[:, None, None]) & jnp.isfinite(lengths) & (lengths > 0.0)
+        counts = (
+            (value >= 0.0).reshape(-1, *[1] * is_frontier.ndim)
+            & jnp.isfinite(lengths)
+            & (lengths > 0.0)
+        )
         total = jnp.sum(jnp.where(counts, lengths, 0.0), axis=0)
         remoteness = total / jnp.maximum(jnp.sum(counts, axis=0, dtype=jnp.float32), 1.0)
         return remoteness - frontiers.distance

@@ -1,6 +1,7 @@
 """Data of an exploration of a volume."""
 
 import dataclasses
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ class VolumeRecord(NamedTuple):
     Args:
         state: (nx,) state after the step.
         control: (nu,) control that took effect during the step.
-        coverage: share of the reachable volume that is known to be free.
+        coverage: share of the observable volume that is known to be free.
         clearance: distance from the robot's edge to the nearest solid voxel [m], up to the reach of
             the examined box.
         is_collision: whether the step would have led to a collision; the robot stopped instead.
@@ -45,15 +46,22 @@ class VolumeFrame(Frame):
         level: (H, W) level slice of the map at the height of the robot: `UNKNOWN`, `FREE` or
             `OCCUPIED`.
         upright: (D, W) vertical slice of the map along x, through the robot.
-        plan: (T + 1, 2) positions of the nominal trajectory [m].
+        voxels: (ceil(D H W / 8),) bits of the voxels that the robot knows to be occupied.
+        plan: (T + 1, 3) positions of the nominal trajectory, with z up [m].
     """
 
     state: np.ndarray
     level: np.ndarray
     upright: np.ndarray
+    voxels: np.ndarray
     plan: np.ndarray
 
     places = ("plan",)
+
+    def occupied(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the voxels (D, H, W) that the robot knows to be occupied."""
+        bits = np.unpackbits(self.voxels, count=math.prod(shape))
+        return bits.reshape(shape).astype(bool)
 
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
@@ -67,7 +75,7 @@ class VolumeData(RunData):
     Args:
         world: (D, H, W) voxels that are truly occupied.
         belief: (D, H, W) states of the voxels of the robot's map at the end.
-        reachable: (D, H, W) voxels that count for the coverage.
+        observable: (D, H, W) voxels that count for the coverage.
         resolution: side of a voxel [m].
         origin: corner (x, y, z) of the first voxel [m].
         start: (nx,) state at the start.
@@ -81,7 +89,7 @@ class VolumeData(RunData):
     frames: tuple[VolumeFrame, ...]
     world: np.ndarray
     belief: np.ndarray
-    reachable: np.ndarray
+    observable: np.ndarray
     resolution: float
     origin: np.ndarray
     start: np.ndarray
@@ -111,12 +119,12 @@ class VolumeMetrics(Metrics):
     """Metrics of an exploration of a volume.
 
     Args:
-        coverage: share of the reachable volume that is known to be free at the end.
+        coverage: share of the observable volume that is known to be free at the end.
         time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
             reached [s]; None if never.
         path_to: distance flown until then [m].
         path_length: distance flown in the whole run [m].
-        volume: reachable volume [m^3].
+        volume: observable volume [m^3].
         collisions: contacts; successive steps in contact are one.
         minimum_clearance: least distance from the robot's edge to a solid voxel [m].
         mean_speed: mean speed [m/s].
@@ -177,7 +185,7 @@ def compute_volume_metrics(data: VolumeData, *, seed: int | None = None) -> Volu
         time_to={name: float(k[0] * period) if len(k) else None for name, k in reached.items()},
         path_to={name: float(path[k[0]]) if len(k) else None for name, k in reached.items()},
         path_length=float(path[-1]),
-        volume=float(data.reachable.sum()) * data.resolution**3,
+        volume=float(data.observable.sum()) * data.resolution**3,
         collisions=episodes(np.asarray(records.is_collision, bool)),
         minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
         mean_speed=float(path[-1] / max(period, data.num_steps * period)),

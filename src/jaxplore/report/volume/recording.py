@@ -1,14 +1,18 @@
 """The recording of an exploration of a volume, and its pictures."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 from jaxplore.report.drawing import colours
+from jaxplore.report.drawing.film import FilmOptions, write_film
+from jaxplore.report.drawing.palette import fitted_palette
 from jaxplore.report.recording import Recording
 from jaxplore.report.volume.data import (
     FREE,
@@ -18,6 +22,7 @@ from jaxplore.report.volume.data import (
     VolumeMetrics,
     compute_volume_metrics,
 )
+from jaxplore.report.volume.space import SpacePicture, height_colours, surface
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -30,8 +35,8 @@ GAP = 8
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class VolumeRecording(VolumeData, Recording):
-    """A finished exploration of a volume. Its folder has `volume.png`, `slices.png`, `coverage.png`
-    and `exploration.gif`."""
+    """A finished exploration of a volume. Its folder has `volume.png`, `slices.png`,
+    `coverage.png`, `turntable.gif` and `exploration.gif`."""
 
     animation = "exploration.gif"
 
@@ -53,7 +58,7 @@ class VolumeRecording(VolumeData, Recording):
         points = (self.positions[: frame.step + 1] - self.origin) / self.resolution * pixels
         trail = [(x, level.height - y) for x, y, _ in points.tolist()]
         side = [(x, size[1] - z) for x, _, z in points.tolist()]
-        plan = (frame.plan - self.origin[:2]) / self.resolution * pixels
+        plan = (frame.plan[:, :2] - self.origin[:2]) / self.resolution * pixels
         radius = self.robot_radius / self.resolution * pixels
         for line, colour in ((trail, "#1f77b4"), (side, "#1f77b4")):
             if len(line) > 1:
@@ -75,19 +80,23 @@ class VolumeRecording(VolumeData, Recording):
             "coverage": partial(coverage_figure, self),
         }
 
+    def files(self) -> dict[str, Callable[[Path], None]]:
+        """Return the function that writes a film around what the robot found."""
+        return {"turntable.gif": partial(write_turntable, self)}
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the content of `arrays.npz`: plain arrays, no pickles.
 
         Each field of `VolumeRecord` under its name, one row per step; `time` (N + 1,) [s],
-        `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `reachable` (D, H, W), `origin`,
-        `resolution`, `control_period`, `start` and `state_names`.
+        `positions` (N + 1, 3) [m] with z up, `world`, `belief` and `observable` (D, H, W),
+        `origin`, `resolution`, `control_period`, `start` and `state_names`.
         """
         return {
             **super().arrays(),
             "positions": self.positions,
             "world": self.world,
             "belief": self.belief,
-            "reachable": self.reachable,
+            "observable": self.observable,
             "origin": self.origin,
             "resolution": np.asarray(self.resolution),
             "start": self.start,
@@ -113,19 +122,7 @@ def volume_figure(data: VolumeData) -> "Figure":
 
     figure = Figure(figsize=(9.0, 6.5))
     axes = figure.add_subplot(projection="3d")
-    occupied, free = data.belief == OCCUPIED, data.belief == FREE
-    seen = np.zeros_like(occupied)
-    for axis, step in ((0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
-        seen |= np.roll(free, step, axis)
-    # The ceiling would hide the rest, with what noise makes of it.
-    seen[-2:] = False
-    k, j, i = np.nonzero(occupied & seen)
-    # More points than this hide each other.
-    chosen = np.linspace(0, max(0, len(k) - 1), min(len(k), 20_000)).astype(int)
-    x, y, z = (
-        data.origin[axis] + (voxels[chosen] + 0.5) * data.resolution
-        for axis, voxels in enumerate((i, j, k))
-    )
+    x, y, z = surface_points(data).T
     axes.scatter(x, y, z, c=z, cmap="viridis", s=4.0, alpha=0.6, linewidths=0.0)
     path = data.positions
     axes.plot(*path.T, color="#d62728", linewidth=1.5)
@@ -138,6 +135,32 @@ def volume_figure(data: VolumeData) -> "Figure":
     axes.set_box_aspect(size, zoom=1.25)
     axes.view_init(elev=50.0, azim=-65.0)
     return figure
+
+
+def surface_points(data: VolumeData) -> np.ndarray:
+    """Return the middles (N, 3) of the voxels of the surface that the robot found [m]."""
+    voxels = surface(data.belief == OCCUPIED, data.belief == FREE)
+    return np.asarray(data.origin + (voxels[:, ::-1] + 0.5) * data.resolution)
+
+
+TURNS = 48
+"""Pictures of a turn."""
+
+
+def write_turntable(data: VolumeData, path: Path) -> None:
+    """Write a film around what the robot found, and its path."""
+    points, size = surface_points(data), np.array(data.world.shape[::-1]) * data.resolution
+    low, high = data.origin, data.origin + size
+    shades = height_colours(points[:, 2], low[2], high[2])
+    picture = SpacePicture(low, high, WIDTH)
+
+    def draw(azimuth: float) -> Image.Image:
+        return picture.draw(points, shades, data.resolution, data.positions, azimuth)
+
+    angles = [math.radians(60.0) + 2.0 * math.pi * turn / TURNS for turn in range(TURNS)]
+    options = FilmOptions(fps=12.5)
+    palette = partial(fitted_palette, ())
+    write_film(path, angles, draw, palette, options, lambda _: None)
 
 
 def slices_figure(data: VolumeData) -> "Figure":
@@ -164,7 +187,7 @@ def slices_figure(data: VolumeData) -> "Figure":
 
 
 def coverage_figure(data: VolumeData) -> "Figure":
-    """Draw the share of the reachable volume that is known, over time."""
+    """Draw the share of the observable volume that is known, over time."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 3.5))

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import (
@@ -24,7 +24,7 @@ from jaxplore._types import (
 from jaxplore._xla import on_device
 from jaxplore.belief.volume import VolumeBelief, VolumePerception
 from jaxplore.control.base import Controller, Info
-from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
 from jaxplore.maps.voxel_grid import FREE_BELOW, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
@@ -34,6 +34,7 @@ from jaxplore.simulation.chunks import ChunkedRun
 from jaxplore.simulation.exploration.clock import whole_steps
 from jaxplore.simulation.faults import Faults
 from jaxplore.simulation.scenario import Inspect, Moment, Scenario
+from jaxplore.simulation.volume.observable import fitting_places, observable
 
 TOUCHING = 1.0
 """Reach of the box in which the distance to solid voxels is examined [m]."""
@@ -45,7 +46,7 @@ class VolumeState(NamedTuple):
     Args:
         robot: (nx,) true state of the robot.
         belief: the robot's belief.
-        coverage: share of the reachable volume that is known to be free.
+        coverage: share of the observable volume that is known to be free.
     """
 
     robot: StateVector
@@ -57,9 +58,10 @@ class VolumeScenario(Scenario):
     """Exploration of an unknown volume by a quadrotor with depth cameras or lidars.
 
     The volume has z up, the model of the quadrotor has z down (NED): a height is `-z` of the state.
-    Voxels that the world does not know to be free are solid. *Reachable* are the free voxels that
-    are connected with the start through faces; coverage is the share of them that the robot's map
-    knows to be free. The exploration is finished at the target coverage.
+    Voxels that the world does not know to be free are solid. *Observable* are the free voxels that
+    a level sensor sees from some place where the robot fits and that is connected with the start;
+    coverage is the share of them that the robot's map knows to be free. The exploration is finished
+    at the target coverage.
 
     Args:
         world: the true volume, hidden from the robot.
@@ -70,7 +72,7 @@ class VolumeScenario(Scenario):
         control_rate: rate of the controls [Hz].
         sensing_rate: rate of scans and map updates [Hz]; a whole fraction of the control rate.
         field_rate: rate of updates of the information and guidance [Hz], likewise.
-        target_coverage: share of the reachable volume at which the exploration is finished.
+        target_coverage: share of the observable volume at which the exploration is finished.
         faults: injected faults of odometry, scans and delays; none when absent.
 
     Raises:
@@ -91,8 +93,8 @@ class VolumeScenario(Scenario):
     steps_per_scan: Count
     steps_per_field: Count
     target_coverage: Scalar
-    reachable: Bool[Array, "D H W"]
-    num_reachable: Scalar
+    observable: Bool[Array, "D H W"]
+    num_observable: Scalar
     faults: Faults | None
     reach: int = eqx.field(static=True)
 
@@ -124,9 +126,12 @@ class VolumeScenario(Scenario):
         place = np.asarray(_checks.vector("start", start, 4), np.float64)
         radius = float(robot.radius)
         solid = ~np.asarray(world.is_free)
-        self.reachable = on_device(_reachable(solid, world, place, radius))
-        number = np.count_nonzero(np.asarray(self.reachable))
-        self.num_reachable = on_device(np.asarray(number, np.float32))
+        side = world.resolution
+        places = fitting_places(solid, _start_voxel(solid, world, place, radius), radius / side)
+        views = [(each.max_range / side, *each.elevations) for each in given]
+        seen = observable(solid, places, views)
+        self.observable = on_device(seen)
+        self.num_observable = on_device(np.asarray(np.count_nonzero(seen), np.float32))
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
         if perception is None:
             perception = VolumePerception(given, world.resolution, robot.radius)
@@ -155,16 +160,16 @@ class VolumeScenario(Scenario):
         blank = eqx.tree_at(
             lambda each: each.log_odds, self.world, jnp.zeros_like(self.world.log_odds)
         )
-        belief = self.perception.init(blank, position(self.start))
+        belief = self.perception.init(blank, position_upwards(self.start))
         return VolumeState(self.start, belief, self._coverage(belief)), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
     ) -> tuple[VolumeState, VolumeBelief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        at, turn = position(moment.observed), attitude(moment.observed)
+        at, turn = position_upwards(moment.observed), attitude_upwards(moment.observed)
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
-        truly, truly_turned = position(state.robot), attitude(state.robot)
+        truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
 
         def scanned(belief: VolumeBelief) -> VolumeBelief:
             keys = jax.random.split(key, len(self.sensors))
@@ -229,7 +234,7 @@ class VolumeScenario(Scenario):
         Args:
             state: (nx,) state of the robot.
         """
-        grid = self.world.to_grid(position(state))
+        grid = self.world.to_grid(position_upwards(state))
         centre = jnp.floor(jnp.where(jnp.isfinite(grid), grid, 0.0)).astype(jnp.int32)
         reach = self.reach
         offsets = jnp.stack(
@@ -247,20 +252,21 @@ class VolumeScenario(Scenario):
     def frame(
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
     ) -> dict[str, Any]:
-        """Return two slices of the map through the robot, and the plan."""
+        """Return two slices of the map through the robot, its occupied voxels, and the plan."""
         grid = state.belief.grid
         kinds = voxel_states(grid)
-        voxel = jnp.floor(grid.to_grid(position(state.robot))).astype(jnp.int32)
+        voxel = jnp.floor(grid.to_grid(position_upwards(state.robot))).astype(jnp.int32)
         depth, height, _ = grid.shape
         layer, row = jnp.clip(voxel[0], 0, depth - 1), jnp.clip(voxel[1], 0, height - 1)
-        plan = jnp.zeros((0, 2))
+        plan = jnp.zeros((0, 3))
         if inspect is not None:
             states = inspect(moment.observed, state.belief).nominal.states
-            plan = states[:, :2]
+            plan = jax.vmap(position_upwards)(states)
         return {
             "state": state.robot,
             "level": kinds[layer],
             "upright": kinds[:, row],
+            "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
         }
 
@@ -275,7 +281,7 @@ class VolumeScenario(Scenario):
             **run.common(self.period),
             world=np.asarray(self.world.is_occupied),
             belief=np.asarray(voxel_states(run.state.task.belief.grid)),
-            reachable=np.asarray(self.reachable),
+            observable=np.asarray(self.observable),
             resolution=self.world.resolution,
             origin=np.asarray(self.world.origin, np.float64),
             start=np.asarray(self.start),
@@ -287,36 +293,13 @@ class VolumeScenario(Scenario):
         return local.moved(self.datum.offset)
 
     def _coverage(self, belief: VolumeBelief) -> Scalar:
-        seen = jnp.sum(belief.grid.is_free & self.reachable, dtype=jnp.float32)
-        return seen / self.num_reachable
+        seen = jnp.sum(belief.grid.is_free & self.observable, dtype=jnp.float32)
+        return seen / self.num_observable
 
     def _stopped(self, state: StateVector) -> StateVector:
         """Return the state of a robot that keeps its position and attitude, at rest."""
         still = jnp.asarray([name.startswith(("v", "w")) for name in self.robot.state_names])
         return jnp.where(still, 0.0, state)
-
-
-def position(state: StateVector) -> Float[Array, "3"]:
-    """Return the position (x, y, z) of a quadrotor in the volume, with z up [m]."""
-    return state[:3] * jnp.asarray([1.0, 1.0, -1.0])
-
-
-def attitude(state: StateVector) -> Float[Array, "3 3"]:
-    """Return the rotation from the body, x ahead, y to the left, z up, to the volume.
-
-    The model is NED and FRD: mirrored in z, both y axes keep their names, and a turn from x towards
-    y remains one.
-    """
-    w, x, y, z = state[6], state[7], state[8], state[9]
-    rotation = jnp.stack(
-        [
-            jnp.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            jnp.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-        ]
-    )
-    mirror = jnp.asarray([1.0, 1.0, -1.0])
-    return mirror[:, None] * rotation * mirror
 
 
 def voxel_states(grid: VoxelGrid) -> Array:
@@ -325,15 +308,14 @@ def voxel_states(grid: VoxelGrid) -> Array:
     return kinds.astype(jnp.uint8)
 
 
-def _reachable(solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: float) -> np.ndarray:
-    """Return the free voxels that are connected with the start.
+def _start_voxel(
+    solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: float
+) -> np.ndarray:
+    """Return the start in grid coordinates (z, y, x) [voxels].
 
     Raises:
         ValueError: a start off the volume or too close to a solid voxel.
     """
-    # Slow to import, and only needed here.
-    from scipy import ndimage
-
     side, origin = world.resolution, np.asarray(world.origin, np.float64)
     grid = ((start[:3] - origin) / side)[::-1]
     voxel = np.floor(grid).astype(int)
@@ -352,5 +334,4 @@ def _reachable(solid: np.ndarray, world: VoxelGrid, start: np.ndarray, radius: f
             f"{where}, within {radius:g} m of a solid voxel; accepted: free space of the robot's "
             "radius"
         )
-    labels, _ = ndimage.label(~solid)
-    return np.asarray(labels == labels[tuple(voxel)])
+    return np.asarray(grid)

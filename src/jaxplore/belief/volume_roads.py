@@ -1,0 +1,81 @@
+"""Road map of a volume: the lattice of the places at which a robot fits, and the paths on it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxplore.belief.volume_geodesic import volume_geodesic
+from jaxplore.maps.volume_field import VolumeField
+
+FAR = 1e4
+"""Cost-to-go where no path leads [m]."""
+
+
+class VolumeRoads(eqx.Module):
+    """Lattice of the places in a volume at which a robot fits, with paths between 26 neighbours.
+
+    Args:
+        half_open: which points of the lattice with half the spacing the robot fits at, with the
+            nodes at even indices.
+        slowness: cost of a metre at each node.
+        origin: position (x, y, z) of node (0, 0, 0) [m].
+        spacing: distance between nodes [m]; static.
+    """
+
+    half_open: Bool[Array, "D2 H2 W2"]
+    slowness: Float[Array, "D H W"]
+    origin: Float[Array, "3"]
+    spacing: float = eqx.field(static=True)
+
+    @property
+    def is_open(self) -> Bool[Array, "D H W"]:
+        """Mask of the nodes at which the robot fits."""
+        return self.half_open[::2, ::2, ::2]
+
+    def lengths(self, source: Float[Array, "D H W"]) -> Float[Array, "D H W"]:
+        """Return the cost-to-go of each node [m]; infinite where no path leads to a source.
+
+        Args:
+            source: cost at the nodes where paths may end [m]; infinite elsewhere.
+        """
+        return volume_geodesic(source / self.spacing, self.slowness, self.half_open) * self.spacing
+
+    def lengths_from(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
+        """Return the cost of the path from a position (x, y, z) to each node [m].
+
+        A path begins at an open node within a spacing of the nearest one.
+        """
+        gap = jnp.where(self.is_open, self.distances(position), jnp.inf)
+        return self.lengths(jnp.where(gap <= gap.min() + self.spacing, gap, jnp.inf))
+
+    def field(self, source: Float[Array, "D H W"]) -> VolumeField:
+        """Return the cost-to-go of `lengths` as a field, extended into closed nodes."""
+        values = _extended(self.lengths(source), self.spacing)
+        return VolumeField(values, self.origin, self.spacing, jnp.asarray(FAR))
+
+    def distances(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
+        """Return the straight distance of each node from a position (x, y, z) [m]."""
+        z, y, x = jnp.meshgrid(
+            *(
+                self.origin[axis] + self.spacing * jnp.arange(size, dtype=jnp.float32)
+                for axis, size in zip((2, 1, 0), self.slowness.shape, strict=True)
+            ),
+            indexing="ij",
+        )
+        gap = jnp.stack([x, y, z]) - position[:, None, None, None]
+        return jnp.sqrt(jnp.sum(gap * gap, axis=0))
+
+
+def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
+    """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
+    for _ in range(2):
+        wide = jnp.pad(costs, 1, constant_values=jnp.inf)
+        depth, height, width = costs.shape
+        near = jnp.full_like(costs, jnp.inf)
+        for axis in range(3):
+            for begin in (0, 2):
+                index = [slice(1, 1 + n) for n in (depth, height, width)]
+                index[axis] = slice(begin, begin + costs.shape[axis])
+                near = jnp.minimum(near, wide[tuple(index)])
+        costs = jnp.where(jnp.isfinite(costs), costs, near + 2.0 * spacing)
+    return jnp.where(jnp.isfinite(costs), jnp.minimum(costs, FAR), FAR)

@@ -1,0 +1,212 @@
+"""Explorations of volumes, from settings."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxplore._text import printable_path
+from jaxplore.belief.volume import VolumePerception
+from jaxplore.build.own import own_controller, own_rule
+from jaxplore.build.parts import (
+    build_faults,
+    build_sensor_model,
+    build_variation,
+    with_adaptive_horizon,
+    with_latency,
+)
+from jaxplore.control.base import Controller
+from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.maps.files.volume_file import read_volume
+from jaxplore.maps.generators.volumes import START, generate_volume
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.parameters import set_parameters
+from jaxplore.planning.presets.volume import volume_explorer, volume_target_explorer
+from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
+from jaxplore.settings.defaults import arguments, parameter_default
+from jaxplore.settings.own import is_own
+from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.volume.observable import room_around
+from jaxplore.simulation.volume.scenario import VolumeScenario
+
+_HIGH = 5.6
+"""Height of a generated maze, which has two storeys [m]."""
+_YAW = 0.6
+"""Heading at the start of a generated volume [rad]."""
+
+
+def build_volume(settings: VolumeSettings) -> Experiment:
+    """Build the experiment that settings describe.
+
+    Raises:
+        ValueError: a file that cannot be read, a start that is not possible, or settings that a
+            part rejects.
+    """
+    world = build_world(settings)
+    robot = Quadrotor(**arguments(settings.robot, Quadrotor))
+    sensors = build_sensors(settings)
+    perception = VolumePerception(
+        sensors,
+        world.resolution,
+        robot.radius,
+        sensor_model=build_sensor_model(settings.sensor_model),
+        **arguments(settings.fields, VolumePerception),
+    )
+    scenario = VolumeScenario(
+        world,
+        robot,
+        sensors,
+        _start(settings, world, robot),
+        perception=perception,
+        faults=build_faults(settings.faults),
+        **arguments(settings, VolumeScenario),
+        **arguments(settings.rates, VolumeScenario),
+    ).varied(build_variation(settings.variation))
+    controller = set_parameters(_controller(settings, scenario), settings.parameters)
+    controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
+    return Experiment(
+        with_latency(controller, settings, scenario),
+        scenario,
+        max(1, round(settings.time_limit * settings.rates.control)),
+        jax.random.key(settings.seed),
+    )
+
+
+def build_world(settings: VolumeSettings) -> VoxelGrid:
+    """Build the true world of a run.
+
+    Raises:
+        ValueError: a file that cannot be read.
+    """
+    kind = GENERATED.get(settings.volume)
+    if kind is None:
+        return read_volume(
+            settings.volume,
+            resolution=settings.resolution,
+            **arguments(settings.file, read_volume),
+        )
+    return generate_volume(
+        kind,
+        size=_generated_size(settings),
+        **arguments(settings.generated, generate_volume),
+        **arguments(settings, generate_volume),
+    )
+
+
+def volume_shape(settings: VolumeSettings) -> tuple[int, int, int]:
+    """Return the numbers of voxels of a run's volume along z, y and x; a file is read for them.
+
+    Raises:
+        ValueError: a file that cannot be read.
+    """
+    if settings.volume not in GENERATED:
+        return build_world(settings).shape
+    width, height, depth = (
+        max(3, round(each / settings.resolution)) for each in _generated_size(settings)
+    )
+    return depth, height, width
+
+
+def _generated_size(settings: VolumeSettings) -> tuple[float, float, float]:
+    """Return the extents (x, y, z) of a generated volume [m]."""
+    if settings.generated.size is not None:
+        return settings.generated.size
+    size: tuple[float, float, float] = parameter_default(generate_volume, "size")
+    return (*size[:2], _HIGH) if GENERATED[settings.volume] == "maze" else size
+
+
+def build_sensors(settings: VolumeSettings) -> tuple[VolumeSensor, ...]:
+    """Build the sensors; the camera is the first one.
+
+    Raises:
+        ValueError: no sensor at all.
+    """
+    sensors: list[VolumeSensor] = []
+    camera, lidar = settings.camera, settings.lidar
+    # `arguments` returns angles in degrees, as settings have them.
+    if camera is not None:
+        given = arguments(camera, DepthCamera)
+        angles = ("field_of_view", "vertical_view", "tilt")
+        sensors.append(DepthCamera(**_in_radians(given, angles)))
+    if lidar is not None:
+        given = arguments(lidar, RingLidar)
+        sensors.append(RingLidar(**_in_radians(given, ("field_of_view", "lowest", "highest"))))
+    if not sensors:
+        raise ValueError("settings camera and lidar are null; accepted: one of them, or both")
+    return tuple(sensors)
+
+
+def _in_radians(given: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {**given, **{name: math.radians(given[name]) for name in names}}
+
+
+def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controller:
+    flying = {
+        **arguments(settings.controller, volume_explorer),
+        **arguments(settings.robot, volume_explorer),
+        "control_period": 1.0 / settings.rates.control,
+    }
+    name = settings.architecture
+    if name == "explorer":
+        return volume_explorer(scenario.robot, **flying)
+    own = own_rule(name) if is_own(name) else None
+    if own is None and is_own(name):
+        return own_controller(name, scenario)
+    return volume_target_explorer(
+        scenario.robot,
+        name if own is None else own,
+        scenario.perception,
+        scenario.world,
+        # A choice is due when the fields that it reads are new.
+        every=max(1, round(settings.rates.control / settings.rates.fields)),
+        **arguments(settings.targets, volume_target_explorer),
+        **flying,
+    )
+
+
+def _start(
+    settings: VolumeSettings, world: VoxelGrid, robot: Quadrotor
+) -> tuple[float, float, float, float]:
+    """Return the start (x, y, z, yaw) of a run [m, m, m, rad].
+
+    Raises:
+        ValueError: a volume without a place for the robot.
+    """
+    if settings.start is not None:
+        return settings.start
+    if settings.volume in GENERATED:
+        return (*START, _YAW)
+    room = room_around(~np.asarray(world.is_free)) * world.resolution
+    if room.max() < float(robot.radius):
+        raise ValueError(
+            f"volume {printable_path(Path(settings.volume))} has no place for a robot of "
+            f"{float(robot.radius):g} m radius; accepted: one with such a place"
+        )
+    voxel = np.unravel_index(np.argmax(room), room.shape)
+    x, y, z = (
+        float(low + (index + 0.5) * world.resolution)
+        for low, index in zip(np.asarray(world.origin), voxel[::-1], strict=True)
+    )
+    return x, y, z, 0.0
+
+
+def with_start(entries: dict[str, Any]) -> dict[str, Any]:
+    """Return settings entries with a start, where neither they nor the volume have one.
+
+    It is the position with the greatest clearance, heading along x.
+
+    Args:
+        entries: names and values of settings, as in a settings file.
+
+    Raises:
+        ValueError: entries that are not accepted, a file that cannot be read or has no place for
+            the robot.
+    """
+    settings = make_volume_settings(entries)
+    if settings.start is not None or settings.volume in GENERATED:
+        return entries
+    robot = Quadrotor(**arguments(settings.robot, Quadrotor))
+    return {**entries, "start": _start(settings, build_world(settings), robot)}

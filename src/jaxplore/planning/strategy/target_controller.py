@@ -1,0 +1,191 @@
+"""Controllers that choose a target by a rule and go there; what they share in all spaces."""
+
+import abc
+import dataclasses
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from jaxplore import _kinds
+from jaxplore._types import (
+    ArrayLike,
+    ControlVector,
+    Count,
+    Flag,
+    Key,
+    Position,
+    Scalar,
+    StateVector,
+)
+from jaxplore.belief.guidance import GuidanceField
+from jaxplore.control.base import Controller, Info, ModelBasedController, SampledPlan
+from jaxplore.control.model_checks import checked_call
+from jaxplore.maps.volume_field import VolumeField
+from jaxplore.planning.strategy.frontiers import Frontiers
+from jaxplore.planning.strategy.target_rules import TargetRule
+
+
+class TargetState(NamedTuple):
+    """State of a `TargetController`.
+
+    Args:
+        tracker: state of the controller that drives.
+        node: index of the target on the guidance lattice: (row, column), or (k, j, i) in a volume.
+        has_target: whether there is a target.
+        guidance: cost to go to the target [m].
+        since: number of commands so far.
+    """
+
+    tracker: Any
+    node: Int[Array, " n"]
+    has_target: Flag
+    guidance: GuidanceField | VolumeField
+    since: Count
+
+
+class TargetController(Controller):
+    """Chooses a target by a rule, goes there, and chooses the next one.
+
+    A target is kept until the robot is near it, no path leads to it, or it is no longer among the
+    candidates of the rule, for instance because it was seen from afar. A rule with `hysteresis`
+    replaces it earlier by a candidate that is better by as much. Without candidates, the
+    nearest place with a little information left is the target. Without such a place the robot
+    waits. Information that cannot be seen from a place after all is discounted while the robot is
+    near it and recovers later (`Belief.dwell`), so no place is given up for ever.
+
+    The tracker descends the cost to go to the target, which replaces the guidance in its belief.
+    Motion, obstacles and limits are those of the tracker, the same for all rules.
+
+    Args:
+        tracker: controller that goes down `belief.guidance`, such as MPPI.
+        rule: rule that chooses targets.
+        near: length of the path to a target at which it counts as reached [m].
+        every: number of commands between choices.
+        stays: whether the robot stays at a target until its information is seen or discounted;
+            static.
+    """
+
+    belief_type: ClassVar[type]
+
+    tracker: eqx.AbstractVar[ModelBasedController]
+    rule: eqx.AbstractVar[TargetRule]
+    near: eqx.AbstractVar[Scalar]
+    every: eqx.AbstractVar[Count]
+    stays: eqx.AbstractVar[bool]
+
+    @abc.abstractmethod
+    def find(self, belief: Any, observation: StateVector) -> Frontiers:
+        """Return the places where the robot could go."""
+
+    @abc.abstractmethod
+    def guidance(
+        self,
+        frontiers: Frontiers,
+        source: Float[Array, "*nodes"],
+        state: TargetState,
+        observation: StateVector,
+    ) -> GuidanceField | VolumeField:
+        """Return the cost to go to a source as a field, in the form of that of the state."""
+
+    @abc.abstractmethod
+    def target(self, state: TargetState) -> Position:
+        """Return the position (x, y) of the target of a state [m]."""
+
+    def at_period(self, control_period: ArrayLike) -> "TargetController":
+        """Return a copy of this controller that is called every `control_period` seconds."""
+        tracker = self.tracker.at_period(control_period)
+        same: TargetController = eqx.tree_at(lambda explorer: explorer.tracker, self, tracker)
+        return same
+
+    def step(
+        self, state: TargetState, observation: StateVector, belief: Any = None, *, key: Key
+    ) -> tuple[ControlVector, TargetState, Info]:
+        """Choose a target if a choice is due, and plan towards it; see `Controller.step`."""
+        model = self.tracker.dynamics
+        observation = checked_call(model, state, TargetState, observation, key)
+        state, known, control_key = self._prepare(state, observation, belief, key)
+        control, tracker, info = self.tracker.step(
+            state.tracker, observation, known, key=control_key
+        )
+        return control, state._replace(tracker=tracker), info
+
+    def inspect(
+        self,
+        state: TargetState,
+        observation: StateVector,
+        belief: Any = None,
+        *,
+        key: Key,
+        num_trajectories: int = 50,
+    ) -> SampledPlan:
+        """Return the trajectories of the tracker, with the target as the reference."""
+        model = self.tracker.dynamics
+        observation = checked_call(model, state, TargetState, observation, key)
+        state, known, control_key = self._prepare(state, observation, belief, key)
+        plan = self.tracker.inspect(
+            state.tracker, observation, known, key=control_key, num_trajectories=num_trajectories
+        )
+        here = self.tracker.dynamics.position(observation)
+        target = jnp.where(state.has_target, self.target(state), here)
+        return plan._replace(reference=jnp.stack([target, target]))
+
+    def _prepare(
+        self, state: TargetState, observation: StateVector, belief: Any, key: Key
+    ) -> tuple[TargetState, Any, Key]:
+        """Return the state with its target, the belief that leads there, and the tracker's key."""
+        _kinds.instance("belief", belief, self.belief_type)
+        choice_key, control_key = jax.random.split(key)
+        state = self._choose_if_due(state, observation, belief, choice_key)
+        return state, dataclasses.replace(belief, guidance=state.guidance), control_key
+
+    def _choose_if_due(
+        self, state: TargetState, observation: StateVector, belief: Any, key: Key
+    ) -> TargetState:
+        """Return the state after a choice, if one is due."""
+        is_due = state.since % self.every == 0
+
+        def choose(state: TargetState) -> TargetState:
+            return self._choose(state, self.find(belief, observation), observation, key)
+
+        state = jax.lax.cond(is_due, choose, lambda same: same, state)
+        return state._replace(since=state.since + 1)
+
+    def _choose(
+        self, state: TargetState, frontiers: Frontiers, observation: StateVector, key: Key
+    ) -> TargetState:
+        """Keep the target or choose a new one, and compute the cost to go to it."""
+        candidates = self.rule.candidates(frontiers)
+        # A target that is reached is dropped. A robot that stays keeps it while there is
+        # information.
+        away = frontiers.distance > self.near
+        if self.stays:
+            away |= frontiers.is_view
+        node = tuple(state.node)
+        keeps = state.has_target & (candidates & away)[node]
+        shape, lead = candidates.shape, self.rule.hysteresis()
+
+        # Choosing may cost a search per frontier, so a rule without hysteresis is skipped while the
+        # target is kept.
+        def pick(_: None) -> tuple[Array, Flag]:
+            may_be = candidates & away
+            scores = self.rule.scores(frontiers, key=key)
+            if lead is not None:
+                scores = scores.at[node].add(jnp.where(keeps, lead, 0.0))
+            scores = jnp.where(may_be, scores, -jnp.inf)
+            leftover = jnp.where(frontiers.is_leftover & away, -frontiers.distance, -jnp.inf)
+            best = jnp.where(may_be.any(), jnp.argmax(scores), jnp.argmax(leftover))
+            is_any = may_be.any() | jnp.isfinite(leftover).any()
+            return jnp.stack(jnp.unravel_index(best, shape)).astype(jnp.int32), is_any
+
+        if lead is None:
+            chosen, has_target = jax.lax.cond(keeps, lambda _: (state.node, keeps), pick, None)
+        else:
+            chosen, has_target = pick(None)
+        # Without a target the cost to go is 0 everywhere, so that nothing attracts the robot.
+        source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
+        source = source.at[tuple(chosen)].set(0.0)
+        guidance = self.guidance(frontiers, source, state, observation)
+        return state._replace(node=chosen, has_target=has_target, guidance=guidance)

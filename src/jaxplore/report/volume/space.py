@@ -1,0 +1,140 @@
+"""What was found of a volume, in space: its surface, and a picture of it from any side."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from jaxplore.report.drawing.palette import PLAN, ROBOT
+
+MOST_POINTS = 30_000
+"""Greatest number of voxels that are drawn: more hide each other."""
+_LOW, _MIDDLE, _HIGH = (46, 79, 119), (74, 160, 137), (243, 208, 100)
+"""Colours of the lowest, the middle and the highest voxels."""
+_CEILING = 2
+"""Upper layers that are left out: the ceiling, with what noise makes of it, would hide the rest."""
+
+Colours = NDArray[np.uint8]
+
+
+def surface(occupied: np.ndarray, free: np.ndarray | None = None) -> np.ndarray:
+    """Return the voxels (N, 3) as (k, j, i) that are drawn: occupied ones below the ceiling.
+
+    Args:
+        occupied: (D, H, W) occupied voxels.
+        free: (D, H, W) free voxels. With it, only those are drawn that have a free neighbour above
+            or beside them.
+    """
+    shown = occupied.copy()
+    if free is not None:
+        beside = np.zeros_like(occupied)
+        for axis, step in ((0, -1), (1, 1), (1, -1), (2, 1), (2, -1)):
+            beside |= np.roll(free, step, axis)
+        shown &= beside
+    shown[-_CEILING:] = False
+    voxels = np.argwhere(shown)
+    chosen = np.linspace(0, max(0, len(voxels) - 1), min(len(voxels), MOST_POINTS)).astype(int)
+    return np.asarray(voxels[chosen])
+
+
+def height_colours(heights: np.ndarray, low: float, high: float) -> Colours:
+    """Return the colours (N, 3) of heights [m] between a lowest and a highest one."""
+    share = (heights - low) / max(high - low, 1e-9)
+    nodes = np.array([_LOW, _MIDDLE, _HIGH], np.float64)
+    channels = [np.interp(share, [0.0, 0.5, 1.0], nodes[:, channel]) for channel in range(3)]
+    return np.round(np.stack(channels, axis=-1)).astype(np.uint8)
+
+
+class SpacePicture:
+    """Draws a box in space from any side, in parallel projection, all sides at one scale.
+
+    Args:
+        low: lowest corner (x, y, z) of the box [m].
+        high: highest corner [m].
+        width: width of the pictures [pixels].
+        elevation: angle of the view above the horizon [rad].
+    """
+
+    def __init__(
+        self, low: np.ndarray, high: np.ndarray, width: int, elevation: float = math.radians(40.0)
+    ) -> None:
+        self._middle = 0.5 * (low + high)
+        size = high - low
+        across = math.hypot(size[0], size[1])
+        self._sin, self._cos = math.sin(elevation), math.cos(elevation)
+        self._pixels = 0.96 * width / across
+        height = self._pixels * (across * self._sin + size[2] * self._cos) / 0.96
+        self.size = width, math.ceil(height)
+
+    def project(self, points: np.ndarray, azimuth: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pixels (N, 2) of points (N, 3) [m], and how near to the viewer each is [m].
+
+        Args:
+            points: the points.
+            azimuth: direction in which the viewer looks, around the vertical axis [rad].
+        """
+        x, y, z = (points - self._middle).T
+        right = math.sin(azimuth) * x - math.cos(azimuth) * y
+        away = math.cos(azimuth) * x + math.sin(azimuth) * y
+        up = self._cos * z + self._sin * away
+        pixels = np.stack([right, -up], axis=-1) * self._pixels + np.array(self.size) / 2.0
+        return pixels, self._sin * z - self._cos * away
+
+    def draw(
+        self,
+        points: np.ndarray,
+        colours: Colours,
+        side: float,
+        path: np.ndarray,
+        azimuth: float,
+        plan: np.ndarray | None = None,
+    ) -> Image.Image:
+        """Draw voxels, the farthest first, and over them the path of the robot.
+
+        Args:
+            points: (N, 3) middles of the voxels [m].
+            colours: (N, 3) their colours.
+            side: side of a voxel [m].
+            path: (M, 3) positions of the robot [m].
+            azimuth: direction in which the viewer looks [rad].
+            plan: (T, 3) positions of the plan [m]; none when absent.
+        """
+        width, height = self.size
+        image = np.full((height, width, 3), 255, np.uint8)
+        pixels, near = self.project(points, azimuth)
+        order = np.argsort(near, kind="stable")
+        corner = np.floor(pixels[order] - 0.5 * side * self._pixels).astype(int)
+        shown = colours[order]
+        # A voxel is a square as wide as its cube, shaded at its lower and left edges.
+        extent = max(2, math.ceil(1.25 * side * self._pixels))
+        depth = np.full((height, width), -1)
+        for row in range(extent):
+            for column in range(extent):
+                place = corner + np.array([column, row])
+                is_in = ((place >= 0) & (place < [width, height])).all(axis=1)
+                index = np.flatnonzero(is_in)
+                at = place[index]
+                flat = at[:, 1] * width + at[:, 0]
+                # Later voxels are nearer and win.
+                np.maximum.at(depth.reshape(-1), flat, index)
+        filled = depth >= 0
+        image[filled] = shown[depth[filled]]
+        # Edges between voxels at different depths are darker, so that shapes stand out.
+        gap = np.zeros((height, width), bool)
+        ordered = near[order]
+        behind = np.where(filled, ordered[np.maximum(depth, 0)], -np.inf) if len(ordered) else None
+        if behind is not None:
+            jump = np.abs(np.diff(np.where(np.isfinite(behind), behind, behind.max()), axis=1))
+            gap[:, 1:] = jump > 4.0 * side
+            image[gap & filled] = (0.6 * image[gap & filled]).astype(np.uint8)
+        picture = Image.fromarray(image)
+        draw = ImageDraw.Draw(picture)
+        for line, colour, thick in ((path, ROBOT, 2), (plan, PLAN, 2)):
+            if line is not None and len(line) > 1:
+                flat_line, _ = self.project(line, azimuth)
+                draw.line(list(map(tuple, flat_line.tolist())), fill=colour[:3], width=thick)
+        if len(path):
+            (x, y), radius = self.project(path[-1:], azimuth)[0][0].tolist(), 4
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), fill=ROBOT[:3])
+        return picture

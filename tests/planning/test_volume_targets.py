@@ -1,0 +1,146 @@
+"""Frontiers and targets in a volume, against SciPy and in the closed loop."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import jaxplore as jx
+from jaxplore import planning
+from jaxplore.belief.volume import NODE, VolumePerception
+from jaxplore.planning.strategy.target_rules import NearestCluster, NearestFrontier
+from jaxplore.simulation.loop import run_chunk
+
+SIDE = 0.2
+ROBOT = jx.Quadrotor()
+CAMERA = jx.DepthCamera(32, 24)
+FEW = {"horizon": 20, "num_samples": 128}
+
+
+def hall() -> jx.VoxelGrid:
+    """Return a hall of 8 m by 4 m by 2.4 m with half a wall across it."""
+    solid = np.zeros((12, 20, 40), bool)
+    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
+    solid[:, :8, 20] = True
+    return jx.VoxelGrid.solid(solid, SIDE)
+
+
+def scenario(**more) -> jx.VolumeScenario:
+    return jx.VolumeScenario(hall(), ROBOT, CAMERA, (1.2, 2.8, 1.2, 0.3), **more)
+
+
+@pytest.fixture(scope="module")
+def explored():
+    """Return a controller and the belief after a few scans from the start, with its fields."""
+    given = scenario()
+    controller = planning.volume_target_explorer(
+        ROBOT, "nearest-cluster", given.perception, given.world, **FEW
+    )
+    run = jx.simulate(controller, given, 8, key=jax.random.key(0))
+    from jaxplore.simulation.loop import initial_loop_state
+
+    initial = initial_loop_state(controller, given, jax.random.key(0))
+    state = run.checkpoint.state(given, initial)
+    return controller, state.task
+
+
+def test_frontiers_are_free_voxels_beside_unknown_ones(explored) -> None:
+    controller, task = explored
+    belief, perception = task.belief, controller.perception
+    found = eqx.filter_jit(controller.find)(belief, task.robot)
+    probability = np.asarray(perception.pooled(belief.grid))
+    is_free, is_occupied = map(np.asarray, perception.pooled_states(belief.grid))
+    unknown = ~is_free & ~is_occupied
+    np.testing.assert_array_equal(unknown, np.abs(probability - 0.1) < 1e-6)
+    cross = ndimage.generate_binary_structure(3, 1)
+    frontier = is_free & ndimage.binary_dilation(unknown, cross)
+    labels, number = ndimage.label(frontier, np.ones((3, 3, 3)))
+    sizes = np.bincount(labels.reshape(-1), minlength=number + 1)[labels] * frontier
+    width = 2 * NODE * controller.blocks_to_unknown + 1
+    count = ndimage.convolve(frontier.astype(float), np.ones((width,) * 3), mode="constant")
+    largest = ndimage.maximum_filter(sizes, width, mode="constant")
+    nodes = tuple(slice(1, None, NODE) for _ in range(3))
+    shape = tuple(slice(size) for size in found.distance.shape)
+    worth = np.asarray(found.worth)
+    is_view = np.asarray(found.is_view)
+    for mask, cells in ((found.is_frontier, count), (found.is_cluster, largest)):
+        enough = cells[nodes][shape] * SIDE**2 >= float(controller.min_frontier) - 1e-6
+        np.testing.assert_array_equal(np.asarray(mask), is_view & enough)
+    assert np.asarray(found.is_cluster).any()
+    # A view is as good as its best heading.
+    np.testing.assert_array_equal(worth, np.asarray(belief.information.values).max(axis=0))
+    assert (worth[is_view] >= float(controller.min_information)).all()
+    # Every candidate is open, and no path is shorter than the straight line.
+    straight = np.asarray(found.roads.distances(jnp.asarray([1.2, 2.8, 1.2])))
+    reached = np.isfinite(np.asarray(found.distance))
+    assert np.asarray(found.roads.is_open)[is_view].all()
+    assert (np.asarray(found.distance)[reached] >= straight[reached] - 0.25).all()
+
+
+def test_the_guidance_of_the_tracker_leads_to_the_target(explored) -> None:
+    controller, task = explored
+    step = eqx.filter_jit(controller.step)
+    _, state, _ = step(controller.init(), task.robot, task.belief, key=jax.random.key(1))
+    assert bool(state.has_target)
+    values = np.asarray(state.guidance.values)
+    np.testing.assert_array_equal(np.unravel_index(values.argmin(), values.shape), state.node)
+    assert values.min() == 0.0
+    found = eqx.filter_jit(controller.find)(task.belief, task.robot)
+    candidates = np.asarray(found.is_cluster) & (
+        (np.asarray(found.distance) > float(controller.near)) | np.asarray(found.is_view)
+    )
+    distance = np.where(candidates, np.asarray(found.distance), np.inf)
+    assert distance[tuple(np.asarray(state.node))] == distance.min()
+    plan = eqx.filter_jit(controller.inspect)(
+        controller.init(), task.robot, task.belief, key=jax.random.key(1)
+    )
+    np.testing.assert_allclose(plan.reference[0], state.guidance.place(state.node)[:2])
+
+
+def test_rules_explore_the_hall_with_one_program() -> None:
+    given = scenario(target_coverage=0.9)
+    run = None
+    for rule in (NearestCluster(0.5), NearestCluster(0.7)):
+        controller = planning.volume_target_explorer(
+            ROBOT, rule, given.perception, given.world, **FEW
+        )
+        before = run_chunk._cached._cache_size()
+        run = jx.simulate(controller, given, 400, key=jax.random.key(2))
+        assert run.metrics.is_finished
+        assert run.metrics.collisions == 0
+    assert run_chunk._cached._cache_size() == before
+
+
+def test_a_lidar_that_sees_all_around_does_not_stay() -> None:
+    perception = VolumePerception([jx.RingLidar(4, 24)], SIDE, 0.3)
+    around = planning.volume_target_explorer(ROBOT, NearestFrontier(), perception, hall(), **FEW)
+    assert not around.stays
+    weights = jx.get_parameters(around)
+    assert any(float(each) == 0.0 for name, each in weights.items() if "information" in name)
+    camera = VolumePerception([CAMERA], SIDE, 0.3)
+    assert planning.volume_target_explorer(ROBOT, "wander", camera, hall(), **FEW).stays
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rule": "best"}, "rule is 'best'; accepted: wander, random-frontier"),
+        ({"every": 0}, "every is 0; accepted"),
+        ({"min_information": 0.0}, "min_information is 0"),
+        ({"min_frontier": -1.0}, "min_frontier is -1"),
+        ({"near": math.nan}, "near is nan"),
+    ],
+)
+def test_what_is_not_possible_is_refused(change: dict, message: str) -> None:
+    given = {
+        "rule": "nearest-frontier",
+        "perception": VolumePerception([CAMERA], SIDE, 0.3),
+        "grid": hall(),
+        **change,
+    }
+    with pytest.raises(ValueError, match=message):
+        planning.volume_target_explorer(ROBOT, **given)

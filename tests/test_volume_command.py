@@ -1,0 +1,98 @@
+"""`jaxplore run` and `jaxplore compare` in volumes, and what they refuse."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.cli import main
+from jaxplore.settings.volume import GENERATED
+
+FEW = ("--samples", "64", "--set", "camera.columns=24", "--set", "camera.rows=16")
+
+
+@pytest.fixture
+def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Write a room of 4 m by 3 m by 2 m, and work beside it."""
+    monkeypatch.chdir(tmp_path)
+    solid = np.zeros((10, 15, 20), bool)
+    solid[[0, -1]] = solid[:, [0, -1]] = solid[:, :, [0, -1]] = True
+    np.save("room.npy", solid)
+    return tmp_path
+
+
+def test_a_file_is_explored_from_where_the_user_says(room: Path, capsys) -> None:
+    start = ("--start", "2.0", "1.5", "1.0", "0.3")
+    main(["run", "room.npy", *start, "--resolution", "0.2", "--time-limit", "2", *FEW])
+    shown = capsys.readouterr()
+    folder = room / "runs" / "room"
+    assert "coverage" in shown.out
+    assert str(Path("runs/room/turntable.gif")) in shown.out
+    metrics = json.loads((folder / "metrics.json").read_text())
+    assert metrics["coverage"] > 0.3
+    settings = yaml.safe_load((folder / "settings.yaml").read_text())
+    assert settings["start"] == [2.0, 1.5, 1.0, 0.3]
+    assert settings["volume"] == str(room / "room.npy")
+    # The settings of a run are those of the next one.
+    again = make_settings(settings)
+    assert build(again).scenario.world.resolution == 0.2
+    # Without a start the run begins where there is most room.
+    main(["run", "room.npy", "--resolution", "0.2", "--time-limit", "0.1", "--no-animation", *FEW])
+    told = capsys.readouterr().err
+    assert "the position with the greatest clearance; another one: --start X Y Z YAW" in told
+
+
+def test_architectures_are_compared_in_a_volume(room: Path, capsys) -> None:
+    names = "explorer,nearest-cluster"
+    size = ("--resolution", "0.2", "--time-limit", "0.5", "--no-animation")
+    main(["compare", "room.npy", "--architectures", names, "--seeds", "1", *size, *FEW])
+    shown = capsys.readouterr().out
+    assert "nearest-cluster" in shown
+    assert (room / "runs" / "room-comparison" / "table.md").exists()
+
+
+@pytest.mark.parametrize("name", [*GENERATED, "volume"])
+def test_words_name_volumes(name: str) -> None:
+    settings = make_settings({"map": name})
+    assert settings.volume == ("forest" if name == "volume" else name)
+    assert settings == make_settings({"volume": name})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("forest", "--start", "2", "2", "1"), "setting start is (2.0, 2.0, 1.0); accepted: [num"),
+        (("forest", "--start", "0", "0", "0", "0"), "start is (0, 0, 0), within 0.3 m of a solid"),
+        (("forest", "--start", "99", "0", "0", "0"), "start is (99, 0, 0), off the volume; accep"),
+        (("office", "--start", "2", "2", "1", "0"), "setting start is (2.0, 2.0, 1.0, 0.0); acce"),
+        (("forest", "--beams", "20"), "lidar.num_beams is 20 beside a volume; accepted: with a m"),
+        (("forest", "--laps", "2"), "laps is 2 beside a volume"),
+        (("forest", "--architecture", "two-layer"), "setting architecture is 'two-layer'; accept"),
+        (("forest", "--set", "camera=null"), "settings camera and lidar are null; accepted: one"),
+        (
+            ("forest", "--set", "generated.size=[400,400,40]", "--set", "resolution=0.05"),
+            "GB of it for the voxels (800 x 8000 x 8000 voxels: generated.size",
+        ),
+        (("forest", "--set", "volume=hall"), "setting volume is 'hall'; accepted: forest, office"),
+        (("missing.stl",), "missing.stl is not there; accepted"),
+        (("room.txt",), "room.txt is not there; accepted"),
+        (("damaged.stl",), "damaged.stl"),
+        (("full.npy",), "full.npy has no place for a robot of 0.3 m radius"),
+        (("room.npy", "--set", "map=office"), "settings have the map 'office' beside the volume"),
+    ],
+)
+def test_what_is_not_possible_is_one_line(
+    room: Path, capsys, arguments: tuple[str, ...], message: str
+) -> None:
+    (room / "damaged.stl").write_bytes(b"solid nothing\n")
+    np.save(room / "full.npy", np.ones((9, 9, 9), bool))
+    with pytest.raises(SystemExit) as ended:
+        main(["run", *arguments, "--out", "out"])
+    assert ended.value.code == 2
+    text = capsys.readouterr().err
+    assert message in text
+    assert "Traceback" not in text
+    assert not (room / "out").exists()
