@@ -27,6 +27,7 @@ from benchmarks import (
     sensitivity,
     tuning,
     view,
+    volumes,
 )
 from benchmarks.tables import table
 from jaxplore import __version__
@@ -181,11 +182,18 @@ def _large_maps(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {"large_maps": rows}
 
 
+def _volumes(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = volumes.measure()
+    console.print(table("Volumes: camera of 64 x 48 rays, K = 512, T = 30", rows))
+    return {"volumes": rows}
+
+
 SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "control": _control,
     "information": _information,
     "control_step": _control_step,
     "large_maps": _large_maps,
+    "volumes": _volumes,
     "informative": _informative,
     "path_following": _path_following,
     "portfolio": _portfolio,

@@ -73,7 +73,9 @@ def test_no_name_is_cut_off_on_a_narrow_terminal(section: str, monkeypatch, caps
 def test_a_setting_is_a_table_of_all_that_is_known(capsys) -> None:
     main(["settings", "controller.information_weight"])
     shown = words_of(capsys.readouterr().out)
-    assert shown == (
+    first, _, second = shown.partition(" controller.information_weight (in a volume) ")
+    assert second.startswith("meaning weight of `VolumeInformationCost`.")
+    assert first == (
         "controller.information_weight (exploration) meaning weight of `InformationCost`. unit - "
         "default 2.0 accepted number >= 0 read by explorer, rule-based explorers (office) note "
         "Sets the controller parameter `cost.information.weight`. owner explorer"
@@ -116,7 +118,7 @@ def completed(*arguments: str) -> list[str]:
     [
         (["s"], ["settings"]),
         (["run", "--set"], ["--settings", "--set"]),
-        (["run", "wa"], ["warehouse"]),
+        (["run", "wa"], ["warehouse", "warehouse3d"]),
         (["compare", ""], list(PLACES)),
         (
             ["run", "office", "--set", "rates."],
@@ -128,10 +130,13 @@ def completed(*arguments: str) -> list[str]:
         (["run", "--robot", "u"], ["unicycle"]),
         (["run", "--architecture", "two"], ["two-layer"]),
         (["compare", "--architectures", "goal,par"], ["goal,parallel"]),
-        (["settings", "lidar.r"], ["lidar.range_noise"]),
+        (["settings", "lidar.r"], ["lidar.range_noise", "lidar.rings"]),
         (
             ["settings", "w"],
-            ["warehouse", "watch", "world", "watch.memory", "watch.weight", "watch.doubling"],
+            [
+                *("warehouse", "warehouse3d", "watch", "world"),
+                *("watch.memory", "watch.weight", "watch.doubling"),
+            ],
         ),
     ],
 )
@@ -154,7 +159,11 @@ def test_a_shell_asks_through_the_environment(capsys, monkeypatch: pytest.Monkey
         main([])
     assert exit_.value.code == 0
     # The shell completes names of files as well.
-    assert capsys.readouterr().out.splitlines() == ["file,war", "plain,warehouse"]
+    assert capsys.readouterr().out.splitlines() == [
+        "file,war",
+        "plain,warehouse",
+        "plain,warehouse3d",
+    ]
     monkeypatch.setenv("_JAXPLORE_COMPLETE", "zsh_source")
     with pytest.raises(SystemExit):
         main([])

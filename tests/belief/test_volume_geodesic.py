@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
+from jaxplore.belief.geodesic import geodesic
 from jaxplore.belief.volume_geodesic import volume_geodesic
 
 SHAPE = (4, 7, 9)
@@ -63,3 +64,32 @@ def test_sources_with_a_cost_of_their_own_compete() -> None:
     found = np.asarray(costs_of(jnp.asarray(source), jnp.ones(SHAPE), opens))
     assert np.isinf(found[0, 0, 0])
     assert found[0, 0, 1] > 8.0
+
+
+def test_an_extruded_plane_has_the_costs_of_the_plane() -> None:
+    rng = np.random.default_rng(3)
+    height, width, depth = 11, 13, 5
+    is_open = rng.random((height, width)) < 0.75
+    corners = np.ones((height, width), bool)
+    corners[:-1, :-1] = rng.random((height - 1, width - 1)) < 0.8
+    slowness = rng.uniform(1.0, 3.0, (height, width)).astype(np.float32)
+    initial = np.where(
+        rng.random((height, width)) < 0.05, rng.uniform(0, 4, (height, width)), np.inf
+    )
+    half = np.ones((2 * height - 1, 2 * width - 1), bool)
+    half[::2, ::2] = is_open
+    half[1::2, 1::2] = corners[:-1, :-1]
+    planar = geodesic(
+        jnp.asarray(initial, jnp.float32),
+        jnp.asarray(slowness),
+        jnp.asarray(is_open),
+        jnp.asarray(corners),
+    )
+    found = volume_geodesic(
+        jnp.asarray(np.broadcast_to(initial, (depth, height, width)), jnp.float32),
+        jnp.asarray(np.broadcast_to(slowness, (depth, height, width))),
+        jnp.asarray(np.broadcast_to(half, (2 * depth - 1, *half.shape))),
+    )
+    # All levels are alike, so no path gains by leaving its own.
+    np.testing.assert_allclose(found, np.broadcast_to(planar, found.shape), rtol=1e-5)
+    assert np.isfinite(planar).sum() > 60

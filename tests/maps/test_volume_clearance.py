@@ -54,3 +54,11 @@ def test_interpolation_is_that_of_scipy() -> None:
 def test_a_lattice_of_one_node_is_constant() -> None:
     field = VolumeField(jnp.full((1, 1, 1), 3.0), jnp.zeros(3), 1.0, jnp.zeros(()))
     assert float(field(jnp.asarray(0.3), jnp.asarray(-0.4), jnp.asarray(0.0))) == pytest.approx(3.0)
+
+
+def test_an_extruded_plane_has_the_clearance_of_the_plane() -> None:
+    closed = np.random.default_rng(4).random((20, 24)) < 0.06
+    volume = np.broadcast_to(closed, (9, 20, 24))
+    found = np.sqrt(np.asarray(squared_distance(jnp.asarray(volume), 30)))
+    planar = distance_transform_edt(~closed)
+    np.testing.assert_allclose(found, np.broadcast_to(planar, volume.shape), rtol=1e-6)

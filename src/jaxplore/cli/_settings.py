@@ -16,7 +16,12 @@ from jaxplore.settings.reference import (
     sections,
 )
 
-_WORDS = {"exploration": "exploration", "path": "along a path", "drive": "jaxplore node"}
+_WORDS = {
+    "exploration": "exploration",
+    "path": "along a path",
+    "volume": "in a volume",
+    "drive": "jaxplore node",
+}
 """Kinds of tasks in the titles of tables."""
 _WIDEST = 80
 """Greatest width of a column, for the meanings of settings."""

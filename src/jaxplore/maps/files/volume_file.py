@@ -5,13 +5,14 @@ import math
 import re
 import warnings
 from collections.abc import Callable
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._files import MALFORMED, read_bytes
 from jaxplore._limits import MOST_VOXELS
 from jaxplore._optional import import_optional
@@ -32,7 +33,7 @@ Solid = NDArray[np.bool_]
 
 
 def read_volume(
-    path: str | Path,
+    path: str | PathLike[str],
     *,
     resolution: float = 0.1,
     scale: float = 1.0,
@@ -60,6 +61,8 @@ def read_volume(
         ValueError: a file that is missing, too large, malformed or of another kind; a mesh that is
             empty, open or has too many faces; a volume with too many voxels.
     """
+    _kinds.instance("path", path, str, PathLike)
+    _kinds.flag("is_open", is_open)
     file = Path(path)
     side = _checks.number("resolution", resolution, above=0.0)
     factor = _checks.number("scale", scale, above=0.0)
@@ -67,7 +70,7 @@ def read_volume(
     kind = file.suffix.lower()
     name = printable_path(file)
     if kind not in SUFFIXES:
-        raise ValueError(f"volume {name} is no volume; accepted: {', '.join(SUFFIXES)}")
+        raise ValueError(f"path is {name!r}, which is no volume; accepted: {', '.join(SUFFIXES)}")
     data = read_bytes(file, "a volume", FILE_LIMIT, f"volume {name} cannot be read: it")
 
     def refuse(why: str, accepted: str) -> ValueError:

@@ -48,7 +48,7 @@ def generate_volume(
     Raises:
         ValueError: an unknown kind, a size below the least one, a seed that is negative.
     """
-    if kind not in VOLUMES:
+    if not isinstance(kind, str) or kind not in VOLUMES:
         raise ValueError(f"kind is {kind!r}; accepted: {', '.join(VOLUMES)}")
     extents = np.asarray(_checks.vector("size", size, 3), np.float64)
     if (extents < [5.0, 5.0, 2.0]).any():

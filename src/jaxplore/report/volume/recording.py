@@ -22,7 +22,7 @@ from jaxplore.report.volume.data import (
     VolumeMetrics,
     compute_volume_metrics,
 )
-from jaxplore.report.volume.space import SpacePicture, height_colours, surface
+from jaxplore.report.volume.space import MOST_POINTS, SpacePicture, height_colours, surface
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,19 +137,24 @@ def volume_figure(data: VolumeData) -> "Figure":
     return figure
 
 
-def surface_points(data: VolumeData) -> np.ndarray:
-    """Return the middles (N, 3) of the voxels of the surface that the robot found [m]."""
-    voxels = surface(data.belief == OCCUPIED, data.belief == FREE)
+def surface_points(data: VolumeData, most: int = MOST_POINTS) -> np.ndarray:
+    """Return the middles (N, 3) of at most so many voxels of the surface that was found [m]."""
+    voxels = surface(data.belief == OCCUPIED, data.belief == FREE, most)
     return np.asarray(data.origin + (voxels[:, ::-1] + 0.5) * data.resolution)
 
 
+MOST_TURNED = 200_000
+"""Greatest number of voxels of a turn: where some are missing, walls have stripes."""
 TURNS = 48
 """Pictures of a turn."""
 
 
 def write_turntable(data: VolumeData, path: Path) -> None:
     """Write a film around what the robot found, and its path."""
-    points, size = surface_points(data), np.array(data.world.shape[::-1]) * data.resolution
+    points, size = (
+        surface_points(data, MOST_TURNED),
+        np.array(data.world.shape[::-1]) * data.resolution,
+    )
     low, high = data.origin, data.origin + size
     shades = height_colours(points[:, 2], low[2], high[2])
     picture = SpacePicture(low, high, WIDTH)

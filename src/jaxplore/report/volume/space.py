@@ -9,7 +9,7 @@ from PIL import Image, ImageDraw
 from jaxplore.report.drawing.palette import PLAN, ROBOT
 
 MOST_POINTS = 30_000
-"""Greatest number of voxels that are drawn: more hide each other."""
+"""Greatest number of voxels of a figure or a page."""
 _LOW, _MIDDLE, _HIGH = (46, 79, 119), (74, 160, 137), (243, 208, 100)
 """Colours of the lowest, the middle and the highest voxels."""
 _CEILING = 2
@@ -18,13 +18,16 @@ _CEILING = 2
 Colours = NDArray[np.uint8]
 
 
-def surface(occupied: np.ndarray, free: np.ndarray | None = None) -> np.ndarray:
+def surface(
+    occupied: np.ndarray, free: np.ndarray | None = None, most: int = MOST_POINTS
+) -> np.ndarray:
     """Return the voxels (N, 3) as (k, j, i) that are drawn: occupied ones below the ceiling.
 
     Args:
         occupied: (D, H, W) occupied voxels.
         free: (D, H, W) free voxels. With it, only those are drawn that have a free neighbour above
             or beside them.
+        most: greatest number of voxels; of more, evenly chosen ones are returned.
     """
     shown = occupied.copy()
     if free is not None:
@@ -34,7 +37,7 @@ def surface(occupied: np.ndarray, free: np.ndarray | None = None) -> np.ndarray:
         shown &= beside
     shown[-_CEILING:] = False
     voxels = np.argwhere(shown)
-    chosen = np.linspace(0, max(0, len(voxels) - 1), min(len(voxels), MOST_POINTS)).astype(int)
+    chosen = np.linspace(0, max(0, len(voxels) - 1), min(len(voxels), most)).astype(int)
     return np.asarray(voxels[chosen])
 
 
