@@ -25,6 +25,8 @@ from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.report.following.data import PathRecord
 from jaxplore.report.recording import Recording
+from jaxplore.report.volume.data import VolumeFrame, VolumeRecord
+from jaxplore.report.volume.recording import VolumeRecording
 from jaxplore.simulation.monitor import Requests, Update
 
 COMMON = ["/command", "/metrics", "/objects", "/plan", "/pose"]
@@ -244,6 +246,62 @@ def test_a_following_is_recorded_with_its_course(ring, controller, tmp_path: Pat
     assert np.float32(last["progress"]) == ring.records.progress[-1]
     # The robot of the controller has two controls, that of the recording three.
     assert list(of(messages, "/command")[0].content) == ["u0", "u1", "u2"]
+
+
+def test_a_volume_is_recorded_with_its_voxels(recording, controller, tmp_path: Path) -> None:
+    shape, side, origin = (4, 5, 6), 0.5, np.array([1.0, 2.0, 0.5])
+    occupied = np.random.default_rng(0).random(shape) < 0.4
+    robot = jx.Quadrotor()
+    states = np.zeros((3, 13), np.float32)
+    # A heading of 0.8 rad, with z down.
+    states[:] = robot.at_pose(1.5, 2.5, 0.8, -1.0)
+    rows, flags = np.zeros(3, np.float32), np.zeros(3, bool)
+    records = VolumeRecord(states, np.ones((3, 4), np.float32), rows, rows, flags, rows, flags)
+    plan = np.array([[1.5, 2.5, 1.0], [2.0, 2.5, 1.2]], np.float32)
+    frames = tuple(
+        VolumeFrame(
+            step=step,
+            time=step * 0.05,
+            state=states[0],
+            level=np.zeros((5, 6), np.uint8),
+            upright=np.zeros((4, 6), np.uint8),
+            voxels=np.packbits(occupied.reshape(-1)),
+            plan=plan,
+        )
+        for step in (0, 3)
+    )
+    run = VolumeRecording(
+        records=records,
+        frames=frames,
+        timing=recording.timing,
+        control_period=0.05,
+        is_interrupted=False,
+        world=occupied,
+        belief=np.where(occupied, 2, 1).astype(np.uint8),
+        observable=~occupied,
+        resolution=side,
+        origin=origin,
+        start=states[0],
+        state_names=robot.state_names,
+        initial_coverage=0.0,
+        target_coverage=0.9,
+        robot_radius=0.3,
+    )
+    record(run, tmp_path / "run.mcap", controller)
+    messages = read(tmp_path / "run.mcap")
+    topics = {"/command", "/metrics", "/plan", "/pose", "/state", "/tf", "/voxels"}
+    assert {each.topic for each in messages} == topics
+    at = of(messages, "/pose")[-1].content.pose
+    np.testing.assert_allclose([at.position.x, at.position.y, at.position.z], [1.5, 2.5, 1.0])
+    assert yaw_of(at.orientation) == pytest.approx(0.8, abs=1e-6)
+    (entity,) = of(messages, "/plan")[-1].content.entities
+    drawn = [[point.x, point.y, point.z] for point in entity.lines[0].points]
+    np.testing.assert_allclose(drawn, plan)
+    cloud = of(messages, "/voxels")[0].content
+    points = np.frombuffer(cloud.data, np.float32).reshape(-1, 3)
+    # The two upper layers are the ceiling.
+    wanted = (np.argwhere(occupied[:2])[:, ::-1] + 0.5) * side + origin
+    np.testing.assert_allclose(points, wanted, rtol=1e-6)
 
 
 def test_values_that_json_lacks_are_left_out(make_straight, controller, tmp_path: Path) -> None:

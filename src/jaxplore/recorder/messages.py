@@ -142,15 +142,15 @@ def laser_scan(stamp: int, frame: str, angles: tuple[float, float], ranges: np.n
 
 
 def point_cloud(stamp: int, frame: str, points: np.ndarray) -> Any:
-    """Return a `PointCloud` of points (N, 2) on the ground.
+    """Return a `PointCloud` of points (N, 2) on the ground, or (N, 3).
 
     Its points are in single precision, so far from the origin they are relative to its pose.
     """
     sdk = _sdk()
-    place = Datum.near(*points[0].tolist()) if len(points) else ORIGIN
+    place = Datum.near(*points[0, :2].tolist()) if len(points) else ORIGIN
     kind = sdk.PackedElementFieldNumericType.Float32
     flat = np.zeros((len(points), 3), np.float32)
-    flat[:, :2] = place.to_local(points)
+    flat[:, : points.shape[1]] = place.to_local(points)
     return sdk.PointCloud(
         timestamp=timestamp(stamp),
         frame_id=frame,
@@ -173,14 +173,15 @@ def colour(levels: Colour) -> Any:
 def line(
     points: np.ndarray, levels: Colour, width: float, *, closed: bool = False, z: float = 0.0
 ) -> Any:
-    """Return a `LinePrimitive` through points (N, 2); those that are not finite are left out.
+    """Return a `LinePrimitive` through points (N, 2) or (N, 3); those that are not finite are left
+    out.
 
     Args:
         points: the points.
         levels: its colour.
         width: its width in pixels of the screen.
         closed: whether the last point is joined to the first.
-        z: height at which it is drawn.
+        z: height at which points (N, 2) are drawn.
     """
     sdk = _sdk()
     kinds = sdk.LinePrimitiveLineType
@@ -189,7 +190,7 @@ def line(
         type=kinds.LineLoop if closed else kinds.LineStrip,
         thickness=width,
         scale_invariant=True,
-        points=[sdk.Point3(x=x, y=y, z=z) for x, y in known.tolist()],
+        points=[sdk.Point3(x=x, y=y, z=high[0] if high else z) for x, y, *high in known.tolist()],
         color=colour(levels),
     )
 

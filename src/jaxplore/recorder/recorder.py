@@ -18,10 +18,12 @@ from jaxplore.recorder.content import Content
 from jaxplore.recorder.exploration import ExplorationContent
 from jaxplore.recorder.following import PathContent
 from jaxplore.recorder.messages import EXTRA
+from jaxplore.recorder.volume import VolumeContent
 from jaxplore.report.exploration.data import ExplorationData
 from jaxplore.report.folder import whole_file
 from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Recording
+from jaxplore.report.volume.data import VolumeData
 from jaxplore.simulation.monitor import Monitor, Update
 
 SUFFIX = ".mcap"
@@ -31,6 +33,7 @@ PROFILE = "jaxplore"
 _CONTENTS: tuple[tuple[type, type[Content]], ...] = (
     (ExplorationData, ExplorationContent),
     (PathData, PathContent),
+    (VolumeData, VolumeContent),
 )
 
 
