@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
 
-from jaxplore.belief.volume import FAR, ViewField, VolumePerception
+from jaxplore.belief.view_field import ViewField
+from jaxplore.belief.volume import FAR, VolumePerception
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.volume import DepthCamera, RingLidar
 

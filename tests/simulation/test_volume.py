@@ -209,6 +209,20 @@ def test_costs_are_what_they_say() -> None:
         return float(cost.stage(state, jnp.zeros(4), jnp.zeros(()), belief))
 
     assert price(VolumeGuidanceCost()) == pytest.approx(-3.0)
+    # What differs from the place of the robot by more than the reach is behind a wall.
+    rising = jnp.linspace(0.0, 50.0, belief.guidance.values.shape[2]) * jnp.ones(
+        belief.guidance.values.shape
+    )
+    belief = eqx.tree_at(
+        lambda each: (each.guidance.values, each.position),
+        belief,
+        (rising, jnp.asarray([2.0, 2.0, 1.2])),
+    )
+    here = price(VolumeGuidanceCost())
+    for x, change in ((5.8, 5.0), (0.4, -5.0)):
+        far = jx.State(values.at[0].set(x), ROBOT)
+        cost = VolumeGuidanceCost(5.0).stage(far, jnp.zeros(4), jnp.zeros(()), belief)
+        assert float(cost) == pytest.approx(here + change, abs=1e-4)
     assert price(VolumeInformationCost()) == pytest.approx(-7.0)
     assert price(BlindFlightCost(0.5)) == pytest.approx(1.0 + 0.5 * 4.0, rel=1e-5)
     assert price(AttitudeCost(0.1)) == pytest.approx(0.1 * 4.0)

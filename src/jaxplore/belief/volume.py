@@ -6,13 +6,13 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore._xla import on_device
 from jaxplore.belief.exploration_field import information_sources
+from jaxplore.belief.view_field import ViewField, sectors_in_view, turn_shares
 from jaxplore.belief.volume_roads import FAR, VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import squared_distance
@@ -28,49 +28,15 @@ NODE = 2
 NEAR = 0.6
 """Distance within which time counts in full as time near a viewpoint, and not at all at twice that
 [m]."""
-
-
 ASIDE = 0.1
 """Share of the time near a viewpoint that counts for sectors out of view."""
-
-
-class ViewField(eqx.Module):
-    """Information of a scan by position and heading, read in O(1).
-
-    It is the expected gain of each voxel in view times its volume, so that it does not depend on
-    the resolution.
-
-    Args:
-        values: (A, D, H, W) information for A equally spaced headings at the nodes [nat m^3].
-        origin: position (x, y, z) of node (0, 0, 0) [m].
-        spacing: distance between nodes [m]; static.
-    """
-
-    values: Float[Array, "A D H W"]
-    origin: Float[Array, "3"]
-    spacing: float = eqx.field(static=True)
-
-    def __call__(self, x: Scalar, y: Scalar, z: Scalar, heading: Scalar) -> Scalar:
-        """Return the information at a position [m] and a heading [rad]."""
-        number = self.values.shape[0]
-        turns = jnp.where(jnp.isfinite(heading), heading, 0.0) * (number / (2.0 * math.pi))
-        low = jnp.floor(turns)
-        share = turns - low
-        first = low.astype(jnp.int32) % number
-        nothing = jnp.zeros(())
-
-        def at(index: Array) -> Scalar:
-            # One lattice with the headings side by side along z would interpolate across them, so
-            # each heading is a field of its own.
-            return VolumeField(self.values[index], self.origin, self.spacing, nothing)(x, y, z)
-
-        return (1.0 - share) * at(first) + share * at((first + 1) % number)
 
 
 class VolumeBelief(eqx.Module):
     """What a robot knows of a volume.
 
     Args:
+        position: position (x, y, z) of the robot at the last update [m].
         grid: log-odds of the voxels.
         clearance: distance to the nearest voxel that is not known to be free, up to the reach of
             the perception [m].
@@ -82,6 +48,7 @@ class VolumeBelief(eqx.Module):
             more [s].
     """
 
+    position: Float[Array, "3"]
     grid: VoxelGrid
     clearance: VolumeField
     information: ViewField
@@ -172,8 +139,8 @@ class VolumePerception(eqx.Module):
         self.pool = max(1, round(COARSE / side))
         length = leading.max_range / (self.pool * side)
         self.table = VoxelTable(num_sectors, num_elevations, *leading.elevations, length, NODE)
-        self.in_view = on_device(_in_view(num_sectors, leading.field_of_view))
-        self.towards = on_device(_towards(num_sectors))
+        self.in_view = on_device(sectors_in_view(num_sectors, leading.field_of_view))
+        self.towards = on_device(turn_shares(num_sectors))
         self.reach = math.ceil(_checks.number("max_clearance", max_clearance, above=0.0) / side)
         farthest = max(each.max_range for each in self.sensors)
         self.box = 2 * (math.ceil(farthest / side) + self.reach + 1)
@@ -210,6 +177,7 @@ class VolumePerception(eqx.Module):
         guidance = self.blank_field(grid)
         nothing = jnp.zeros((self.table.num_sectors, *guidance.values.shape))
         return VolumeBelief(
+            position,
             grid,
             clearance,
             ViewField(nothing, guidance.origin, guidance.spacing),
@@ -231,7 +199,9 @@ class VolumePerception(eqx.Module):
             grid = sensor.updated(grid, position, rotation, scan, self.sensor_model)
         clearance = self._clearance(grid, belief.clearance.values, position)
         known: VolumeBelief = eqx.tree_at(
-            lambda each: (each.grid, each.clearance.values), belief, (grid, clearance)
+            lambda each: (each.position, each.grid, each.clearance.values),
+            belief,
+            (position, grid, clearance),
         )
         return known
 
@@ -404,25 +374,3 @@ def _near_rim(
         high = (along >= size - reach) & (begin + size < most)
         near = near | jnp.expand_dims(low | high, [a for a in range(3) if a != axis])
     return near
-
-
-def _in_view(number: int, view: float) -> np.ndarray:
-    """Return the share (A, A) of each sector that is in view with each heading."""
-    headings = np.arange(number) * 2.0 * math.pi / number
-    width = 2.0 * math.pi / number
-    shares = np.zeros((number, number))
-    for h, heading in enumerate(headings):
-        for a in range(number):
-            for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
-                low, high = a * width + turn, (a + 1) * width + turn
-                shares[h, a] += max(
-                    0.0, min(high, heading + view / 2.0) - max(low, heading - view / 2.0)
-                )
-    return (shares / width).astype(np.float32)
-
-
-def _towards(number: int) -> np.ndarray:
-    """Return `(1 + cos(h - h_a)) / 2` (A, A) of each heading and the middle of each sector."""
-    headings = np.arange(number) * 2.0 * math.pi / number
-    gap = headings[:, None] - (headings + math.pi / number)[None, :]
-    return (0.5 + 0.5 * np.cos(gap)).astype(np.float32)

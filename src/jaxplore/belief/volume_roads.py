@@ -9,6 +9,8 @@ from jaxplore.maps.volume_field import VolumeField
 
 FAR = 1e4
 """Cost-to-go where no path leads [m]."""
+LAYERS = 4
+"""Number of layers of closed nodes into which a field is extended."""
 
 
 class VolumeRoads(eqx.Module):
@@ -68,7 +70,7 @@ class VolumeRoads(eqx.Module):
 
 def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:
     """Return costs with values in closed nodes near open ones, so that they can be interpolated."""
-    for _ in range(2):
+    for _ in range(LAYERS):
         wide = jnp.pad(costs, 1, constant_values=jnp.inf)
         depth, height, width = costs.shape
         near = jnp.full_like(costs, jnp.inf)

@@ -58,13 +58,34 @@ class VolumeClearanceCost(Cost):
 
 
 class VolumeGuidanceCost(Cost):
-    """Cost-to-go to the remaining information, `U(x, y, z)` [m]."""
+    """Cost-to-go to the remaining information [m], bounded around that of the robot:
+
+        min(max(U(x), U(x_0) - reach), U(x_0) + reach)
+
+    with U the cost-to-go and x_0 the position for which the belief was made. U cannot change by
+    more than `reach` along a path within the horizon. Where it does, there is a wall or unknown
+    space between, and such a cliff would outweigh a collision.
+
+    Args:
+        reach: largest change of the cost-to-go that counts [m].
+
+    Raises:
+        ValueError: a reach that is not positive.
+    """
+
+    reach: Scalar
+
+    def __init__(self, reach: ArrayLike = 20.0) -> None:
+        self.reach = _checks.scalar("reach", reach, above=0.0)
 
     def stage(
         self, state: State, control: ControlVector, t: Scalar, belief: VolumeBelief
     ) -> Scalar:
-        """Compute the cost-to-go at the position of the robot."""
-        return belief.guidance(*place(state))
+        """Compute the bounded cost-to-go at the position of the robot."""
+        x, y, z = belief.position
+        here = belief.guidance(x, y, z)
+        cost = belief.guidance(*place(state))
+        return jnp.minimum(jnp.maximum(cost, here - self.reach), here + self.reach)
 
 
 class VolumeInformationCost(Cost):

@@ -1,0 +1,66 @@
+"""Information of a volume by position and heading, and what each heading sees of the sectors."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore._types import Scalar
+from jaxplore.maps.volume_field import VolumeField
+
+
+class ViewField(eqx.Module):
+    """Information of a scan by position and heading, read in O(1).
+
+    It is the expected gain of each voxel in view times its volume, so that it does not depend on
+    the resolution.
+
+    Args:
+        values: (A, D, H, W) information for A equally spaced headings at the nodes [nat m^3].
+        origin: position (x, y, z) of node (0, 0, 0) [m].
+        spacing: distance between nodes [m]; static.
+    """
+
+    values: Float[Array, "A D H W"]
+    origin: Float[Array, "3"]
+    spacing: float = eqx.field(static=True)
+
+    def __call__(self, x: Scalar, y: Scalar, z: Scalar, heading: Scalar) -> Scalar:
+        """Return the information at a position [m] and a heading [rad]."""
+        number = self.values.shape[0]
+        turns = jnp.where(jnp.isfinite(heading), heading, 0.0) * (number / (2.0 * math.pi))
+        low = jnp.floor(turns)
+        share = turns - low
+        first = low.astype(jnp.int32) % number
+        nothing = jnp.zeros(())
+
+        def at(index: Array) -> Scalar:
+            # One lattice with the headings side by side along z would interpolate across them, so
+            # each heading is a field of its own.
+            return VolumeField(self.values[index], self.origin, self.spacing, nothing)(x, y, z)
+
+        return (1.0 - share) * at(first) + share * at((first + 1) % number)
+
+
+def sectors_in_view(number: int, view: float) -> np.ndarray:
+    """Return the share (A, A) of each sector that is in view with each heading."""
+    headings = np.arange(number) * 2.0 * math.pi / number
+    width = 2.0 * math.pi / number
+    shares = np.zeros((number, number))
+    for h, heading in enumerate(headings):
+        for a in range(number):
+            for turn in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+                low, high = a * width + turn, (a + 1) * width + turn
+                shares[h, a] += max(
+                    0.0, min(high, heading + view / 2.0) - max(low, heading - view / 2.0)
+                )
+    return (shares / width).astype(np.float32)
+
+
+def turn_shares(number: int) -> np.ndarray:
+    """Return `(1 + cos(h - h_a)) / 2` (A, A) of each heading and the middle of each sector."""
+    headings = np.arange(number) * 2.0 * math.pi / number
+    gap = headings[:, None] - (headings + math.pi / number)[None, :]
+    return (0.5 + 0.5 * np.cos(gap)).astype(np.float32)
