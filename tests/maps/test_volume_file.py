@@ -59,6 +59,11 @@ def test_units_and_open_meshes(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"is open: 3 edges belong to one face; accepted: a clos"):
         read_volume(tmp_path / "open.stl")
     assert read_volume(tmp_path / "open.stl", is_open=True).shape == (20, 20, 20)
+    # Two boxes that touch are closed, although four faces meet at their common edges.
+    beside = whole.copy()
+    beside.apply_translation((2.0, 0.0, 0.0))
+    trimesh.util.concatenate([whole, beside]).export(tmp_path / "two.stl")
+    assert read_volume(tmp_path / "two.stl").shape == (20, 20, 40)
 
 
 def test_points_make_voxels(tmp_path: Path) -> None:

@@ -92,11 +92,13 @@ def read_volume(
         if kind != ".ply":
             raise refuse("has no faces", "a mesh of triangles")
         return _from_points(points, side, factor, least, refuse)
-    if not is_open and not mesh.is_watertight:
-        edges = np.sort(np.asarray(mesh.edges), axis=1)
-        _, counts = np.unique(edges, axis=0, return_counts=True)
+    edges = np.sort(np.asarray(mesh.edges), axis=1)
+    _, counts = np.unique(edges, axis=0, return_counts=True)
+    # Where bodies touch, an edge belongs to four faces: that is no hole.
+    number = np.count_nonzero(counts % 2)
+    if number and not is_open:
         raise refuse(
-            f"is open: {np.count_nonzero(counts == 1)} edges belong to one face",
+            f"is open: {number} edges belong to one face",
             "a closed mesh, or file.is_open=true",
         )
     return _from_mesh(mesh, side, factor, name, refuse)
