@@ -11,8 +11,9 @@ from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-CLEARANCE = 0.3
-"""Distance from cells that are not known to be free that a path keeps where it can [m]."""
+CLEARANCE, RADIUS = 0.4, 0.27
+"""Distance from the middles of cells that are not known to be free that a path keeps where it can,
+and below which a robot of 0.2 m does not fit: half a cell, and what it cuts of a corner [m]."""
 AHEAD = 0.3
 """Distance along the path of the point that is driven to [m]."""
 REACHED = 0.4
@@ -25,9 +26,10 @@ STRAIGHT = 0.3
 def planned_path(grid: np.ndarray, resolution: float, origin, start, goal) -> np.ndarray | None:
     """Return the points (N, 2) of the shortest path through known cells; None without one."""
     is_free = (grid >= 0) & (grid < 30)
-    is_roomy = distance_transform_edt(is_free) * resolution > CLEARANCE
-    # Near walls only where nothing else is left, such as at the start.
-    price = np.where(is_roomy, 1.0, 20.0)
+    room = distance_transform_edt(is_free) * resolution
+    # Near walls only where nothing else is left, and where the robot does not fit only at the
+    # start.
+    price = np.select([room > CLEARANCE, room > RADIUS], [1.0, 20.0], 1000.0)
     number = np.arange(grid.size).reshape(grid.shape)
     edges = []
     for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
