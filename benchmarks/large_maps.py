@@ -6,15 +6,13 @@ map is known beforehand: the guidance of a robot that has explored for long cove
 
 import json
 import resource
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.timing import TimedLoop
+from benchmarks.timing import TimedLoop, in_own_processes
 from jaxplore import DifferentialDrive, ExplorationScenario, Lidar, OccupancyGrid, explorer
 from jaxplore.maps.generators.office import office, start_pose
 
@@ -25,14 +23,7 @@ CHUNK, STEPS = 50, 500
 
 def measure() -> list[dict[str, Any]]:
     """Return a row for each map."""
-    rows = []
-    for sides in MAPS:
-        command = [sys.executable, "-m", __spec__.name, *map(str, sides)]
-        folder = Path(__file__).parents[1]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=folder)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
-        print(rows[-1], flush=True)
-    return rows
+    return in_own_processes(__spec__.name, MAPS)
 
 
 def measure_map(width: float, height: float, resolution: float) -> dict[str, Any]:

@@ -1,8 +1,12 @@
 """Wall-clock times of compiled functions."""
 
 import dataclasses
+import json
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -84,6 +88,24 @@ class TimedLoop:
             chunks.append(self.run(self.chunk) / self.chunk)
             single.extend(self.run(1) for _ in range(self.chunk))
         return chunks, single
+
+
+def in_own_processes(module: str, cases: Sequence[Sequence[float]]) -> list[dict[str, Any]]:
+    """Return the row of each case, measured in a process of its own, so that its memory is that of
+    the process.
+
+    Args:
+        module: module that prints the row of the case in its arguments as JSON, in its last line.
+        cases: numbers of each case.
+    """
+    rows = []
+    for each in cases:
+        command = [sys.executable, "-m", module, *map(str, each)]
+        folder = Path(__file__).parents[1]
+        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=folder)
+        rows.append(json.loads(done.stdout.splitlines()[-1]))
+        print(rows[-1], flush=True)
+    return rows
 
 
 def _wait(result: Any) -> None:

@@ -5,15 +5,13 @@ Each volume is measured in a process of its own, so that its memory is that of t
 
 import json
 import resource
-import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from benchmarks.timing import TimedLoop
+from benchmarks.timing import TimedLoop, in_own_processes
 from jaxplore import DepthCamera, Quadrotor, VolumeScenario, generate_volume, volume_explorer
 from jaxplore.maps.generators.volumes import START
 
@@ -29,14 +27,7 @@ CHUNK, STEPS = 40, 400
 
 def measure() -> list[dict[str, Any]]:
     """Return a row for each volume."""
-    rows = []
-    for each in VOLUMES:
-        command = [sys.executable, "-m", __spec__.name, *map(str, each)]
-        folder = Path(__file__).parents[1]
-        done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True, cwd=folder)
-        rows.append(json.loads(done.stdout.splitlines()[-1]))
-        print(rows[-1], flush=True)
-    return rows
+    return in_own_processes(__spec__.name, VOLUMES)
 
 
 def measure_volume(
