@@ -8,10 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt
+from scipy.spatial.transform import Rotation
 
+from jaxplore.belief.coarse_voxels import coarse_room, coarse_states
 from jaxplore.belief.view_field import ViewField
 from jaxplore.belief.volume import FAR, VolumePerception
+from jaxplore.maps.volume_clearance import renewed_clearance
 from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.window import Window
 from jaxplore.sensing.volume import DepthCamera, RingLidar
 
 SIDE, SIZE = 0.2, (8.0, 5.0, 2.4)
@@ -67,7 +71,7 @@ def test_the_box_around_the_robot_moves_over_a_map_that_is_larger() -> None:
     # A short sight: the box is smaller than the map, and what it leaves behind stays.
     short = RingLidar(12, 72, max_range=1.0, lowest=-0.6, highest=0.6, range_noise=0.0)
     near = VolumePerception([short], SIDE, 0.3, max_clearance=0.6, min_information=0.03)
-    assert near.box < 40
+    assert near.extent + 4 * near.reach + 4 < 40
     world = VoxelGrid.solid(room(), SIDE)
     update = jax.jit(
         lambda belief, at: near.update(
@@ -145,3 +149,51 @@ def test_bad_parts_are_refused() -> None:
         VolumePerception([LIDAR], 0.1, -0.1)
     with pytest.raises(ValueError, match=r"resolution is 0.0; accepted"):
         VolumePerception([LIDAR], 0.0, 0.3)
+
+
+def test_what_is_renewed_by_windows_is_what_the_whole_map_gives() -> None:
+    # Sides that are no multiples of a coarser voxel, a window smaller than the map, a body that
+    # tilts, and a jump that no window covers.
+    rng = np.random.default_rng(3)
+    solid = rng.random((9, 61, 83)) < 0.01
+    camera = DepthCamera(24, 18, max_range=1.2, quadratic_noise=0.0)
+    parts = [camera, RingLidar(4, 24, max_range=0.8, range_noise=0.0)]
+    perception = VolumePerception(parts, 0.1, 0.15, max_clearance=0.3, min_information=1e-4)
+    assert perception.pool == 2
+    world = VoxelGrid.solid(solid, 0.1)
+    blank = VoxelGrid(np.zeros_like(world.log_odds), 0.1)
+
+    @jax.jit
+    def look(belief, at, turn):
+        keys = jax.random.split(jax.random.key(0))
+        scans = [s.scan(world, at, turn, key=k) for s, k in zip(parts, keys, strict=True)]
+        return perception.update(belief, at, turn, scans)
+
+    fields = jax.jit(
+        lambda belief, at: perception.update_fields(belief, at, jnp.asarray(0.3), jnp.asarray(0.1))
+    )
+    places = [(1.0, 1.0), (1.4, 1.3), (7.4, 5.5), (8.2, 0.1), (4.0, 3.0), (4.3, 3.1)]
+    belief = perception.init(blank, jnp.asarray([1.0, 1.0, 0.45]))
+    for index, (x, y) in enumerate(places):
+        at = jnp.asarray([x, y, 0.45])
+        turn = Rotation.from_euler("zyx", [1.1 * index, 0.3, -0.2]).as_matrix()
+        belief = look(belief, at, jnp.asarray(turn, jnp.float32))
+        if index % 3 != 1:
+            belief = fields(belief, at)
+    everything = Window.at(jnp.zeros(3, jnp.int32), solid.shape, solid.shape)
+    clearance = renewed_clearance(belief.grid, jnp.zeros(solid.shape), everything, perception.reach)
+    coarse = coarse_states(belief.grid, perception.pool)
+    whole = eqx.tree_at(
+        lambda each: (each.coarse, each.changed, each.sectors),
+        belief,
+        (coarse, jnp.ones_like(belief.changed), jnp.zeros_like(belief.sectors)),
+    )
+    np.testing.assert_array_equal(belief.coarse, coarse)
+    np.testing.assert_allclose(belief.clearance.values, clearance, atol=1e-6)
+    np.testing.assert_array_equal(
+        belief.room, coarse_room(belief.clearance.values, perception.pool)
+    )
+    np.testing.assert_allclose(belief.sectors, fields(whole, at).sectors, atol=1e-6)
+    assert (np.asarray(belief.sectors) > 1e-3).mean() > 0.2
+    # The windows are smaller than the map, or this would show nothing.
+    assert perception.extent + 4 * perception.reach + 6 < 61

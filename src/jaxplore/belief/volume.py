@@ -6,25 +6,46 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Scalar
 from jaxplore._xla import on_device
+from jaxplore.belief.coarse_voxels import (
+    OCCUPIED,
+    UNKNOWN,
+    aligned_window,
+    coarse_room,
+    coarse_states,
+    renewed,
+    within_reach,
+)
 from jaxplore.belief.exploration_field import information_sources
 from jaxplore.belief.view_field import ViewField, sectors_in_view, turn_shares
 from jaxplore.belief.volume_roads import FAR, VolumeRoads
+from jaxplore.information.stale_tiles import first_group
 from jaxplore.information.voxel_table import VoxelTable
-from jaxplore.maps.volume_clearance import squared_distance
+from jaxplore.maps.volume_clearance import renewed_clearance
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.window import Window
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
-from jaxplore.sensing.volume import Rotation, VolumeScan, VolumeSensor
+from jaxplore.sensing.volume import (
+    Rotation,
+    VolumeScan,
+    VolumeSensor,
+    greatest_extent,
+    ray_ends,
+)
 
 COARSE = 0.2
 """Side of the coarser voxels in which information is computed [m], where the map's are finer."""
 NODE = 2
 """Coarser voxels between the nodes of the lattice."""
+TILE = 24
+"""Nodes along x and y that are computed at a time: their arrays fit the CPU's cache."""
+BEYOND = 3
+"""State of what is beyond the map."""
 NEAR = 0.6
 """Distance within which time counts in full as time near a viewpoint, and not at all at twice that
 [m]."""
@@ -44,6 +65,12 @@ class VolumeBelief(eqx.Module):
         attention: the same, with a share of what lies out of view, so that it rises as the robot
             turns to it.
         guidance: cost-to-go to the remaining information [m].
+        coarse: states of the coarser voxels in which information is computed.
+        room: least clearance in each of them [m].
+        changed: columns of coarser voxels with one whose state has changed since the information
+            was last computed.
+        sectors: (A, D, H, W) information of each sector from each node, without the discount of the
+            time spent [nat m^3].
         dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
             more [s].
     """
@@ -54,6 +81,10 @@ class VolumeBelief(eqx.Module):
     information: ViewField
     attention: ViewField
     guidance: VolumeField
+    coarse: Int[Array, "D2 H2 W2"]
+    room: Float[Array, "D2 H2 W2"]
+    changed: Bool[Array, "H2 W2"]
+    sectors: Float[Array, "A D H W"]
     dwell: Float[Array, "A D H W"]
 
 
@@ -93,9 +124,10 @@ class VolumePerception(eqx.Module):
     table: VoxelTable
     in_view: Float[Array, "A A"]
     towards: Float[Array, "A A"]
+    rays: Float[Array, "3 R"]
     pool: int = eqx.field(static=True)
     reach: int = eqx.field(static=True)
-    box: int = eqx.field(static=True)
+    extent: int = eqx.field(static=True)
 
     def __init__(
         self,
@@ -142,8 +174,8 @@ class VolumePerception(eqx.Module):
         self.in_view = on_device(sectors_in_view(num_sectors, leading.field_of_view))
         self.towards = on_device(turn_shares(num_sectors))
         self.reach = math.ceil(_checks.number("max_clearance", max_clearance, above=0.0) / side)
-        farthest = max(each.max_range for each in self.sensors)
-        self.box = 2 * (math.ceil(farthest / side) + self.reach + 1)
+        self.rays = on_device(ray_ends(self.sensors))
+        self.extent = math.ceil(greatest_extent(self.sensors) / side)
 
     @property
     def needs_turning(self) -> bool:
@@ -171,11 +203,15 @@ class VolumePerception(eqx.Module):
         known = jnp.where(is_new, self.sensor_model.free, grid.log_odds)
         grid = eqx.tree_at(lambda each: each.log_odds, grid, known)
         field = VolumeField(jnp.zeros(grid.shape), grid.origin + 0.5 * side, side, jnp.zeros(()))
+        whole = Window.at(jnp.zeros(3, jnp.int32), grid.shape, grid.shape)
         clearance = eqx.tree_at(
-            lambda each: each.values, field, self._clearance(grid, field.values, position)
+            lambda each: each.values,
+            field,
+            renewed_clearance(grid, field.values, whole, self.reach),
         )
         guidance = self.blank_field(grid)
         nothing = jnp.zeros((self.table.num_sectors, *guidance.values.shape))
+        coarse = coarse_states(grid, self.pool)
         return VolumeBelief(
             position,
             grid,
@@ -183,6 +219,10 @@ class VolumePerception(eqx.Module):
             ViewField(nothing, guidance.origin, guidance.spacing),
             ViewField(nothing, guidance.origin, guidance.spacing),
             guidance,
+            coarse,
+            coarse_room(clearance.values, self.pool),
+            jnp.ones(coarse.shape[1:], bool),
+            nothing,
             nothing,
         )
 
@@ -193,17 +233,51 @@ class VolumePerception(eqx.Module):
         rotation: Rotation,
         scans: Sequence[VolumeScan],
     ) -> VolumeBelief:
-        """Return the belief after scans: the map, and the clearance where it may have changed."""
+        """Return the belief after scans: the map, and all that follows from it within reach."""
+        window = self.window(belief.grid, position, rotation)
         grid = belief.grid
         for sensor, scan in zip(self.sensors, scans, strict=True):
-            grid = sensor.updated(grid, position, rotation, scan, self.sensor_model)
-        clearance = self._clearance(grid, belief.clearance.values, position)
+            grid = sensor.updated(grid, position, rotation, scan, self.sensor_model, window)
+        clearance = renewed_clearance(grid, belief.clearance.values, window, self.reach)
+        seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
+        coarse, among = renewed(belief.coarse, coarse_states(seen, self.pool), window, self.pool)
+        room, _ = renewed(
+            belief.room, coarse_room(window.read(clearance), self.pool), window, self.pool
+        )
+        is_new = jnp.any(among.read(coarse) != among.read(belief.coarse), axis=0)
+        columns = Window(among.corner[1:], among.shape[1:], among.map_shape[1:])
+        changed = columns.write(belief.changed, columns.read(belief.changed) | is_new)
         known: VolumeBelief = eqx.tree_at(
-            lambda each: (each.position, each.grid, each.clearance.values),
+            lambda each: (
+                each.position,
+                each.grid,
+                each.clearance.values,
+                each.coarse,
+                each.room,
+                each.changed,
+            ),
             belief,
-            (position, grid, clearance),
+            (position, grid, clearance, coarse, room, changed),
         )
         return known
+
+    def window(self, grid: VoxelGrid, position: Float[Array, "3"], rotation: Rotation) -> Window:
+        """Return the box of voxels in which scans may change the map and the clearance.
+
+        Args:
+            grid: the map.
+            position: position (x, y, z) of the robot [m].
+            rotation: rotation from the body to the world.
+        """
+        ends = position[:, None] + rotation @ self.rays
+        low = grid.to_grid(jnp.minimum(position, ends.min(axis=1)))
+        # Converting NaN to an integer is undefined: it depends on the machine.
+        first = jnp.floor(jnp.where(jnp.isfinite(low), low, 0.0)).astype(jnp.int32)
+        # The clearance changes within reach of what is seen, and is computed from what is within
+        # reach of that. A return lies up to half a voxel behind its reading.
+        margin = 2 * self.reach + 1
+        shape = [self.extent + 2 + 2 * margin] * 3
+        return aligned_window(first - margin, shape, grid.shape, self.pool)
 
     def update_fields(
         self,
@@ -231,14 +305,10 @@ class VolumePerception(eqx.Module):
             heading: its heading [rad].
             elapsed: time since the last update [s].
         """
-        grid = belief.grid
-        shape, *_ = self._lattice(grid)
-        sectors = self.table.information(self.pooled(grid), (1, 1, 1), shape, self.sensor_model)
-        # By volume, so that the information does not depend on the resolution.
-        sectors = sectors * (grid.resolution * self.pool) ** 3
+        every_sector = self._information(belief)
         roads = self.roads(belief)
         dwell = self._dwelt(belief, roads.distances(position), heading, elapsed)
-        sectors = sectors * jnp.exp(-dwell / self.patience)
+        sectors = every_sector * jnp.exp(-dwell / self.patience)
         guidance = roads.field(
             information_sources(sectors.sum(axis=0), self.decay_length, self.min_information)
         )
@@ -251,19 +321,66 @@ class VolumePerception(eqx.Module):
                 each.information.values,
                 each.attention.values,
                 each.guidance,
+                each.changed,
+                each.sectors,
                 each.dwell,
             ),
             belief,
-            (views, attention, guidance, dwell),
+            (
+                views,
+                attention,
+                guidance,
+                jnp.zeros_like(belief.changed),
+                every_sector,
+                dwell,
+            ),
         )
         return known
+
+    def _information(self, belief: VolumeBelief) -> Float[Array, "A D H W"]:
+        """Return the information of each sector from each node [nat m^3].
+
+        Only nodes within reach of what has changed are computed, tile by tile.
+        """
+        depth, *sides = belief.sectors.shape[1:]
+        tile, reach = [min(TILE, size) for size in sides], self.table.reach
+        rows, columns = sides
+        stale = within_reach(belief.changed, reach, 1, NODE, (rows, columns))
+        # Beyond the map nothing passes and nothing is learned: that of certainly occupied voxels.
+        margin = (reach, reach + NODE)
+        states = jnp.pad(belief.coarse, ((0, 0), margin, margin), constant_values=BEYOND)
+        cut = (states.shape[0], *(NODE * (size - 1) + 1 + 2 * reach for size in tile))
+
+        def renew(state: tuple[Array, Array]) -> tuple[Array, Array]:
+            is_stale, sectors = state
+            node = first_group(is_stale, (tile[0], tile[1]))
+            begin = NODE * node + 1
+            part = jax.lax.dynamic_slice(states, (0, begin[0], begin[1]), cut)
+            found = self.table.information(
+                self._probability(part), (1, reach, reach), (depth, *tile), self.sensor_model
+            )
+            # By volume, so that the information does not depend on the resolution.
+            found = found * (belief.grid.resolution * self.pool) ** 3
+            at = Window(node, (tile[0], tile[1]), (rows, columns))
+            return at.write(is_stale, jnp.zeros(tile, bool)), at.write(sectors, found)
+
+        _, sectors = jax.lax.while_loop(
+            lambda state: jnp.any(state[0]), renew, (stale, belief.sectors)
+        )
+        return sectors
+
+    def _probability(self, states: Int[Array, "*N"]) -> Float[Array, "*N"]:
+        """Return the probability of occupancy of coarser voxels; unknown ones have the prior."""
+        low, high = self.sensor_model.minimum, self.sensor_model.maximum
+        known = jnp.where(states == OCCUPIED, jax.nn.sigmoid(high), jax.nn.sigmoid(low))
+        probability = jnp.where(states == UNKNOWN, self.occupancy_prior, known)
+        return jnp.where(states == BEYOND, 1.0, probability)
 
     def roads(self, belief: VolumeBelief) -> VolumeRoads:
         """Return the lattice of the places at which the robot fits; tight ones cost double."""
         shape, origin, spacing = self._lattice(belief.grid)
         # Half-way between the nodes, too, the robot must fit.
-        room = blocks(belief.clearance.values, self.pool).min(axis=-1)
-        half = room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
+        half = belief.room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
         tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
         return VolumeRoads(half >= self.required, 1.0 + tightness, origin, spacing)
 
@@ -296,81 +413,3 @@ class VolumePerception(eqx.Module):
         depth, height, width = (max(1, (size - 2) // NODE + 1) for size in coarse)
         side = grid.resolution * self.pool
         return (depth, height, width), grid.origin + 1.5 * side, NODE * side
-
-    def _clearance(
-        self, grid: VoxelGrid, before: Float[Array, "D H W"], position: Float[Array, "3"]
-    ) -> Float[Array, "D H W"]:
-        """Return the clearance with what is new in a box around the robot [m]."""
-        sizes = [min(self.box, size) for size in grid.shape]
-        here = grid.to_grid(position)
-        # Converting NaN to an integer is undefined: it depends on the machine.
-        centre = jnp.floor(jnp.where(jnp.isfinite(here), here, 0.0)).astype(jnp.int32)
-        most = jnp.asarray([n - m for n, m in zip(grid.shape, sizes, strict=True)])
-        corner = list(jnp.clip(centre - jnp.asarray(sizes) // 2, 0, most))
-        part = jax.lax.dynamic_slice(grid.log_odds, corner, sizes)
-        is_free = eqx.tree_at(lambda each: each.log_odds, grid, part).is_free
-        # Beyond the box of the map all is closed.
-        squared = squared_distance(_walled(~is_free, corner, grid.shape), self.reach)
-        squared = squared[1:-1, 1:-1, 1:-1]
-        # From the centre of the nearest closed voxel to its face is half a voxel.
-        metres = jnp.maximum(jnp.sqrt(squared) - 0.5, 0.0) * grid.resolution
-        # Near the rim of the box, what lies outside could be nearer: there the old value counts, if
-        # it is smaller.
-        old = jax.lax.dynamic_slice(before, corner, sizes)
-        rim = _near_rim(sizes, corner, grid.shape, self.reach)
-        metres = jnp.where(rim, jnp.minimum(old, metres), metres)
-        return jax.lax.dynamic_update_slice(before, metres, corner)
-
-    def pooled(self, grid: VoxelGrid) -> Float[Array, "D2 H2 W2"]:
-        """Return the probability of occupancy of the coarser voxels; unknown ones have the
-        prior."""
-        is_free, is_occupied = self.pooled_states(grid)
-        low, high = self.sensor_model.minimum, self.sensor_model.maximum
-        known = jnp.where(is_occupied, jax.nn.sigmoid(high), jax.nn.sigmoid(low))
-        return jnp.where(is_occupied | is_free, known, self.occupancy_prior)
-
-    def pooled_states(
-        self, grid: VoxelGrid
-    ) -> tuple[Bool[Array, "D2 H2 W2"], Bool[Array, "D2 H2 W2"]]:
-        """Return the masks of the coarser voxels that are free and occupied.
-
-        One is occupied if any of its voxels is, and free if all of them are.
-        """
-        return (
-            blocks(grid.is_free, self.pool).all(axis=-1),
-            blocks(grid.is_occupied, self.pool).any(axis=-1),
-        )
-
-
-def blocks(values: Array, side: int) -> Array:
-    """Return the blocks of some voxels on a side along the last axis; an incomplete block repeats
-    its last voxels."""
-    widths = [(0, -size % side) for size in values.shape]
-    padded = jnp.pad(values, widths, mode="edge")
-    depth, height, width = (size // side for size in padded.shape)
-    split = padded.reshape(depth, side, height, side, width, side).transpose(0, 2, 4, 1, 3, 5)
-    return split.reshape(depth, height, width, side**3)
-
-
-def _walled(closed: Array, corner: list[Array], shape: tuple[int, int, int]) -> Array:
-    """Return a box with one more layer around, closed where the map ends."""
-    walled = jnp.pad(closed, 1)
-    for axis, (begin, size) in enumerate(zip(corner, shape, strict=True)):
-        index: list[slice | int] = [slice(None)] * 3
-        for side, ends in ((0, begin == 0), (-1, begin + closed.shape[axis] == size)):
-            index[axis] = side
-            walled = walled.at[tuple(index)].max(ends)
-    return walled
-
-
-def _near_rim(
-    sizes: list[int], corner: list[Array], shape: tuple[int, int, int], reach: int
-) -> Bool[Array, "d h w"]:
-    """Return the mask of the voxels within reach of a rim of a box inside the map."""
-    near = jnp.zeros(sizes, bool)
-    for axis, (size, begin, most) in enumerate(zip(sizes, corner, shape, strict=True)):
-        along = jnp.arange(size)
-        low = (along < reach) & (begin > 0)
-        high = (along >= size - reach) & (begin + size < most)
-        near = near | jnp.expand_dims(low | high, [a for a in range(3) if a != axis])
-    return near

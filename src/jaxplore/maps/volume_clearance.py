@@ -1,12 +1,39 @@
 """The distance to the nearest closed voxel, of all voxels together."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
+
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.window import Window
 
 
-def squared_distance(closed: Bool[Array, "D H W"], reach: int) -> Float[Array, "D H W"]:
+def renewed_clearance(
+    grid: VoxelGrid, before: Float[Array, "D H W"], window: Window, reach: int
+) -> Float[Array, "D H W"]:
+    """Return the distance from each voxel's centre to the nearest voxel that is not known to be
+    free [m], with what is new in a window.
+
+    Args:
+        grid: log-odds of the voxels.
+        before: the distances before something changed in the window.
+        window: box of voxels that has twice the reach around all that has changed.
+        reach: greatest distance of interest [voxels]; static.
+    """
+    seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
+    # Beyond the map all is closed.
+    squared = squared_distance(_walled(~seen.is_free, window), reach)[1:-1, 1:-1, 1:-1]
+    # From the centre of the nearest closed voxel to its face is half a voxel.
+    voxels = jnp.maximum(jnp.sqrt(squared.astype(jnp.float32)) - 0.5, 0.0)
+    # Near the rim of the window, what lies outside could be nearer. Nothing changes there.
+    kept = _near_rim(window, reach)
+    metres = jnp.where(kept, window.read(before), voxels * grid.resolution)
+    return window.write(before, metres)
+
+
+def squared_distance(closed: Bool[Array, "D H W"], reach: int) -> Int[Array, "D H W"]:
     """Return the squared distance between the centres of each voxel and the nearest closed one.
 
     The exact Euclidean distance, axis by axis: with d_x the distance along x within the row,
@@ -22,14 +49,17 @@ def squared_distance(closed: Bool[Array, "D H W"], reach: int) -> Float[Array, "
         reach: greatest distance of interest [voxels]; static. Greater distances are
             `(reach + 1)^2`.
     """
-    far = float((reach + 1) ** 2)
-    squared = jnp.where(closed, 0.0, far)
+    far = (reach + 1) ** 2
+    # The sum of two squares must fit. With 16 bits the passes take a seventh of the time that they
+    # take with floats.
+    kind = jnp.int16 if 2 * far <= jnp.iinfo(jnp.int16).max else jnp.int32
+    squared = jnp.where(closed, jnp.zeros((), kind), jnp.asarray(far, kind))
     for axis in (2, 1, 0):
         squared = _along(squared, axis, reach, far)
     return squared
 
 
-def _along(squared: Array, axis: int, reach: int, far: float) -> Array:
+def _along(squared: Array, axis: int, reach: int, far: int) -> Array:
     """Return the least squared distance with offsets along one more axis."""
     size = squared.shape[axis]
     steps = min(reach, size - 1)
@@ -39,5 +69,28 @@ def _along(squared: Array, axis: int, reach: int, far: float) -> Array:
     for offset in range(1, steps + 1):
         for begin in (steps - offset, steps + offset):
             shifted = jax.lax.slice_in_dim(padded, begin, begin + size, axis=axis)
-            least = jnp.minimum(least, shifted + float(offset * offset))
+            least = jnp.minimum(least, shifted + jnp.asarray(offset * offset, squared.dtype))
     return least
+
+
+def _walled(closed: Bool[Array, "d h w"], window: Window) -> Bool[Array, "d2 h2 w2"]:
+    """Return a window with one more layer around, closed where the map ends."""
+    walled = jnp.pad(closed, 1)
+    for axis, (size, most) in enumerate(zip(window.shape, window.map_shape, strict=True)):
+        begin = window.corner[axis]
+        index: list[slice | int] = [slice(None)] * 3
+        for side, ends in ((0, begin == 0), (-1, begin + size == most)):
+            index[axis] = side
+            walled = walled.at[tuple(index)].max(ends)
+    return walled
+
+
+def _near_rim(window: Window, reach: int) -> Bool[Array, "d h w"]:
+    """Return the mask of the voxels within reach of a rim of a window inside the map."""
+    near = jnp.zeros(window.shape, bool)
+    for axis, (size, most) in enumerate(zip(window.shape, window.map_shape, strict=True)):
+        begin, along = window.corner[axis], jnp.arange(size)
+        low = (along < reach) & (begin > 0)
+        high = (along >= size - reach) & (begin + size < most)
+        near = near | jnp.expand_dims(low | high, [a for a in range(3) if a != axis])
+    return near

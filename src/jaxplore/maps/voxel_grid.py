@@ -130,8 +130,7 @@ class VoxelGrid(eqx.Module):
 
     def contains(self, voxel: Int[Array, "3 *N"]) -> Bool[Array, "*N"]:
         """Return whether each voxel (k, j, i) is in the box."""
-        limits = jnp.asarray(self.shape).reshape((3, *[1] * (voxel.ndim - 1)))
-        return jnp.all((voxel >= 0) & (voxel < limits), axis=0)
+        return contains(voxel, self.shape)
 
     def at(self, voxel: Int[Array, "3 *N"], outside: float = 0.0) -> Float[Array, "*N"]:
         """Return the log-odds of each voxel (k, j, i).
@@ -146,6 +145,12 @@ class VoxelGrid(eqx.Module):
 
 CERTAIN = 10.0
 """Log-odds of a voxel of a true world."""
+
+
+def contains(voxel: Int[Array, "3 *N"], shape: Sequence[int]) -> Bool[Array, "*N"]:
+    """Return whether each voxel (k, j, i) is in a box of a shape (D, H, W)."""
+    limits = jnp.asarray(shape).reshape((3, *[1] * (voxel.ndim - 1)))
+    return jnp.all((voxel >= 0) & (voxel < limits), axis=0)
 
 
 def flat_index(voxel: Int[Array, "3 *N"], shape: Sequence[int]) -> Int[Array, "*N"]:

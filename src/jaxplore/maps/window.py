@@ -1,4 +1,4 @@
-"""A rectangle of cells of a map, so that what changes around the robot costs no whole map."""
+"""A box of cells of a map, so that what changes around the robot costs no whole map."""
 
 import math
 from collections.abc import Sequence
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Int
 
@@ -14,34 +15,35 @@ from jaxplore.maps.frame import GridFrame
 
 
 class Window(eqx.Module):
-    """A rectangle of cells of a map. Its shape is static, and its place may be traced.
+    """A box of cells of a map of n axes. Its shape is static, and its place may be traced.
 
     A map that is no larger than the window is the window: nothing is cut out then.
 
     Args:
-        corner: first cell (row, column).
-        shape: rows and columns of the window; static.
-        map_shape: rows and columns of the map's arrays; static.
+        corner: first cell, such as (row, column).
+        shape: number of cells along each axis; static.
+        map_shape: shape of the map's arrays; static.
     """
 
-    corner: Int[Array, "2"]
-    shape: tuple[int, int] = eqx.field(static=True)
-    map_shape: tuple[int, int] = eqx.field(static=True)
+    corner: Int[Array, " n"]
+    shape: tuple[int, ...] = eqx.field(static=True)
+    map_shape: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
     def at(
-        cls, corner: Int[Array, "2"], shape: Sequence[int], map_shape: tuple[int, int]
+        cls, corner: Int[Array, " n"], shape: Sequence[int], map_shape: tuple[int, ...]
     ) -> "Window":
         """Return a window of a map with a first cell; at the border of the map it is moved inwards.
 
         Args:
-            corner: first cell (row, column).
-            shape: rows and columns, of which no more are taken than the map has; static.
-            map_shape: rows and columns of the map's arrays; static.
+            corner: first cell.
+            shape: number of cells along each axis, of which no more are taken than the map has;
+                static.
+            map_shape: shape of the map's arrays; static.
         """
-        rows, columns = (min(own, size) for own, size in zip(shape, map_shape, strict=True))
-        farthest = jnp.asarray([map_shape[0] - rows, map_shape[1] - columns], jnp.int32)
-        return cls(jnp.clip(corner, 0, farthest), (rows, columns), map_shape)
+        sizes = tuple(min(own, size) for own, size in zip(shape, map_shape, strict=True))
+        farthest = np.subtract(map_shape, sizes).astype(np.int32)
+        return cls(jnp.clip(corner, 0, farthest), sizes, map_shape)
 
     @classmethod
     def around(
@@ -62,10 +64,10 @@ class Window(eqx.Module):
         return cls.at(frame.to_cell(position) - cells, [2 * cells + 1] * 2, map_shape)
 
     def grown(self, margin: int) -> "Window":
-        """Return the window with as many rows and columns more on each side, as far as the map is.
+        """Return the window with as many cells more on each side, as far as the map is.
 
         Args:
-            margin: number of rows and columns; static.
+            margin: number of cells; static.
         """
         shape = [size + 2 * margin for size in self.shape]
         return Window.at(self.corner - margin, shape, self.map_shape)
@@ -75,17 +77,20 @@ class Window(eqx.Module):
         return Window(self.corner - outer.corner, self.shape, outer.shape)
 
     def read(self, values: Array) -> Array:
-        """Return the part (..., h, w) of an array (..., H, W)."""
+        """Return the part of an array whose last axes are those of the map."""
         if self.shape == self.map_shape:
             return values
-        leading = values.shape[:-2]
+        leading = self._leading(values)
         return jax.lax.dynamic_slice(values, self._start(leading), (*leading, *self.shape))
 
     def write(self, values: Array, part: Array) -> Array:
-        """Return an array (..., H, W) with another part (..., h, w)."""
+        """Return an array, whose last axes are those of the map, with another part."""
         if self.shape == self.map_shape:
             return part
-        return jax.lax.dynamic_update_slice(values, part, self._start(values.shape[:-2]))
+        return jax.lax.dynamic_update_slice(values, part, self._start(self._leading(values)))
+
+    def _leading(self, values: Array) -> tuple[int, ...]:
+        return values.shape[: values.ndim - len(self.shape)]
 
     def _start(self, leading: tuple[int, ...]) -> tuple[Array | int, ...]:
-        return (*(0 for _ in leading), self.corner[0], self.corner[1])
+        return (*(0 for _ in leading), *(self.corner[axis] for axis in range(len(self.shape))))

@@ -2,6 +2,7 @@
 
 import abc
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,8 @@ from jaxplore import _checks
 from jaxplore._describe import describe_fields
 from jaxplore._types import ArrayLike, Key, Scalar
 from jaxplore.geometry.voxel_rays import VoxelStep, walk
-from jaxplore.maps.voxel_grid import VoxelGrid, flat_index
+from jaxplore.maps.voxel_grid import OCCUPIED_ABOVE, VoxelGrid, contains, flat_index
+from jaxplore.maps.window import Window
 from jaxplore.sensing.beams import fan_angles
 from jaxplore.sensing.fan import checked_range, checked_view
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -87,14 +89,15 @@ class VolumeSensor(eqx.Module):
         start, direction = _rays(world, position, rotation, self.directions)
         limit = self.max_range / world.resolution
         length = jnp.full(direction.shape[1], limit, jnp.float32)
-        solid = world.is_occupied.reshape(-1)
+        log_odds = world.log_odds.reshape(-1)
 
         def visit(
             met: Float[Array, " R"], step: VoxelStep
         ) -> tuple[Float[Array, " R"], Bool[Array, " R"]]:
             is_here = world.contains(step.voxel) & step.is_crossed
             index = flat_index(step.voxel, world.shape)
-            is_hit = is_here & solid.at[index].get(mode="fill", fill_value=False)
+            found = log_odds.at[index].get(mode="fill", fill_value=0.0)
+            is_hit = is_here & (found > OCCUPIED_ABOVE)
             met = jnp.where(is_hit & jnp.isinf(met), step.entry, met)
             return met, jnp.isinf(met)
 
@@ -112,6 +115,7 @@ class VolumeSensor(eqx.Module):
         rotation: Rotation,
         scan: VolumeScan,
         model: InverseSensorModel,
+        window: Window | None = None,
     ) -> VoxelGrid:
         """Return the grid after a scan.
 
@@ -129,7 +133,11 @@ class VolumeSensor(eqx.Module):
             rotation: rotation from the body to the world.
             scan: the scan.
             model: inverse sensor model.
+            window: box of voxels in which the rays end, beyond which nothing is updated; all
+                voxels when absent.
         """
+        if window is None:
+            window = Window.at(jnp.zeros(3, jnp.int32), grid.shape, grid.shape)
         start, direction = _rays(grid, position, rotation, self.directions)
         is_measured = jnp.isfinite(scan.ranges) & (scan.ranges > 0.0)
         reading = jnp.where(is_measured, scan.ranges, -1.0) / grid.resolution
@@ -141,23 +149,53 @@ class VolumeSensor(eqx.Module):
         behind = jnp.clip(doubtful, INSIDE, 0.5)
         met = reading + jnp.where(scan.is_return & is_measured, behind, 0.0)
         passed = reading + jnp.where(scan.is_return, INSIDE - doubtful, 1.0)
-        size = math.prod(grid.shape)
+        before = window.read(grid.log_odds)
+        corner = window.corner[:, None]
 
         def visit(seen: Array, step: VoxelStep) -> tuple[Array, Bool[Array, " R"]]:
-            is_in = step.is_crossed & grid.contains(step.voxel)
+            voxel = step.voxel - corner
+            is_in = step.is_crossed & contains(voxel, window.shape)
             is_end = scan.is_return & (step.entry <= met) & (met < step.exit)
             is_passed = 0.5 * (step.entry + step.exit) <= passed
             what = jnp.where(is_end, HIT, jnp.where(is_passed, PASSED, 0)).astype(jnp.int8)
-            index = jnp.where(is_in, flat_index(step.voxel, grid.shape), size)
+            index = jnp.where(is_in, flat_index(voxel, window.shape), before.size)
             return seen.at[index].max(what, mode="drop"), ~is_end
 
-        seen = walk(start, direction, met, visit, jnp.zeros(size, jnp.int8))
-        seen = seen.reshape(grid.shape)
+        seen = walk(start, direction, met, visit, jnp.zeros(before.size, jnp.int8))
+        seen = seen.reshape(window.shape)
         change = jnp.where(seen == HIT, model.occupied, jnp.where(seen == PASSED, model.free, 0.0))
-        bounded = jnp.clip(grid.log_odds + change, model.minimum, model.maximum)
-        values = jnp.where(seen > 0, bounded, grid.log_odds)
+        bounded = jnp.clip(before + change, model.minimum, model.maximum)
+        values = window.write(grid.log_odds, jnp.where(seen > 0, bounded, before))
         known: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, values)
         return known
+
+
+def ray_ends(sensors: Sequence[VolumeSensor]) -> np.ndarray:
+    """Return the farthest ends (3, R) of the rays of sensors on one body, in its frame [m]."""
+    return np.concatenate([each.max_range * each.directions for each in sensors], axis=1)
+
+
+def greatest_extent(sensors: Sequence[VolumeSensor]) -> float:
+    """Return a bound of the extent along any axis of what sensors on one body see, whichever way
+    it is turned [m].
+
+    All rays lie in a cone around their mean. With the length L and the half-angle a < 90 degrees,
+    its extent along an axis at the angle b from its own is at most
+
+        L max(1, cos(b - a) - cos(b + a)) = L max(1, 2 sin a sin b)
+
+    and 2 L for wider ones.
+
+    Args:
+        sensors: the sensors.
+    """
+    ways = np.concatenate([each.directions for each in sensors], axis=1).astype(np.float64)
+    length = max(each.max_range for each in sensors)
+    mean = ways.mean(axis=1)
+    cosine = (mean @ ways / max(np.linalg.norm(mean), 1e-9)).min()
+    if cosine <= 0.0:
+        return 2.0 * length
+    return float(length * max(1.0, 2.0 * math.sqrt(max(0.0, 1.0 - cosine**2))))
 
 
 INSIDE = 0.01

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Position, Scalar, StateVector
+from jaxplore.belief.coarse_voxels import FREE, UNKNOWN
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
 from jaxplore.belief.volume import NODE, VolumeBelief, VolumePerception
 from jaxplore.control.base import ModelBasedController
@@ -109,7 +110,7 @@ class VolumeTargetExplorer(TargetController):
         worth = belief.information.values.max(axis=0)
         can_reach = roads.is_open & jnp.isfinite(distance)
         is_view = can_reach & (worth >= self.min_information)
-        area, largest = self._frontier_areas(belief.grid, worth.shape)
+        area, largest = self._frontier_areas(belief, worth.shape)
         return Frontiers(
             roads,
             distance,
@@ -138,13 +139,13 @@ class VolumeTargetExplorer(TargetController):
         return state.guidance.place(state.node)[:2]
 
     def _frontier_areas(
-        self, grid: VoxelGrid, shape: tuple[int, ...]
+        self, belief: VolumeBelief, shape: tuple[int, ...]
     ) -> tuple[Float[Array, "D H W"], Float[Array, "D H W"]]:
         """Compute the area of the frontier voxels near each node, and that of the largest cluster
         with a voxel there [m^2]."""
-        is_free, is_occupied = self.perception.pooled_states(grid)
+        is_free = belief.coarse == FREE
         # The padding is not unknown: the border of the volume is no frontier.
-        unknown = jnp.pad(~(is_free | is_occupied), 1)
+        unknown = jnp.pad(belief.coarse == UNKNOWN, 1)
         beside = jnp.zeros_like(is_free)
         for axis in range(3):
             for begin in (0, 2):
@@ -164,7 +165,7 @@ class VolumeTargetExplorer(TargetController):
             )
             return found[tuple(slice(size) for size in shape)]
 
-        face = (grid.resolution * self.perception.pool) ** 2
+        face = (belief.grid.resolution * self.perception.pool) ** 2
         area = face * over(is_frontier, 0.0, jax.lax.add)
         largest = face * over(cluster_sizes(is_frontier), 0.0, jax.lax.max)
         return area, largest

@@ -46,12 +46,12 @@ class VolumeState(NamedTuple):
     Args:
         robot: (nx,) true state of the robot.
         belief: the robot's belief.
-        coverage: share of the observable volume that is known to be free.
+        num_known: number of observable voxels that are known to be free.
     """
 
     robot: StateVector
     belief: VolumeBelief
-    coverage: Scalar
+    num_known: Count
 
 
 class VolumeScenario(Scenario):
@@ -161,7 +161,8 @@ class VolumeScenario(Scenario):
             lambda each: each.log_odds, self.world, jnp.zeros_like(self.world.log_odds)
         )
         belief = self.perception.init(blank, position_upwards(self.start))
-        return VolumeState(self.start, belief, self._coverage(belief)), belief
+        known = jnp.sum(belief.grid.is_free & self.observable, dtype=jnp.int32)
+        return VolumeState(self.start, belief, known), belief
 
     def perceive(
         self, state: VolumeState, moment: Moment, key: Key
@@ -171,29 +172,36 @@ class VolumeScenario(Scenario):
         elapsed = self.control_period * self.steps_per_field.astype(jnp.float32)
         truly, truly_turned = position_upwards(state.robot), attitude_upwards(state.robot)
 
-        def scanned(belief: VolumeBelief) -> VolumeBelief:
+        def scanned(given: tuple[VolumeBelief, Count]) -> tuple[VolumeBelief, Count]:
+            before, known = given
             keys = jax.random.split(key, len(self.sensors))
             scans = [
                 sensor.scan(self.world, truly, truly_turned, key=each)
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
-            return self.perception.update(belief, at, turn, scans)
+            belief = self.perception.update(before, at, turn, scans)
+            window = self.perception.window(belief.grid, at, turn)
+            wanted = window.read(self.observable)
+            now, then = (
+                jnp.sum((window.read(each.grid.log_odds) < FREE_BELOW) & wanted, dtype=jnp.int32)
+                for each in (belief, before)
+            )
+            return belief, known + now - then
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
-        belief = jax.lax.cond(is_due, scanned, lambda same: same, state.belief)
+        belief, known = jax.lax.cond(
+            is_due, scanned, lambda same: same, (state.belief, state.num_known)
+        )
         belief = jax.lax.cond(
             moment.step % self.steps_per_field == 0,
             # A bound method of a module is no key of a cache while its arrays are traced.
-            lambda known: self.perception.update_fields(
-                known, at, self.robot.heading(moment.observed), elapsed
+            lambda old: self.perception.update_fields(
+                old, at, self.robot.heading(moment.observed), elapsed
             ),
             lambda same: same,
             belief,
         )
-        coverage = jax.lax.cond(
-            is_due, lambda known: self._coverage(known), lambda _: state.coverage, belief
-        )
-        return state._replace(belief=belief, coverage=coverage), belief
+        return state._replace(belief=belief, num_known=known), belief
 
     def advance(
         self, state: VolumeState, control: ControlVector, moment: Moment, info: Info
@@ -211,7 +219,7 @@ class VolumeScenario(Scenario):
         record = VolumeRecord(
             state=after,
             control=control,
-            coverage=state.coverage,
+            coverage=self.coverage(state),
             clearance=self.clearance(after),
             is_collision=is_collision,
             effective_sample_size=info.effective_sample_size,
@@ -221,12 +229,16 @@ class VolumeScenario(Scenario):
 
     def is_unfinished(self, state: VolumeState) -> Flag:
         """Check whether the coverage is below its target."""
-        return state.coverage < self.target_coverage
+        return self.coverage(state) < self.target_coverage
 
     def progress(self, state: VolumeState) -> tuple[float, str]:
         """Return the share of the target coverage, and the coverage in words."""
-        coverage = float(state.coverage)
+        coverage = float(self.coverage(state))
         return min(1.0, coverage / float(self.target_coverage)), f"coverage {coverage:6.1%}"
+
+    def coverage(self, state: VolumeState) -> Scalar:
+        """Return the share of the observable volume that is known to be free."""
+        return state.num_known.astype(jnp.float32) / self.num_observable
 
     def clearance(self, state: StateVector) -> Scalar:
         """Return the distance from the robot's edge to the nearest solid voxel [m], up to a reach.
@@ -286,15 +298,11 @@ class VolumeScenario(Scenario):
             origin=np.asarray(self.world.origin, np.float64),
             start=np.asarray(self.start),
             state_names=self.robot.state_names,
-            initial_coverage=float(before.coverage),
+            initial_coverage=float(self.coverage(before)),
             target_coverage=float(self.target_coverage),
             robot_radius=float(self.robot.radius),
         )
         return local.moved(self.datum.offset)
-
-    def _coverage(self, belief: VolumeBelief) -> Scalar:
-        seen = jnp.sum(belief.grid.is_free & self.observable, dtype=jnp.float32)
-        return seen / self.num_observable
 
     def _stopped(self, state: StateVector) -> StateVector:
         """Return the state of a robot that keeps its position and attitude, at rest."""
