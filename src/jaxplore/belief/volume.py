@@ -342,9 +342,8 @@ class VolumePerception(eqx.Module):
 
         Only nodes within reach of what has changed are computed, tile by tile.
         """
-        depth, *sides = belief.sectors.shape[1:]
-        tile, reach = [min(TILE, size) for size in sides], self.table.reach
-        rows, columns = sides
+        depth, rows, columns = belief.sectors.shape[1:]
+        tile, reach = (min(TILE, rows), min(TILE, columns)), self.table.reach
         stale = within_reach(belief.changed, reach, 1, NODE, (rows, columns))
         # Beyond the map nothing passes and nothing is learned: that of certainly occupied voxels.
         margin = (reach, reach + NODE)
@@ -353,7 +352,7 @@ class VolumePerception(eqx.Module):
 
         def renew(state: tuple[Array, Array]) -> tuple[Array, Array]:
             is_stale, sectors = state
-            node = first_group(is_stale, (tile[0], tile[1]))
+            node = first_group(is_stale, tile)
             begin = NODE * node + 1
             part = jax.lax.dynamic_slice(states, (0, begin[0], begin[1]), cut)
             found = self.table.information(
@@ -361,7 +360,7 @@ class VolumePerception(eqx.Module):
             )
             # By volume, so that the information does not depend on the resolution.
             found = found * (belief.grid.resolution * self.pool) ** 3
-            at = Window(node, (tile[0], tile[1]), (rows, columns))
+            at = Window(node, tile, (rows, columns))
             return at.write(is_stale, jnp.zeros(tile, bool)), at.write(sectors, found)
 
         _, sectors = jax.lax.while_loop(
