@@ -11,8 +11,8 @@ from jaxplore.belief.obstacles import Obstacles as Obstacles
 from jaxplore.belief.perception import Perception as Perception
 from jaxplore.belief.recognition import ObjectClasses as ObjectClasses
 from jaxplore.belief.recognition import Recognition as Recognition
-from jaxplore.belief.volume import VolumeBelief as VolumeBelief
 from jaxplore.belief.volume import VolumePerception as VolumePerception
+from jaxplore.belief.volume_belief import VolumeBelief as VolumeBelief
 from jaxplore.belief.zones import Zones as Zones
 from jaxplore.belief.zones import entropy_proxy as entropy_proxy
 from jaxplore.belief.zones import unknown_fraction as unknown_fraction

@@ -64,3 +64,39 @@ def turn_shares(number: int) -> np.ndarray:
     headings = np.arange(number) * 2.0 * math.pi / number
     gap = headings[:, None] - (headings + math.pi / number)[None, :]
     return (0.5 + 0.5 * np.cos(gap)).astype(np.float32)
+
+
+NEAR = 0.6
+"""Distance within which time counts in full as time near a viewpoint, and not at all at twice that
+[m]."""
+ASIDE = 0.1
+"""Share of the time near a viewpoint that counts for sectors out of view."""
+
+
+def time_near(
+    before: Float[Array, "A D H W"],
+    distance: Float[Array, "D H W"],
+    in_view: Float[Array, "A A"],
+    heading: Scalar,
+    elapsed: Scalar,
+    memory: Scalar,
+) -> Float[Array, "A D H W"]:
+    """Return the time near each node with each sector in view, with the last one added [s].
+
+    Args:
+        before: the time before.
+        distance: distance of each node from the robot [m].
+        in_view: share of each sector in view at each heading.
+        heading: heading of the robot [rad].
+        elapsed: time since `before` [s].
+        memory: time constant with which it is forgotten [s].
+    """
+    near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
+    number = len(in_view)
+    angle = jnp.where(jnp.isfinite(heading), heading, 0.0)
+    index = jnp.round(angle * (number / (2.0 * math.pi))).astype(jnp.int32) % number
+    # Also where the robot does not look, so that it leaves a place at which it need not turn.
+    shares = jnp.maximum(in_view[index], ASIDE)[:, None, None, None]
+    is_known = jnp.isfinite(distance) & jnp.isfinite(heading)
+    more = jnp.where(is_known, elapsed * shares * near, 0.0)
+    return before * jnp.exp(-elapsed / memory) + more

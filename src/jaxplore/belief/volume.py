@@ -1,4 +1,4 @@
-"""What a robot knows of a volume, and what follows from it: distances, information, guidance."""
+"""How a robot comes to know a volume: the map, distances, information, guidance."""
 
 import math
 from collections.abc import Sequence
@@ -6,29 +6,29 @@ from collections.abc import Sequence
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Scalar
+from jaxplore._types import ArrayLike, Scalar, Vector
 from jaxplore._xla import on_device
 from jaxplore.belief.coarse_voxels import (
-    OCCUPIED,
-    UNKNOWN,
     aligned_window,
     coarse_room,
+    coarse_shape,
     coarse_states,
     renewed,
-    within_reach,
 )
 from jaxplore.belief.exploration_field import information_sources
-from jaxplore.belief.view_field import ViewField, sectors_in_view, turn_shares
+from jaxplore.belief.rolling_map import BLOCK, RollingMap, shifted, window_shape
+from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
+from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.volume_information import renewed_information
 from jaxplore.belief.volume_roads import FAR, VolumeRoads
-from jaxplore.information.stale_tiles import first_group
 from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import renewed_clearance
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
-from jaxplore.maps.window import Window
+from jaxplore.maps.window import Window, near_faces
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import (
     Rotation,
@@ -42,50 +42,8 @@ COARSE = 0.2
 """Side of the coarser voxels in which information is computed [m], where the map's are finer."""
 NODE = 2
 """Coarser voxels between the nodes of the lattice."""
-TILE = 24
-"""Nodes along x and y that are computed at a time: their arrays fit the CPU's cache."""
-BEYOND = 3
-"""State of what is beyond the map."""
-NEAR = 0.6
-"""Distance within which time counts in full as time near a viewpoint, and not at all at twice that
-[m]."""
-ASIDE = 0.1
-"""Share of the time near a viewpoint that counts for sectors out of view."""
-
-
-class VolumeBelief(eqx.Module):
-    """What a robot knows of a volume.
-
-    Args:
-        position: position (x, y, z) of the robot at the last update [m].
-        grid: log-odds of the voxels.
-        clearance: distance to the nearest voxel that is not known to be free, up to the reach of
-            the perception [m].
-        information: information of a scan by position and heading.
-        attention: the same, with a share of what lies out of view, so that it rises as the robot
-            turns to it.
-        guidance: cost-to-go to the remaining information [m].
-        coarse: states of the coarser voxels in which information is computed.
-        room: least clearance in each of them [m].
-        changed: columns of coarser voxels with one whose state has changed since the information
-            was last computed.
-        sectors: (A, D, H, W) information of each sector from each node, without the discount of the
-            time spent [nat m^3].
-        dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
-            more [s].
-    """
-
-    position: Float[Array, "3"]
-    grid: VoxelGrid
-    clearance: VolumeField
-    information: ViewField
-    attention: ViewField
-    guidance: VolumeField
-    coarse: Int[Array, "D2 H2 W2"]
-    room: Float[Array, "D2 H2 W2"]
-    changed: Bool[Array, "H2 W2"]
-    sectors: Float[Array, "A D H W"]
-    dwell: Float[Array, "A D H W"]
+AHEAD = 1.5
+"""Distance beyond the greatest range that a moving window keeps around the robot [m]."""
 
 
 class VolumePerception(eqx.Module):
@@ -107,6 +65,9 @@ class VolumePerception(eqx.Module):
         num_sectors: number of headings of the field.
         num_elevations: rays of each heading, one above the other.
         max_clearance: reach of the clearance [m].
+        window: extents (x, y, z) of the box around the robot of which map, distances and
+            information are kept [m], rounded up to whole blocks; the whole volume when absent. It
+            moves with the robot. What leaves it is kept with one byte for each voxel.
 
     Raises:
         ValueError: no sensor, a part of another class, a number outside its range.
@@ -128,6 +89,7 @@ class VolumePerception(eqx.Module):
     pool: int = eqx.field(static=True)
     reach: int = eqx.field(static=True)
     extent: int = eqx.field(static=True)
+    extents: tuple[float, float, float] | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -146,6 +108,7 @@ class VolumePerception(eqx.Module):
         num_sectors: int = 16,
         num_elevations: int = 5,
         max_clearance: float = 1.2,
+        window: Vector | None = None,
     ) -> None:
         _kinds.instance("sensors", sensors, list, tuple)
         for each in sensors:
@@ -176,6 +139,12 @@ class VolumePerception(eqx.Module):
         self.reach = math.ceil(_checks.number("max_clearance", max_clearance, above=0.0) / side)
         self.rays = on_device(ray_ends(self.sensors))
         self.extent = math.ceil(greatest_extent(self.sensors) / side)
+        self.extents = None
+        if window is not None:
+            x, y, z = (round(float(each), 4) for each in _checks.vector("window", window, 3))
+            if not min(x, y, z) > 0.0:
+                raise ValueError(f"window is {[x, y, z]}; accepted: three lengths above 0")
+            self.extents = (x, y, z)
 
     @property
     def needs_turning(self) -> bool:
@@ -202,28 +171,79 @@ class VolumePerception(eqx.Module):
         is_new = is_in & grid.is_unknown
         known = jnp.where(is_new, self.sensor_model.free, grid.log_odds)
         grid = eqx.tree_at(lambda each: each.log_odds, grid, known)
-        field = VolumeField(jnp.zeros(grid.shape), grid.origin + 0.5 * side, side, jnp.zeros(()))
-        whole = Window.at(jnp.zeros(3, jnp.int32), grid.shape, grid.shape)
+        shape, beyond = self.window_shape(grid.shape, side), None
+        if shape != grid.shape:
+            beyond, grid = RollingMap.around(grid, position, shape, self._block, self.sensor_model)
+        nothing = jnp.zeros((self.table.num_sectors, *self._lattice(grid)[0]))
+        everywhere = jnp.ones(coarse_shape(grid.shape, self.pool)[1:], bool)
+        return self._made(position, grid, everywhere, nothing, nothing, beyond)
+
+    def window_shape(self, shape: tuple[int, int, int], side: float) -> tuple[int, int, int]:
+        """Return the numbers of voxels (D, H, W) of which the belief of a volume is.
+
+        Args:
+            shape: those of the volume.
+            side: side of a voxel [m].
+
+        Raises:
+            ValueError: a window so small that the robot would see beyond it.
+        """
+        if self.extents is None:
+            return shape
+        # The robot is at most half a block from the middle, and moves on before the next fields.
+        least = 2.0 * (self._kept_ahead + (0.5 * self._block + 1.0) * side + 0.5)
+        for extent, size in zip(reversed(self.extents), shape, strict=True):
+            if extent < min(least, size * side - 1e-3):
+                raise ValueError(
+                    f"window is {list(self.extents)} for a volume of "
+                    f"{[round(n * side, 3) for n in reversed(shape)]} m; accepted: at least "
+                    f"{least:.1f} m, or the extent of the volume, along each axis"
+                )
+        return window_shape(shape, self.extents, side, self._block)
+
+    @property
+    def _block(self) -> int:
+        """Voxels on a side of the blocks by which the window moves."""
+        return self.pool * NODE * BLOCK
+
+    @property
+    def _kept_ahead(self) -> float:
+        """Distance to a face of the window, inside the volume, at which the window moves [m]."""
+        return max(each.max_range for each in self.sensors) + AHEAD
+
+    def _made(
+        self,
+        position: Float[Array, "3"],
+        grid: VoxelGrid,
+        changed: Bool[Array, "H2 W2"],
+        sectors: Float[Array, "A D H W"],
+        dwell: Float[Array, "A D H W"],
+        beyond: RollingMap | None,
+    ) -> VolumeBelief:
+        """Return a belief with what follows from its grid, before the next fields."""
+        side, shape = grid.resolution, grid.shape
+        field = VolumeField(jnp.zeros(shape), grid.origin + 0.5 * side, side, jnp.zeros(()))
+        everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
         clearance = eqx.tree_at(
             lambda each: each.values,
             field,
-            renewed_clearance(grid, field.values, whole, self.reach),
+            renewed_clearance(grid, field.values, everything, self.reach),
         )
-        guidance = self.blank_field(grid)
-        nothing = jnp.zeros((self.table.num_sectors, *guidance.values.shape))
-        coarse = coarse_states(grid, self.pool)
+        guidance = self._blank(grid)
+        view = ViewField(jnp.zeros_like(sectors), guidance.origin, guidance.spacing)
         return VolumeBelief(
             position,
             grid,
             clearance,
-            ViewField(nothing, guidance.origin, guidance.spacing),
-            ViewField(nothing, guidance.origin, guidance.spacing),
+            view,
+            view,
             guidance,
-            coarse,
+            coarse_states(grid, self.pool),
             coarse_room(clearance.values, self.pool),
-            jnp.ones(coarse.shape[1:], bool),
-            nothing,
-            nothing,
+            changed,
+            sectors,
+            dwell,
+            beyond,
         )
 
     def update(
@@ -295,6 +315,10 @@ class VolumePerception(eqx.Module):
             U(x) = min over s of d(x, s) - decay_length ln W(s)
             W(s) = sum over a of I_a(s) exp(-D_a(s) / patience)
 
+        A window that moves is taken to be stored (`VolumeBelief.remembered`). Nodes at its inner
+        faces are places s as well, with the cost of the straight way to what was left outside: see
+        `RollingMap.toward_the_rest`.
+
         The attention at a heading h is the information in view, and of each sector, whether it is
         in view or not, `turning (1 + cos(h - h_a)) / 2`. Without it, a robot that looks away from
         the only information would not know which way to turn.
@@ -305,13 +329,25 @@ class VolumePerception(eqx.Module):
             heading: its heading [rad].
             elapsed: time since the last update [s].
         """
-        every_sector = self._information(belief)
-        roads = self.roads(belief)
-        dwell = self._dwelt(belief, roads.distances(position), heading, elapsed)
-        sectors = every_sector * jnp.exp(-dwell / self.patience)
-        guidance = roads.field(
-            information_sources(sectors.sum(axis=0), self.decay_length, self.min_information)
+        belief = self._rolled(belief, position)
+        every_sector = renewed_information(
+            self.table,
+            self.sensor_model,
+            self.occupancy_prior,
+            belief.coarse,
+            belief.grid.resolution * self.pool,
+            belief.changed,
+            belief.sectors,
         )
+        roads = self.roads(belief)
+        distance = roads.distances(position)
+        dwell = time_near(belief.dwell, distance, self.in_view, heading, elapsed, self.memory)
+        sectors = every_sector * jnp.exp(-dwell / self.patience)
+        worth = sectors.sum(axis=0)
+        source = information_sources(worth, self.decay_length, self.min_information)
+        if belief.beyond is not None:
+            source = jnp.minimum(source, self._way_to_the_rest(belief, roads))
+        guidance = roads.field(source)
         views, attention = (
             jnp.einsum("ha,adrc->hdrc", shares, sectors)
             for shares in (self.in_view, self.in_view + self.turning * self.towards)
@@ -337,43 +373,44 @@ class VolumePerception(eqx.Module):
         )
         return known
 
-    def _information(self, belief: VolumeBelief) -> Float[Array, "A D H W"]:
-        """Return the information of each sector from each node [nat m^3].
+    def _rolled(self, belief: VolumeBelief, position: Float[Array, "3"]) -> VolumeBelief:
+        """Return the belief with its window around the robot, if that is near a face of it."""
+        beyond, grid = belief.beyond, belief.grid
+        if beyond is None:
+            return belief
+        is_due, offset = beyond.next_offset(grid, position, self._kept_ahead, self._block)
+        rest, stored = belief.split()
 
-        Only nodes within reach of what has changed are computed, tile by tile.
-        """
-        depth, rows, columns = belief.sectors.shape[1:]
-        tile, reach = (min(TILE, rows), min(TILE, columns)), self.table.reach
-        stale = within_reach(belief.changed, reach, 1, NODE, (rows, columns))
-        # Beyond the map nothing passes and nothing is learned: that of certainly occupied voxels.
-        margin = (reach, reach + NODE)
-        states = jnp.pad(belief.coarse, ((0, 0), margin, margin), constant_values=BEYOND)
-        cut = (states.shape[0], *(NODE * (size - 1) + 1 + 2 * reach for size in tile))
-
-        def renew(state: tuple[Array, Array]) -> tuple[Array, Array]:
-            is_stale, sectors = state
-            node = first_group(is_stale, tile)
-            begin = NODE * node + 1
-            part = jax.lax.dynamic_slice(states, (0, begin[0], begin[1]), cut)
-            found = self.table.information(
-                self._probability(part), (1, reach, reach), (depth, *tile), self.sensor_model
+        def moved() -> VolumeBelief:
+            worth = jnp.sum(belief.sectors * jnp.exp(-belief.dwell / self.patience), axis=0)
+            left = beyond.with_left(grid.shape, worth, self._block)
+            there = eqx.tree_at(lambda each: (each.offset, each.left), beyond, (offset, left))
+            shift = (offset - beyond.offset) // self.pool
+            is_old = shifted(jnp.ones_like(belief.coarse, bool), shift).all(axis=0)
+            changed = shifted(belief.changed[None], shift.at[0].set(0))[0]
+            sectors, dwell = (
+                shifted(each, shift // NODE) for each in (belief.sectors, belief.dwell)
             )
-            # By volume, so that the information does not depend on the resolution.
-            found = found * (belief.grid.resolution * self.pool) ** 3
-            at = Window(node, tile, (rows, columns))
-            return at.write(is_stale, jnp.zeros(tile, bool)), at.write(sectors, found)
+            window = there.window(grid, grid.shape)
+            made = self._made(position, window, changed | ~is_old, sectors, dwell, there)
+            return made.split()[0]
 
-        _, sectors = jax.lax.while_loop(
-            lambda state: jnp.any(state[0]), renew, (stale, belief.sectors)
+        known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, moved, lambda: rest), stored)
+        return known
+
+    def _way_to_the_rest(self, belief: VolumeBelief, roads: VolumeRoads) -> Float[Array, "D H W"]:
+        """Return the cost of the nodes at the inner faces of the window as ends of a path [m]."""
+        assert belief.beyond is not None
+        rest = belief.beyond.toward_the_rest(
+            belief.grid, self._block, self.decay_length, self.min_information
         )
-        return sectors
-
-    def _probability(self, states: Int[Array, "*N"]) -> Float[Array, "*N"]:
-        """Return the probability of occupancy of coarser voxels; unknown ones have the prior."""
-        low, high = self.sensor_model.minimum, self.sensor_model.maximum
-        known = jnp.where(states == OCCUPIED, jax.nn.sigmoid(high), jax.nn.sigmoid(low))
-        probability = jnp.where(states == UNKNOWN, self.occupancy_prior, known)
-        return jnp.where(states == BEYOND, 1.0, probability)
+        shape = roads.slowness.shape
+        # The robot keeps its clearance from the faces.
+        width = 1 + math.ceil(self.reach * belief.grid.resolution / roads.spacing)
+        at_face = near_faces(shape, belief.beyond.place(belief.grid.shape).is_inner, width)
+        read = jax.vmap(rest)(*(each.reshape(-1) for each in roads.places))
+        cost = read.reshape(shape)
+        return jnp.where(at_face & (cost < 0.5 * FAR), cost, jnp.inf)
 
     def roads(self, belief: VolumeBelief) -> VolumeRoads:
         """Return the lattice of the places at which the robot fits; tight ones cost double."""
@@ -383,26 +420,13 @@ class VolumePerception(eqx.Module):
         tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
         return VolumeRoads(half >= self.required, 1.0 + tightness, origin, spacing)
 
-    def _dwelt(
-        self,
-        belief: VolumeBelief,
-        distance: Float[Array, "D H W"],
-        heading: Scalar,
-        elapsed: Scalar,
-    ) -> Float[Array, "A D H W"]:
-        """Return the time near each node with each sector in view, with the last one added [s]."""
-        near = jnp.clip(2.0 - distance / NEAR, 0.0, 1.0)
-        number = self.table.num_sectors
-        angle = jnp.where(jnp.isfinite(heading), heading, 0.0)
-        index = jnp.round(angle * (number / (2.0 * math.pi))).astype(jnp.int32) % number
-        # Also where the robot does not look, so that it leaves a place at which it need not turn.
-        shares = jnp.maximum(self.in_view[index], ASIDE)[:, None, None, None]
-        is_known = jnp.isfinite(distance) & jnp.isfinite(heading)
-        more = jnp.where(is_known, elapsed * shares * near, 0.0)
-        return belief.dwell * jnp.exp(-elapsed / self.memory) + more
-
     def blank_field(self, grid: VoxelGrid) -> VolumeField:
-        """Return a cost-to-go that is 0 everywhere, on the lattice of the viewpoints."""
+        """Return a cost-to-go that is 0 everywhere, on the lattice of a volume's viewpoints."""
+        shape = self.window_shape(grid.shape, grid.resolution)
+        window = eqx.tree_at(lambda each: each.log_odds, grid, jnp.zeros(shape))
+        return self._blank(window)
+
+    def _blank(self, grid: VoxelGrid) -> VolumeField:
         shape, origin, spacing = self._lattice(grid)
         return VolumeField(jnp.zeros(shape), origin, spacing, jnp.asarray(FAR))
 

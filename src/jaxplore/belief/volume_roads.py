@@ -57,6 +57,12 @@ class VolumeRoads(eqx.Module):
 
     def distances(self, position: Float[Array, "3"]) -> Float[Array, "D H W"]:
         """Return the straight distance of each node from a position (x, y, z) [m]."""
+        gap = jnp.stack(self.places) - position[:, None, None, None]
+        return jnp.sqrt(jnp.sum(gap * gap, axis=0))
+
+    @property
+    def places(self) -> tuple[Float[Array, "D H W"], Float[Array, "D H W"], Float[Array, "D H W"]]:
+        """Positions x, y and z of the nodes [m]."""
         z, y, x = jnp.meshgrid(
             *(
                 self.origin[axis] + self.spacing * jnp.arange(size, dtype=jnp.float32)
@@ -64,8 +70,7 @@ class VolumeRoads(eqx.Module):
             ),
             indexing="ij",
         )
-        gap = jnp.stack([x, y, z]) - position[:, None, None, None]
-        return jnp.sqrt(jnp.sum(gap * gap, axis=0))
+        return x, y, z
 
 
 def _extended(costs: Float[Array, "D H W"], spacing: float) -> Float[Array, "D H W"]:

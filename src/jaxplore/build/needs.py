@@ -12,7 +12,8 @@ control periods and F frames, in bytes:
     bank        192 K P nu                            noise of P parameters, of each member
     local       20 (N_f D_f + N_l D_l) + 40 (W_f + W_l)    fields around a quadrotor: nodes,
                                                       directions, cells with margins
-    volume      120 D H W                             the voxels of the world and of the robot
+    volume      60 D H W + 60 d h w                   the voxels of the world, and those of the map
+                                                      in its window
     views       64 A N + 24 R                         fields of A headings at N nodes, R rays
     record      300 S                                 every step, in the file that it is read from
     frames      2 min(F (H W + 4 N), 1e9)             maps for the animation
@@ -27,6 +28,7 @@ from typing import NamedTuple
 
 from jaxplore._files import read_yaml
 from jaxplore.belief.perception_checks import safe_stride
+from jaxplore.belief.rolling_map import BLOCK
 from jaxplore.belief.volume import COARSE, NODE
 from jaxplore.build.volume import volume_shape
 from jaxplore.build.world import ENOUGH, is_ros_map
@@ -249,10 +251,16 @@ def _volume(settings: VolumeSettings) -> Iterator[Part]:
     # A file is read to find its size, and so are its voxels.
     depth, height, width = volume_shape(settings)
     voxels, side = float(depth) * height * width, settings.resolution
+    # Of those outside a window the true world is held, and what is stored of the map.
+    share = 1.0
+    for extent, size in zip(
+        reversed(settings.fields.window or ()), (depth, height, width), strict=False
+    ):
+        share *= min(1.0, (extent / side + NODE * BLOCK * max(1.0, COARSE / side)) / size)
     yield Part(
         "voxels",
-        f"{depth} x {height} x {width} voxels: generated.size, the file, resolution",
-        120.0 * voxels,
+        f"{depth} x {height} x {width} voxels: generated.size, the file, resolution, fields.window",
+        60.0 * voxels * (1.0 + share),
     )
     spacing = NODE * max(side, COARSE) / side
     camera, lidar = settings.camera, settings.lidar
@@ -262,7 +270,7 @@ def _volume(settings: VolumeSettings) -> Iterator[Part]:
     yield Part(
         "views",
         "fields.num_sectors, camera.columns, camera.rows, resolution",
-        64.0 * settings.fields.num_sectors * voxels / spacing**3 + 24.0 * rays,
+        64.0 * settings.fields.num_sectors * share * voxels / spacing**3 + 24.0 * rays,
     )
     given = settings.controller
     yield Part(

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
-from jaxplore.belief.volume import VolumeBelief
+from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos

@@ -7,7 +7,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxplore.maps.voxel_grid import VoxelGrid
-from jaxplore.maps.window import Window
+from jaxplore.maps.window import Window, near_faces
 
 
 def renewed_clearance(
@@ -28,7 +28,7 @@ def renewed_clearance(
     # From the centre of the nearest closed voxel to its face is half a voxel.
     voxels = jnp.maximum(jnp.sqrt(squared.astype(jnp.float32)) - 0.5, 0.0)
     # Near the rim of the window, what lies outside could be nearer. Nothing changes there.
-    kept = _near_rim(window, reach)
+    kept = near_faces(window.shape, window.is_inner, reach)
     metres = jnp.where(kept, window.read(before), voxels * grid.resolution)
     return window.write(before, metres)
 
@@ -83,14 +83,3 @@ def _walled(closed: Bool[Array, "d h w"], window: Window) -> Bool[Array, "d2 h2 
             index[axis] = side
             walled = walled.at[tuple(index)].max(ends)
     return walled
-
-
-def _near_rim(window: Window, reach: int) -> Bool[Array, "d h w"]:
-    """Return the mask of the voxels within reach of a rim of a window inside the map."""
-    near = jnp.zeros(window.shape, bool)
-    for axis, (size, most) in enumerate(zip(window.shape, window.map_shape, strict=True)):
-        begin, along = window.corner[axis], jnp.arange(size)
-        low = (along < reach) & (begin > 0)
-        high = (along >= size - reach) & (begin + size < most)
-        near = near | jnp.expand_dims(low | high, [a for a in range(3) if a != axis])
-    return near

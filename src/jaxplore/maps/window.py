@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Int
+from jaxtyping import Bool, Int
 
 from jaxplore._types import Position
 from jaxplore.maps.frame import GridFrame
@@ -72,6 +72,12 @@ class Window(eqx.Module):
         shape = [size + 2 * margin for size in self.shape]
         return Window.at(self.corner - margin, shape, self.map_shape)
 
+    @property
+    def is_inner(self) -> Bool[Array, "n 2"]:
+        """Whether the low and the high face across each axis lie inside the map."""
+        ends = self.corner + np.asarray(self.shape, np.int32)
+        return jnp.stack([self.corner > 0, ends < np.asarray(self.map_shape)], axis=1)
+
     def within(self, outer: "Window") -> "Window":
         """Return this window as one of the part of a larger window."""
         return Window(self.corner - outer.corner, self.shape, outer.shape)
@@ -94,3 +100,22 @@ class Window(eqx.Module):
 
     def _start(self, leading: tuple[int, ...]) -> tuple[Array | int, ...]:
         return (*(0 for _ in leading), *(self.corner[axis] for axis in range(len(self.shape))))
+
+
+def near_faces(
+    shape: Sequence[int], which: Bool[Array, "n 2"], width: int
+) -> Bool[Array, "*shape"]:
+    """Return the mask of the cells of a box that are near some of its faces.
+
+    Args:
+        shape: number of cells along each axis; static.
+        which: whether the low and the high face across each axis count.
+        width: number of cells; static.
+    """
+    near = jnp.zeros(shape, bool)
+    for axis, size in enumerate(shape):
+        along = jnp.arange(size)
+        low = (along < width) & which[axis, 0]
+        high = (along >= size - width) & which[axis, 1]
+        near = near | jnp.expand_dims(low | high, [a for a in range(len(shape)) if a != axis])
+    return near

@@ -137,6 +137,7 @@ class VolumeFieldSettings(Section):
     num_sectors: Headings = setting(VolumePerception, "num_sectors")
     num_elevations: Headings = setting(VolumePerception, "num_elevations")
     max_clearance: Body = setting(VolumePerception, "max_clearance")
+    window: tuple[Extent, Extent, Extent] | None = setting(VolumePerception, "window")
 
 
 class VolumeControllerSettings(Section):

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import ArrayLike, Count, Position, Scalar, StateVector
+from jaxplore._types import ArrayLike, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.coarse_voxels import FREE, UNKNOWN
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
-from jaxplore.belief.volume import NODE, VolumeBelief, VolumePerception
+from jaxplore.belief.volume import NODE, VolumePerception
+from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import ModelBasedController
 from jaxplore.dynamics.quadrotor import position_upwards
 from jaxplore.maps.volume_field import VolumeField
@@ -132,6 +133,23 @@ class VolumeTargetExplorer(TargetController):
         field = frontiers.roads.field(source)
         assert isinstance(field, VolumeField)
         return field
+
+    def _choose_if_due(
+        self, state: TargetState, observation: StateVector, belief: VolumeBelief, key: Key
+    ) -> TargetState:
+        """Return the state after a choice, if one is due: also when the window has moved."""
+        old, new = state.guidance, belief.guidance
+        assert isinstance(old, VolumeField)
+        gap = jnp.round((new.origin - old.origin) / new.spacing).astype(jnp.int32)
+        node, shape = state.node - jnp.flip(gap), jnp.asarray(new.values.shape)
+        is_inside = jnp.all((node >= 0) & (node < shape))
+        moved = state._replace(
+            node=jnp.clip(node, 0, shape - 1),
+            has_target=state.has_target & is_inside,
+            guidance=eqx.tree_at(lambda each: each.origin, old, new.origin),
+            since=jnp.where(jnp.any(gap != 0), 0, state.since),
+        )
+        return super()._choose_if_due(moved, observation, belief, key)
 
     def target(self, state: TargetState) -> Position:
         """Return the position (x, y) of the target of a state [m]."""

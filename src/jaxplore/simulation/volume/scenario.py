@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array, Bool, Float, UInt8
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import (
@@ -22,10 +22,11 @@ from jaxplore._types import (
     Vector,
 )
 from jaxplore._xla import on_device
-from jaxplore.belief.volume import VolumeBelief, VolumePerception
+from jaxplore.belief.volume import VolumePerception
+from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
-from jaxplore.maps.voxel_grid import FREE_BELOW, VoxelGrid
+from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
@@ -78,7 +79,7 @@ class VolumeScenario(Scenario):
     Raises:
         ValueError: a part of another class, a start that is off the volume or so close to a solid
             voxel that the robot touches it, a rate that is no whole fraction, a coverage outside
-            (0, 1].
+            (0, 1], a window of the perception that is too small.
     """
 
     frame_type = VolumeFrame
@@ -135,6 +136,7 @@ class VolumeScenario(Scenario):
         self.start = robot.at_pose(place[0], place[1], place[3], -place[2])
         if perception is None:
             perception = VolumePerception(given, world.resolution, robot.radius)
+        perception.window_shape(world.shape, side)
         self.perception = perception
         rate = _checks.number("control_rate", control_rate, above=0.0)
         self.control_period = on_device(np.asarray(1.0 / rate, np.float32))
@@ -161,7 +163,7 @@ class VolumeScenario(Scenario):
             lambda each: each.log_odds, self.world, jnp.zeros_like(self.world.log_odds)
         )
         belief = self.perception.init(blank, position_upwards(self.start))
-        known = jnp.sum(belief.grid.is_free & self.observable, dtype=jnp.int32)
+        known = jnp.sum(belief.whole.is_free & self.observable, dtype=jnp.int32)
         return VolumeState(self.start, belief, known), belief
 
     def perceive(
@@ -181,7 +183,7 @@ class VolumeScenario(Scenario):
             ]
             belief = self.perception.update(before, at, turn, scans)
             window = self.perception.window(belief.grid, at, turn)
-            wanted = window.read(self.observable)
+            wanted = belief.placed(window).read(self.observable)
             now, then = (
                 jnp.sum((window.read(each.grid.log_odds) < FREE_BELOW) & wanted, dtype=jnp.int32)
                 for each in (belief, before)
@@ -189,18 +191,19 @@ class VolumeScenario(Scenario):
             return belief, known + now - then
 
         is_due = (moment.step % self.steps_per_scan == 0) & ~moment.is_blind
-        belief, known = jax.lax.cond(
-            is_due, scanned, lambda same: same, (state.belief, state.num_known)
-        )
+        belief, stored = state.belief.split()
+        belief, known = jax.lax.cond(is_due, scanned, lambda same: same, (belief, state.num_known))
+        belief, stored = eqx.combine(belief, stored).remembered().split()
+
+        def with_fields(old: VolumeBelief) -> VolumeBelief:
+            heading = self.robot.heading(moment.observed)
+            whole = eqx.combine(old, stored)
+            return self.perception.update_fields(whole, at, heading, elapsed).split()[0]
+
         belief = jax.lax.cond(
-            moment.step % self.steps_per_field == 0,
-            # A bound method of a module is no key of a cache while its arrays are traced.
-            lambda old: self.perception.update_fields(
-                old, at, self.robot.heading(moment.observed), elapsed
-            ),
-            lambda same: same,
-            belief,
+            moment.step % self.steps_per_field == 0, with_fields, lambda same: same, belief
         )
+        belief = eqx.combine(belief, stored)
         return state._replace(belief=belief, num_known=known), belief
 
     def advance(
@@ -265,8 +268,7 @@ class VolumeScenario(Scenario):
         self, state: VolumeState, moment: Moment, inspect: Inspect | None, key: Key
     ) -> dict[str, Any]:
         """Return two slices of the map through the robot, its occupied voxels, and the plan."""
-        grid = state.belief.grid
-        kinds = voxel_states(grid)
+        grid = state.belief.whole
         voxel = jnp.floor(grid.to_grid(position_upwards(state.robot))).astype(jnp.int32)
         depth, height, _ = grid.shape
         layer, row = jnp.clip(voxel[0], 0, depth - 1), jnp.clip(voxel[1], 0, height - 1)
@@ -276,8 +278,8 @@ class VolumeScenario(Scenario):
             plan = jax.vmap(position_upwards)(states)
         return {
             "state": state.robot,
-            "level": kinds[layer],
-            "upright": kinds[:, row],
+            "level": voxel_states(grid.log_odds[layer]),
+            "upright": voxel_states(grid.log_odds[:, row]),
             "voxels": jnp.packbits(grid.is_occupied.reshape(-1)),
             "plan": plan,
         }
@@ -292,7 +294,7 @@ class VolumeScenario(Scenario):
         local = VolumeRecording(
             **run.common(self.period),
             world=np.asarray(self.world.is_occupied),
-            belief=np.asarray(voxel_states(run.state.task.belief.grid)),
+            belief=np.asarray(voxel_states(run.state.task.belief.whole.log_odds)),
             observable=np.asarray(self.observable),
             resolution=self.world.resolution,
             origin=np.asarray(self.world.origin, np.float64),
@@ -310,9 +312,10 @@ class VolumeScenario(Scenario):
         return jnp.where(still, 0.0, state)
 
 
-def voxel_states(grid: VoxelGrid) -> Array:
+def voxel_states(log_odds: Float[Array, "*N"]) -> UInt8[Array, "*N"]:
     """Return the state of each voxel: `UNKNOWN`, `FREE` or `OCCUPIED`."""
-    kinds = jnp.where(grid.is_free, FREE, jnp.where(grid.is_occupied, OCCUPIED, UNKNOWN))
+    solid = jnp.where(log_odds > OCCUPIED_ABOVE, OCCUPIED, UNKNOWN)
+    kinds = jnp.where(log_odds < FREE_BELOW, FREE, solid)
     return kinds.astype(jnp.uint8)
 
 

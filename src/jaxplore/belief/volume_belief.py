@@ -1,0 +1,80 @@
+"""What a robot knows of a volume."""
+
+import equinox as eqx
+import jax
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore.belief.rolling_map import RollingMap
+from jaxplore.belief.view_field import ViewField
+from jaxplore.maps.volume_field import VolumeField
+from jaxplore.maps.voxel_grid import VoxelGrid
+from jaxplore.maps.window import Window
+
+
+class VolumeBelief(eqx.Module):
+    """What a robot knows of a volume.
+
+    Args:
+        position: position (x, y, z) of the robot at the last update [m].
+        grid: log-odds of the voxels.
+        clearance: distance to the nearest voxel that is not known to be free, up to the reach of
+            the perception [m].
+        information: information of a scan by position and heading.
+        attention: the same, with a share of what lies out of view, so that it rises as the robot
+            turns to it.
+        guidance: cost-to-go to the remaining information [m].
+        coarse: states of the coarser voxels in which information is computed.
+        room: least clearance in each of them [m].
+        changed: columns of coarser voxels with one whose state has changed since the information
+            was last computed.
+        sectors: (A, D, H, W) information of each sector from each node, without the discount of the
+            time spent [nat m^3].
+        dwell: (A, D, H, W) time spent near each node with each sector in view, recent time counting
+            more [s].
+        beyond: what is known beyond the window; None where the belief is of the whole volume.
+    """
+
+    position: Float[Array, "3"]
+    grid: VoxelGrid
+    clearance: VolumeField
+    information: ViewField
+    attention: ViewField
+    guidance: VolumeField
+    coarse: Int[Array, "D2 H2 W2"]
+    room: Float[Array, "D2 H2 W2"]
+    changed: Bool[Array, "H2 W2"]
+    sectors: Float[Array, "A D H W"]
+    dwell: Float[Array, "A D H W"]
+    beyond: RollingMap | None = None
+
+    @property
+    def whole(self) -> VoxelGrid:
+        """Log-odds of the whole volume, of which `grid` may be a window."""
+        return self.grid if self.beyond is None else self.beyond.whole(self.grid)
+
+    def split(self) -> tuple["VolumeBelief", "VolumeBelief"]:
+        """Return the belief without what is stored beyond the window, and the latter alone, for
+        `eqx.combine`.
+
+        What passes through a condition is copied, and what is stored may be large.
+        """
+        everything = jax.tree.map(lambda _: True, self)
+        if self.beyond is not None:
+            everything = eqx.tree_at(lambda each: each.beyond.stored, everything, False)
+        rest, stored = eqx.partition(self, everything)
+        return rest, stored
+
+    def remembered(self) -> "VolumeBelief":
+        """Return the belief with its window stored in the whole volume."""
+        if self.beyond is None:
+            return self
+        kept: VolumeBelief = eqx.tree_at(
+            lambda each: each.beyond.stored, self, self.beyond.with_window(self.grid)
+        )
+        return kept
+
+    def placed(self, window: Window) -> Window:
+        """Return a window of `grid` as one of the whole volume."""
+        if self.beyond is None:
+            return window
+        return Window(window.corner + self.beyond.offset, window.shape, self.beyond.shape)
