@@ -139,6 +139,9 @@ _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
     "to_goal": "the belief of a Perception with a goal apart",
-    **dict.fromkeys(("potential", "best", "local", "reference"), "a StrategicBelief"),
+    **dict.fromkeys(
+        ("potential", "best", "local", "reference"),
+        "a StrategicBelief, in a volume a VolumeStrategicBelief",
+    ),
 }
 """Sources of parts for the error message; parts that are not listed derive from the map."""

@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS_AHEAD
 from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike
 from jaxplore._xla import computed
@@ -156,6 +157,12 @@ def volume_informative_mppi(
         ValueError: a robot that is no quadrotor, an unknown architecture, a part of another class,
             or a value that a part does not accept.
     """
+    _kinds.instance("robot", robot, Quadrotor)
+    _kinds.instance("perception", perception, VolumePerception)
+    _kinds.instance("grid", grid, VoxelGrid)
+    _kinds.flag("likelihood_ratio", likelihood_ratio)
+    _checks.positive_int("reference_steps", reference_steps, at_most=MOST_STEPS_AHEAD)
+    _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
     architecture = spelled(architecture, ARCHITECTURES)
     if architecture not in ARCHITECTURES:
         raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
