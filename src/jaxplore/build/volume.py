@@ -23,6 +23,7 @@ from jaxplore.maps.files.volume_file import read_volume
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
+from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
 from jaxplore.planning.presets.volume import (
     volume_explorer,
     volume_informative_mppi,
@@ -31,7 +32,7 @@ from jaxplore.planning.presets.volume import (
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.settings.own import is_own
-from jaxplore.settings.volume import GENERATED, INFORMATIVE, VolumeSettings, make_volume_settings
+from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.volume.observable import room_around
 from jaxplore.simulation.volume.scenario import VolumeScenario

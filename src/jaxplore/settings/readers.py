@@ -21,6 +21,7 @@ from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import avoidance_cost
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
+from jaxplore.planning.presets.volume import ARCHITECTURES as IN_VOLUMES
 from jaxplore.planning.presets.volume import volume_informative_mppi, volume_target_explorer
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.settings.accepted import choices
@@ -36,7 +37,6 @@ from jaxplore.settings.own import is_own
 from jaxplore.settings.path import TRACK, PathRobotSettings, PathSettings
 from jaxplore.settings.robot import CARS, RobotSettings
 from jaxplore.settings.volume import GENERATED
-from jaxplore.settings.volume import INFORMATIVE as IN_VOLUMES
 from jaxplore.simulation.following.traffic import Traffic
 
 

@@ -194,8 +194,7 @@ class VolumeSettings(RunSettings):
         start: start (x, y, z, yaw) with z up [m, m, m, rad]; generated volumes have their own.
         architecture: `explorer`, `two-layer`, `parallel`, or a rule-based explorer by the name of
             its rule, such as `nearest-cluster`. Or MODULE:NAME of your own, a rule
-            (`jaxplore.planning.TargetRule`)
-            or a function from a scenario to a controller.
+            (`jaxplore.planning.TargetRule`) or a function from a scenario to a controller.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.

@@ -178,9 +178,8 @@ def volume_informative_mppi(
     # Only the shape of these controls matters: every step replaces them by those of the reference.
     shape = mppi.horizon, robot.control_size
     controls = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
-    biased = BiasedProposal(
-        mppi.proposal, controls, bias_fraction, likelihood_ratio=likelihood_ratio
-    )
+    gaussian: Any = mppi.proposal
+    biased = BiasedProposal(gaussian, controls, bias_fraction, likelihood_ratio=likelihood_ratio)
     is_parallel = architecture == "parallel"
     # The cost of a rollout is the mean over its steps, as that of `Flight.mppi`.
     cost = mppi.cost + (1.0 / mppi.horizon) * (field if is_parallel else tracking)
