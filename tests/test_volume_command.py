@@ -46,11 +46,11 @@ def test_a_file_is_explored_from_where_the_user_says(room: Path, capsys) -> None
 
 
 def test_architectures_are_compared_in_a_volume(room: Path, capsys) -> None:
-    names = "explorer,nearest-cluster"
+    names = "explorer,nearest-cluster,two-layer,parallel"
     size = ("--resolution", "0.2", "--time-limit", "0.5", "--no-animation")
     main(["compare", "room.npy", "--architectures", names, "--seeds", "1", *size, *FEW])
     shown = capsys.readouterr().out
-    assert "nearest-cluster" in shown
+    assert all(name in shown for name in names.split(","))
     assert (room / "runs" / "room-comparison" / "table.md").exists()
 
 
@@ -70,7 +70,7 @@ def test_words_name_volumes(name: str) -> None:
         (("office", "--start", "2", "2", "1", "0"), "setting start is (2.0, 2.0, 1.0, 0.0); acce"),
         (("forest", "--beams", "20"), "lidar.num_beams is 20 beside a volume; accepted: with a m"),
         (("forest", "--laps", "2"), "laps is 2 beside a volume"),
-        (("forest", "--architecture", "two-layer"), "setting architecture is 'two-layer'; accept"),
+        (("forest", "--architecture", "portfolio"), "setting architecture is 'portfolio'; accept"),
         (("forest", "--set", "camera=null"), "settings camera and lidar are null; accepted: one"),
         (
             ("forest", "--set", "generated.size=[400,400,40]", "--set", "resolution=0.05"),

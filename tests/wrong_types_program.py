@@ -61,6 +61,7 @@ RECORDS = {
     "TargetScores",
     "TerrainMap",
     "VolumeBelief",
+    "VolumeStrategicBelief",
     "GuidanceField",
     "WeightedCost",
 }
@@ -259,6 +260,11 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "ToeplitzNoise": {"weights": [0.2, 0.6, 0.2]},
         "Traffic": {"path": wide, "phi": [3.0], "offsets": [0.0], "rates": [1.0], "radii": [0.2]},
         "TrajectoryChoice": {"information": jx.TrajectoryInformation(pose)},
+        "VolumeInformativeMPPI": {
+            "mppi": jx.volume_explorer(quadrotor),
+            "perception": seen,
+            "grid": volume,
+        },
         "VolumePerception": {"sensors": [camera]},
         "VolumeScenario": {
             "world": volume,
@@ -297,6 +303,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "read_volume": {"path": str(folder / "volume.npy")},
         "volume_explorer": {"robot": quadrotor},
+        "volume_informative_mppi": {"robot": quadrotor, "perception": seen, "grid": volume},
         "volume_target_explorer": {
             "robot": quadrotor,
             "rule": "nearest-cluster",

@@ -25,6 +25,7 @@ from jaxplore.settings.exploration import BASELINES, SCENARIOS, Settings, scenar
 from jaxplore.settings.node import DriveSettings
 from jaxplore.settings.path import PathSettings
 from jaxplore.settings.sections import Section, read_settings, section_class
+from jaxplore.settings.volume import VolumeSettings
 from jaxplore.simulation.exploration import scenario as scenario_module
 from jaxplore.simulation.exploration.reachability import drivable_cells
 
@@ -236,7 +237,7 @@ def sections(kind: type[Section]) -> list[type[Section]]:
     return found
 
 
-SECTIONS = [*sections(Settings), *sections(PathSettings)]
+SECTIONS = [*sections(Settings), *sections(PathSettings), *sections(VolumeSettings)]
 
 
 def owners(kind: type[Section]) -> dict[str, tuple[str, str]]:
@@ -267,6 +268,9 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
         *("reference", "target_choice"),
     },
     zone_choice: {"zones", "goal", "perception", "lidar"},
+    jx.planning.volume_informative_mppi: {
+        *("robot", "architecture", "perception", "grid", "strategy_period", "flying"),
+    },
     jx.mpcc: {
         *("robot", "path", "noise_std", "max_speed", "other", "corridor"),
         *("disturbance", "risk"),

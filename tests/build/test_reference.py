@@ -143,6 +143,7 @@ CASES: dict[str, dict[str, Any]] = {
     "a bicycle along a path": {"path": "track", "robot": {"model": "bicycle"}},
     "a volume file": {"volume": "room.npy", "resolution": 0.2},
     "rules in a volume": {"volume": "forest", "architecture": "nearest-cluster"},
+    "two-layer in a volume": {"volume": "forest", "architecture": "two-layer"},
     "a lidar in a volume": {"volume": "forest", "camera": None, "lidar": {}},
     "a robot along a path": {"path": "track", "robot": {"model": "differential_drive"}},
 }

@@ -280,6 +280,20 @@ class TestQuadrotorFlight:
             controls, np.tile([MASS * GRAVITY, 0, 0, 0], (STEPS, 1)), atol=1e-3
         )
 
+    @pytest.mark.parametrize("heading", [2.0, -1.0])
+    def test_it_turns_to_its_heading_where_the_reference_stands(self, heading, follow) -> None:
+        pilot = QuadrotorFollower(heading=heading)
+        still = held([0.0, 0.0, 0.0])
+        _, states = follow(still, follower=pilot)
+        quaternions = states[-1, 6:10]
+        yaw = Rotation.from_quat(quaternions, scalar_first=True).as_euler("ZYX")[0]
+        assert yaw == pytest.approx(heading, abs=0.05)
+        assert distance(states, still).max() < 0.05
+        # Where it moves, the nose is ahead as without a heading.
+        north = np.outer(2.0 * TIMES, [1.0, 0.0, 0.0])
+        for found, expected in zip(follow(north, follower=pilot), follow(north), strict=True):
+            np.testing.assert_allclose(found, expected, atol=1e-5)
+
     @pytest.mark.parametrize("angle", [0.9, -2.2])
     def test_the_world_may_turn_and_move(self, angle, follow) -> None:
         rng = np.random.default_rng(1)

@@ -13,6 +13,7 @@ from jaxplore.belief.recognition import ObjectClasses as ObjectClasses
 from jaxplore.belief.recognition import Recognition as Recognition
 from jaxplore.belief.volume import VolumePerception as VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief as VolumeBelief
+from jaxplore.belief.volume_strategic import VolumeStrategicBelief as VolumeStrategicBelief
 from jaxplore.belief.zones import Zones as Zones
 from jaxplore.belief.zones import entropy_proxy as entropy_proxy
 from jaxplore.belief.zones import unknown_fraction as unknown_fraction

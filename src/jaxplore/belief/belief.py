@@ -12,6 +12,7 @@ from jaxplore.belief.dwell import dwell_discount
 from jaxplore.belief.guidance import GuidanceField
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.belief.recognition import ObjectClasses
+from jaxplore.belief.timed_reference import TimedReference
 from jaxplore.information.field import InformationField
 from jaxplore.information.heading_field import HeadingField
 from jaxplore.maps.field import ScalarField
@@ -85,7 +86,7 @@ class Belief(eqx.Module):
         return self.information.total * dwell_discount(self.dwell, self.patience)
 
 
-class StrategicBelief(Belief):
+class StrategicBelief(Belief, TimedReference):
     """A belief with the fields and the reference of a strategic layer, for informative MPPI.
 
     Args:
@@ -105,19 +106,6 @@ class StrategicBelief(Belief):
     reference: Float[Array, "T 3"] = eqx.field(kw_only=True)
     reference_period: Scalar = eqx.field(kw_only=True)
     reference_age: Scalar = eqx.field(kw_only=True)
-
-    def reference_at(self, t: Scalar) -> Float[Array, "3"]:
-        """Interpolate the reference position `t` seconds from now [m].
-
-        Linear between rows; before the first and after the last row, that row.
-        """
-        # Row 0 is due one period after the reference was made, not when it was made.
-        last = self.reference.shape[0] - 1
-        row = jnp.clip((t + self.reference_age) / self.reference_period - 1.0, 0.0, last)
-        before = jnp.floor(row)
-        index = before.astype(jnp.int32)
-        start, end = self.reference[index], self.reference[jnp.minimum(index + 1, last)]
-        return start + (row - before) * (end - start)
 
 
 class MissingPartError(ValueError):
@@ -151,6 +139,9 @@ _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
     "to_goal": "the belief of a Perception with a goal apart",
-    **dict.fromkeys(("potential", "best", "local", "reference"), "a StrategicBelief"),
+    **dict.fromkeys(
+        ("potential", "best", "local", "reference"),
+        "a StrategicBelief, in a volume a VolumeStrategicBelief",
+    ),
 }
 """Sources of parts for the error message; parts that are not listed derive from the map."""

@@ -23,7 +23,12 @@ from jaxplore.maps.files.volume_file import read_volume
 from jaxplore.maps.generators.volumes import START, generate_volume
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.parameters import set_parameters
-from jaxplore.planning.presets.volume import volume_explorer, volume_target_explorer
+from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
+from jaxplore.planning.presets.volume import (
+    volume_explorer,
+    volume_informative_mppi,
+    volume_target_explorer,
+)
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.settings.own import is_own
@@ -152,6 +157,17 @@ def _controller(settings: VolumeSettings, scenario: VolumeScenario) -> Controlle
     name = settings.architecture
     if name == "explorer":
         return volume_explorer(scenario.robot, **flying)
+    if name in INFORMATIVE:
+        return volume_informative_mppi(
+            scenario.robot,
+            name,
+            perception=scenario.perception,
+            grid=scenario.world,
+            # The strategic layer is due when the fields that it reads are new.
+            strategy_period=1.0 / settings.rates.fields,
+            **arguments(settings.controller, volume_informative_mppi),
+            **flying,
+        )
     own = own_rule(name) if is_own(name) else None
     if own is None and is_own(name):
         return own_controller(name, scenario)

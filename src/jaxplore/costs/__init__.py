@@ -41,3 +41,5 @@ from jaxplore.costs.volume import BlindFlightCost as BlindFlightCost
 from jaxplore.costs.volume import VolumeClearanceCost as VolumeClearanceCost
 from jaxplore.costs.volume import VolumeGuidanceCost as VolumeGuidanceCost
 from jaxplore.costs.volume import VolumeInformationCost as VolumeInformationCost
+from jaxplore.costs.volume import VolumePotentialCost as VolumePotentialCost
+from jaxplore.costs.volume import VolumeReferenceCost as VolumeReferenceCost

@@ -4,10 +4,13 @@ import jax.numpy as jnp
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar
+from jaxplore.belief.belief import part
 from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.volume_strategic import VolumeStrategicBelief
 from jaxplore.costs.base import Cost
 from jaxplore.dynamics.base import State
 from jaxplore.geometry.angles import sin_cos
+from jaxplore.maps.volume_field import VolumeField
 
 
 def place(state: State) -> tuple[Scalar, Scalar, Scalar]:
@@ -100,6 +103,36 @@ class VolumeInformationCost(Cost):
     ) -> Scalar:
         """Compute the negative attention."""
         return -belief.attention(*place(state), state.heading)
+
+
+class VolumePotentialCost(Cost):
+    """Reward for the information of a scan from this position with the best heading, the negative
+    field `best` of the strategic layer [nat m^3].
+
+    It is `PotentialCost` of the plane in a volume: the field leads the robot to where more is seen.
+    """
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeStrategicBelief
+    ) -> Scalar:
+        """Compute the negative information."""
+        best: VolumeField = part(belief, "best")
+        return -best(*place(state))
+
+
+class VolumeReferenceCost(Cost):
+    """Squared distance from the reference of the strategic layer, `|p - r(t)|^2` [m^2]."""
+
+    def stage(
+        self, state: State, control: ControlVector, t: Scalar, belief: VolumeStrategicBelief
+    ) -> Scalar:
+        """Compute the squared distance at the time when the state is reached."""
+        # Only for its error, which names a reference that is missing.
+        part(belief, "reference")
+        x, y, z = place(state)
+        wanted = belief.reference_at(t)
+        along, across, above = x - wanted[0], y - wanted[1], z - wanted[2]
+        return along * along + across * across + above * above
 
 
 class BlindFlightCost(Cost):

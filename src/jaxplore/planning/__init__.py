@@ -38,6 +38,7 @@ from jaxplore.planning.presets.quadrotor import informative_mppi as informative_
 from jaxplore.planning.presets.quadrotor import random_walk as random_walk
 from jaxplore.planning.presets.target_explorer import target_explorer as target_explorer
 from jaxplore.planning.presets.volume import volume_explorer as volume_explorer
+from jaxplore.planning.presets.volume import volume_informative_mppi as volume_informative_mppi
 from jaxplore.planning.presets.volume import volume_target_explorer as volume_target_explorer
 from jaxplore.planning.strategy.follower import Follower as Follower
 from jaxplore.planning.strategy.followers import (
@@ -70,4 +71,8 @@ from jaxplore.planning.strategy.targets import TargetReference as TargetReferenc
 from jaxplore.planning.strategy.targets import Targets as Targets
 from jaxplore.planning.strategy.targets import TargetScores as TargetScores
 from jaxplore.planning.strategy.twist_follower import TwistFollower as TwistFollower
+from jaxplore.planning.strategy.volume_informative import (
+    VolumeInformativeMPPI as VolumeInformativeMPPI,
+)
+from jaxplore.planning.strategy.volume_reference import VolumeReference as VolumeReference
 from jaxplore.planning.strategy.volume_targets import VolumeTargetExplorer as VolumeTargetExplorer

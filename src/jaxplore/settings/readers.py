@@ -21,7 +21,8 @@ from jaxplore.planning.presets.flight import FieldNumbers, Flight
 from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.path_following import avoidance_cost
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
-from jaxplore.planning.presets.volume import volume_target_explorer
+from jaxplore.planning.presets.volume import ARCHITECTURES as IN_VOLUMES
+from jaxplore.planning.presets.volume import volume_informative_mppi, volume_target_explorer
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.settings.accepted import choices
 from jaxplore.settings.defaults import Owner
@@ -276,6 +277,7 @@ _BY_OWNER: dict[str, dict[Owner, Reader]] = {
     },
     "volume": {
         InverseSensorModel: _LOG_ODDS,
+        volume_informative_mppi: _architectures(*IN_VOLUMES),
         volume_target_explorer: Reader(
             "rule-based explorers",
             lambda settings: settings.architecture in BASELINES or is_own(settings.architecture),

@@ -10,7 +10,12 @@ from jaxplore.belief.volume import VolumePerception
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.files.volume_file import SUFFIXES, read_volume
 from jaxplore.maps.generators.volumes import generate_volume
-from jaxplore.planning.presets.volume import volume_explorer, volume_target_explorer
+from jaxplore.planning.presets.volume import ARCHITECTURES as INFORMATIVE
+from jaxplore.planning.presets.volume import (
+    volume_explorer,
+    volume_informative_mppi,
+    volume_target_explorer,
+)
 from jaxplore.sensing.volume import DepthCamera, RingLidar
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.exploration import BASELINES
@@ -50,7 +55,7 @@ GENERATED = {
     "warehouse3d": "warehouse",
 }
 """Kinds of generated volumes by the word that selects one. The ends keep them apart from maps."""
-ARCHITECTURES = ("explorer", *BASELINES)
+ARCHITECTURES = ("explorer", *INFORMATIVE, *BASELINES)
 """Architectures of the library for volumes."""
 
 Pixels = Annotated[int, Field(ge=1, le=MOST_BEAMS)]
@@ -141,7 +146,8 @@ class VolumeFieldSettings(Section):
 
 
 class VolumeControllerSettings(Section):
-    """MPPI and its costs: see `jaxplore.volume_explorer`."""
+    """MPPI and its costs: see `jaxplore.volume_explorer`, and
+    `jaxplore.planning.volume_informative_mppi` for two-layer and parallel."""
 
     horizon: StepsAhead = setting(volume_explorer, "horizon")
     num_samples: Samples = setting(volume_explorer, "num_samples")
@@ -155,6 +161,12 @@ class VolumeControllerSettings(Section):
     attitude_weight: NonNegative = setting(volume_explorer, "attitude_weight")
     speed_weight: NonNegative = setting(volume_explorer, "speed_weight")
     control_weight: NonNegative = setting(volume_explorer, "control_weight")
+    bias_fraction: Share = setting(volume_informative_mppi, "bias_fraction")
+    likelihood_ratio: bool = setting(volume_informative_mppi, "likelihood_ratio")
+    reference_speed: Positive = setting(volume_informative_mppi, "reference_speed")
+    reference_steps: StepsAhead = setting(volume_informative_mppi, "reference_steps")
+    reference_weight: NonNegative = setting(volume_informative_mppi, "reference_weight")
+    field_weight: NonNegative = setting(volume_informative_mppi, "field_weight")
 
 
 class VolumeTargetSettings(Section):
@@ -181,9 +193,9 @@ class VolumeSettings(RunSettings):
             file: a mesh (STL, OBJ, PLY), a point cloud (PCD, PLY), an OctoMap (BT) or an array
             (NPY, NPZ).
         start: start (x, y, z, yaw) with z up [m, m, m, rad]; generated volumes have their own.
-        architecture: `explorer`, or a rule-based explorer by the name of its rule, such as
-            `nearest-cluster`. Or MODULE:NAME of your own, a rule (`jaxplore.planning.TargetRule`)
-            or a function from a scenario to a controller.
+        architecture: `explorer`, `two-layer`, `parallel`, or a rule-based explorer by the name of
+            its rule, such as `nearest-cluster`. Or MODULE:NAME of your own, a rule
+            (`jaxplore.planning.TargetRule`) or a function from a scenario to a controller.
         time_limit: simulated time [s].
         generated: the generated volume.
         file: the file of a volume.

@@ -2,11 +2,16 @@
 
 from typing import Any
 
+import equinox as eqx
 import numpy as np
 
 from jaxplore import _checks, _kinds
+from jaxplore._limits import MOST_STEPS_AHEAD
+from jaxplore._spelling import spelled
 from jaxplore._types import ArrayLike
+from jaxplore._xla import computed
 from jaxplore.belief.volume import VolumePerception
+from jaxplore.control.mixtures import BiasedProposal
 from jaxplore.control.mppi import MPPI
 from jaxplore.costs.base import Cost
 from jaxplore.costs.bounds import SpeedLimitCost
@@ -17,13 +22,23 @@ from jaxplore.costs.volume import (
     VolumeClearanceCost,
     VolumeGuidanceCost,
     VolumeInformationCost,
+    VolumePotentialCost,
+    VolumeReferenceCost,
 )
 from jaxplore.dynamics.quadrotor import Quadrotor
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.presets.flight import Flight
 from jaxplore.planning.presets.target_explorer import checked_rule
+from jaxplore.planning.strategy.quadrotor_follower import QuadrotorFollower
 from jaxplore.planning.strategy.target_rules import TargetRule
+from jaxplore.planning.strategy.volume_informative import VolumeInformativeMPPI
+from jaxplore.planning.strategy.volume_reference import VolumeReference
 from jaxplore.planning.strategy.volume_targets import VolumeTargetExplorer
+
+ARCHITECTURES = ("two-layer", "parallel")
+"""Architectures of informative MPPI in a volume."""
+MAX_SPEED = 2.0
+"""Greatest speed without a cost where none is given [m/s]."""
 
 
 def volume_explorer(
@@ -34,7 +49,7 @@ def volume_explorer(
     dt: ArrayLike = 0.05,
     control_period: ArrayLike = 0.05,
     temperature: ArrayLike = 0.1,
-    max_speed: ArrayLike = 2.0,
+    max_speed: ArrayLike = MAX_SPEED,
     clearance: ArrayLike = 0.6,
     obstacle_weight: ArrayLike = 20.0,
     guidance_weight: ArrayLike = 2.0,
@@ -99,6 +114,85 @@ def volume_explorer(
         weighting="adaptive",
     )
     return flight.mppi(robot, cost)
+
+
+def volume_informative_mppi(
+    robot: Quadrotor,
+    architecture: str = "two-layer",
+    *,
+    perception: VolumePerception,
+    grid: VoxelGrid,
+    strategy_period: ArrayLike = 0.2,
+    bias_fraction: ArrayLike = 0.5,
+    likelihood_ratio: bool = False,
+    reference_speed: ArrayLike = 2.0,
+    reference_steps: int = 40,
+    reference_weight: ArrayLike = 1.0,
+    field_weight: ArrayLike = 5.0,
+    **flying: Any,
+) -> VolumeInformativeMPPI:
+    """Build informative MPPI for a quadrotor in a volume.
+
+    Two-layer: MPPI tracks a reference that descends the cost-to-go, with a share of its samples
+    around the controls that follow it. Parallel: MPPI reads the information of the best heading,
+    which leads the robot to where more is seen, without reference and bias. Both have all costs of
+    `volume_explorer`.
+
+    Args:
+        robot: model of the robot.
+        architecture: "two-layer" or "parallel".
+        perception: perception of the scenario.
+        grid: a map with the shape and resolution of the scenario's.
+        strategy_period: time between runs of the strategic layer, that between fields [s].
+        bias_fraction: share of the samples around the reference's controls.
+        likelihood_ratio: whether these are weighted by their likelihood ratio. Without it, the plan
+            is biased towards the reference, as in Biased-MPPI.
+        reference_speed: speed along the reference; no more than `max_speed` [m/s].
+        reference_steps: length of the reference in model steps.
+        reference_weight: weight of `VolumeReferenceCost`, two-layer [1/m^2].
+        field_weight: weight of `VolumePotentialCost`, parallel.
+        flying: parameters of `volume_explorer`, which makes MPPI and its costs.
+
+    Raises:
+        ValueError: a robot that is no quadrotor, an unknown architecture, a part of another class,
+            or a value that a part does not accept.
+    """
+    _kinds.instance("robot", robot, Quadrotor)
+    _kinds.instance("perception", perception, VolumePerception)
+    _kinds.instance("grid", grid, VoxelGrid)
+    _kinds.flag("likelihood_ratio", likelihood_ratio)
+    _checks.positive_int("reference_steps", reference_steps, at_most=MOST_STEPS_AHEAD)
+    _checks.scalar("bias_fraction", bias_fraction, at_least=0.0, at_most=1.0)
+    architecture = spelled(architecture, ARCHITECTURES)
+    if architecture not in ARCHITECTURES:
+        raise ValueError(f"architecture is {architecture!r}; accepted: {', '.join(ARCHITECTURES)}")
+    mppi = volume_explorer(robot, **flying)
+    field = _checks.scalar("field_weight", field_weight) * VolumePotentialCost()
+    tracking = _checks.scalar("reference_weight", reference_weight) * VolumeReferenceCost()
+    speed = computed(
+        lambda xp, wanted, most: xp.minimum(wanted, most),
+        _checks.scalar("reference_speed", reference_speed, above=0.0),
+        _checks.scalar("max_speed", flying.get("max_speed", MAX_SPEED), above=0.0),
+    )
+    reference = VolumeReference(speed, reference_steps, mppi.dt)
+    # Only the shape of these controls matters: every step replaces them by those of the reference.
+    shape = mppi.horizon, robot.control_size
+    controls = computed(lambda xp, rest: xp.broadcast_to(rest, shape), robot.default_control)
+    gaussian: Any = mppi.proposal
+    biased = BiasedProposal(gaussian, controls, bias_fraction, likelihood_ratio=likelihood_ratio)
+    is_parallel = architecture == "parallel"
+    # The cost of a rollout is the mean over its steps, as that of `Flight.mppi`.
+    cost = mppi.cost + (1.0 / mppi.horizon) * (field if is_parallel else tracking)
+    proposal = mppi.proposal if is_parallel else biased
+    mppi = eqx.tree_at(lambda each: (each.cost, each.proposal), mppi, (cost, proposal))
+    return VolumeInformativeMPPI(
+        mppi,
+        perception,
+        grid,
+        reference=None if is_parallel else reference,
+        follower=None if is_parallel else QuadrotorFollower(),
+        strategy_period=strategy_period,
+    )
 
 
 def volume_target_explorer(

@@ -9,6 +9,7 @@ from jaxplore import _checks
 from jaxplore._types import ArrayLike, ControlVector, Scalar, StateVector
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.dynamics.quadrotor import Quadrotor
+from jaxplore.geometry.angles import sin_cos
 from jaxplore.geometry.vectors import TINY, angle, length
 from jaxplore.planning.strategy.follower import SLOW, Follower, approach_gain, require_model
 
@@ -25,7 +26,8 @@ class QuadrotorFollower(Follower):
 
     Near the target a is `k_p e + k_v (velocity - v)`. s falls with the distance, so that braking
     takes about half of the acceleration that the tilt allows. The nose turns to the direction in
-    which the target moves over ground, if it moves faster than 0.1 m/s; otherwise the yaw is held.
+    which the target moves over ground, if it moves faster than 0.1 m/s; otherwise to `heading`, or
+    the yaw is held.
     Thrust direction and yaw are controlled separately, since a turn about the thrust does not
     change the thrust.
 
@@ -45,9 +47,12 @@ class QuadrotorFollower(Follower):
         attitude_gain: gain on the tilt error, k_R [1/s].
         yaw_gain: gain on the yaw error, k_yaw [1/s].
         max_tilt: largest commanded angle between thrust and vertical, below pi/2 [rad].
+        heading: yaw to turn to while the target does not move over ground [rad]; the present yaw is
+            held when absent.
 
     Raises:
-        ValueError: a gain or an angle that is not positive, an angle of pi/2 or more.
+        ValueError: a gain or a tilt that is not positive, a tilt of pi/2 or more, a heading that is
+            not finite.
     """
 
     position_gain: Scalar
@@ -55,6 +60,7 @@ class QuadrotorFollower(Follower):
     attitude_gain: Scalar
     yaw_gain: Scalar
     max_tilt: Scalar
+    heading: Scalar | None
 
     def __init__(
         self,
@@ -63,12 +69,14 @@ class QuadrotorFollower(Follower):
         attitude_gain: ArrayLike = 8.0,
         yaw_gain: ArrayLike = 2.0,
         max_tilt: ArrayLike = 0.7,
+        heading: ArrayLike | None = None,
     ) -> None:
         self.position_gain = _checks.scalar("position_gain", position_gain, above=0.0)
         self.velocity_gain = _checks.scalar("velocity_gain", velocity_gain, above=0.0)
         self.attitude_gain = _checks.scalar("attitude_gain", attitude_gain, above=0.0)
         self.yaw_gain = _checks.scalar("yaw_gain", yaw_gain, above=0.0)
         self.max_tilt = _checks.scalar("max_tilt", max_tilt, above=0.0, below=0.5 * math.pi)
+        self.heading = None if heading is None else _checks.scalar("heading", heading)
 
     def control(
         self,
@@ -117,11 +125,18 @@ class QuadrotorFollower(Follower):
         # Exactly upside down, all rotations to level are equally long. The law then rolls.
         wx = jnp.where(is_parallel, lean, -scale * aside)
 
-        facing, beside = (
-            velocity[0] * axis[0] + velocity[1] * axis[1] for axis in (forward, right)
-        )
         is_moving = length(velocity[0], velocity[1]) > SLOW
-        wz = jnp.where(is_moving, self.yaw_gain * angle(facing, beside), 0.0)
+        if self.heading is None:
+            towards, turns = (velocity[0], velocity[1]), is_moving
+        else:
+            sin, cos = sin_cos(self.heading)
+            towards = (
+                jnp.where(is_moving, velocity[0], cos),
+                jnp.where(is_moving, velocity[1], sin),
+            )
+            turns = jnp.array(True)
+        facing, beside = (towards[0] * axis[0] + towards[1] * axis[1] for axis in (forward, right))
+        wz = jnp.where(turns, self.yaw_gain * angle(facing, beside), 0.0)
         # Only the thrust is proportional to |q|^2. The rates are made of angles and ratios.
         return jnp.stack([model.mass * below / squared, wx, scale * ahead, wz])
 
