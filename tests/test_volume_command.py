@@ -1,6 +1,7 @@
 """`jaxplore run` and `jaxplore compare` in volumes, and what they refuse."""
 
 import json
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,9 @@ import pytest
 import yaml
 
 from jaxplore.build.tasks import build, make_settings
+from jaxplore.build.volume import volume_shape
 from jaxplore.cli import main
+from jaxplore.maps.files.volume_file import read_volume
 from jaxplore.settings.volume import GENERATED
 
 FEW = ("--samples", "64", "--set", "camera.columns=24", "--set", "camera.rows=16")
@@ -96,3 +99,37 @@ def test_what_is_not_possible_is_one_line(
     assert message in text
     assert "Traceback" not in text
     assert not (room / "out").exists()
+
+
+def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
+    read = []
+
+    def counted(*arguments: object, **more: object):
+        read.append(arguments)
+        return read_volume(*arguments, **more)
+
+    monkeypatch.setattr("jaxplore.build.volume.read_volume", counted)
+    settings = make_settings({"volume": str(room / "room.npy"), "resolution": 0.2})
+    assert volume_shape(settings) == volume_shape(settings) == (10, 15, 20)
+    assert len(read) == 1
+    np.save("room.npy", np.ones((4, 5, 6), bool))
+    assert volume_shape(settings) == (4, 5, 6)
+    # A finer grid of the same file is another volume.
+    volume_shape(make_settings({"volume": str(room / "room.npy"), "resolution": 0.1}))
+    assert len(read) == 3
+
+
+def test_a_warning_is_one_line(tmp_path: Path, monkeypatch, capsys) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    monkeypatch.chdir(tmp_path)
+    trimesh.creation.box(extents=(3000.0, 2500.0, 2000.0)).export("building.stl")
+    shown_by_python = warnings.showwarning
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        with pytest.raises(SystemExit):
+            main(["run", "building.stl", "--resolution", "50", "--start", "0", "0", "9000", "0"])
+    told = capsys.readouterr().err.splitlines()
+    assert told[0].startswith("jaxplore: warning: volume ")
+    assert told[0].endswith("if its unit is the millimetre, file.scale=0.001")
+    assert all(line.startswith("jaxplore: ") for line in told)
+    assert warnings.showwarning is shown_by_python

@@ -1,5 +1,6 @@
 """Explorations of volumes, from settings."""
 
+import functools
 import math
 from pathlib import Path
 from typing import Any
@@ -88,17 +89,32 @@ def build_world(settings: VolumeSettings) -> VoxelGrid:
     """
     kind = GENERATED.get(settings.volume)
     if kind is None:
-        return read_volume(
-            settings.volume,
-            resolution=settings.resolution,
-            **arguments(settings.file, read_volume),
-        )
+        # A file is read for the estimate of the memory, for the start, and for the run: once.
+        given = tuple(arguments(settings.file, read_volume).items())
+        return _read(settings.volume, settings.resolution, given, _stamp(settings.volume))
     return generate_volume(
         kind,
         size=_generated_size(settings),
         **arguments(settings.generated, generate_volume),
         **arguments(settings, generate_volume),
     )
+
+
+@functools.lru_cache(maxsize=1)
+def _read(
+    name: str, resolution: float, given: tuple[tuple[str, Any], ...], stamp: tuple[int, int, int]
+) -> VoxelGrid:
+    """Read a volume, or return the last one: `stamp` changes with the file."""
+    return read_volume(name, resolution=resolution, **dict(given))
+
+
+def _stamp(name: str) -> tuple[int, int, int]:
+    """Return what changes with a file; zeros where it is not there, which the reader says."""
+    try:
+        status = Path(name).stat()
+    except OSError:
+        return 0, 0, 0
+    return status.st_mtime_ns, status.st_size, status.st_ino
 
 
 def volume_shape(settings: VolumeSettings) -> tuple[int, int, int]:

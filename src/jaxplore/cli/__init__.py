@@ -5,6 +5,7 @@ completions of shells and errors in options come at once. A command imports what
 """
 
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -346,6 +347,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: command-line arguments; those of the process when absent.
     """
+    shown_by_python = warnings.showwarning
+    warnings.showwarning = _show_warning
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")
         if sys.stdout is not None:
@@ -363,6 +366,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if not _is_interruption(error):
             raise
         _end_interrupted()
+    finally:
+        warnings.showwarning = shown_by_python
+
+
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    """Write a warning as one line: who gave a command has no use for a line of our code."""
+    say(one_line(f"jaxplore: warning: {message}"), err=True)
 
 
 def _is_interruption(error: BaseException) -> bool:
