@@ -254,7 +254,7 @@ class VolumePerception(eqx.Module):
         scans: Sequence[VolumeScan],
     ) -> VolumeBelief:
         """Return the belief after scans: the map, and all that follows from it within reach."""
-        window = self.window(belief.grid, position, rotation)
+        window = self.scan_window(belief.grid, position, rotation)
         grid = belief.grid
         for sensor, scan in zip(self.sensors, scans, strict=True):
             grid = sensor.updated(grid, position, rotation, scan, self.sensor_model, window)
@@ -281,7 +281,9 @@ class VolumePerception(eqx.Module):
         )
         return known
 
-    def window(self, grid: VoxelGrid, position: Float[Array, "3"], rotation: Rotation) -> Window:
+    def scan_window(
+        self, grid: VoxelGrid, position: Float[Array, "3"], rotation: Rotation
+    ) -> Window:
         """Return the box of voxels in which scans may change the map and the clearance.
 
         Args:

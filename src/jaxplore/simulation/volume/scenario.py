@@ -182,7 +182,7 @@ class VolumeScenario(Scenario):
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
             belief = self.perception.update(before, at, turn, scans)
-            window = self.perception.window(belief.grid, at, turn)
+            window = self.perception.scan_window(belief.grid, at, turn)
             wanted = belief.placed(window).read(self.observable)
             now, then = (
                 jnp.sum((window.read(each.grid.log_odds) < FREE_BELOW) & wanted, dtype=jnp.int32)
