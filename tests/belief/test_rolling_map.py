@@ -1,5 +1,7 @@
 """A map whose window moves, against the map of the whole volume."""
 
+import re
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -14,6 +16,7 @@ from jaxplore.belief.volume import VolumePerception
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import DepthCamera
+from jaxplore.simulation.loop import copied, initial_loop_state, run_chunk
 
 SIDE, RANGE = 0.2, 2.0
 CAMERA = DepthCamera(24, 18, max_range=RANGE, quadratic_noise=0.0)
@@ -208,6 +211,27 @@ def test_an_explorer_comes_back_for_what_left_its_window() -> None:
     x = np.asarray(run.recording.records.state)[:, 0]
     assert x.min() < 12.2 - 7.0
     assert x.max() > 12.2 + 7.0
+
+
+def test_a_step_copies_no_map() -> None:
+    # A branch whose condition is seldom true must not copy what it may change: on a large map that
+    # takes longer than the step.
+    robot = jx.Quadrotor()
+    scenario = jx.VolumeScenario(
+        WORLD,
+        robot,
+        CAMERA,
+        (-1.0, 3.5, 1.7, 0.0),
+        perception=VolumePerception([CAMERA], SIDE, 0.3),
+    )
+    controller = jx.volume_explorer(robot, horizon=2, num_samples=4)
+    key = jax.random.key(0)
+    state = copied(initial_loop_state(controller, scenario, key))
+    given = controller, scenario, key, jnp.asarray(1, jnp.int32)
+    text = run_chunk.lower(given, state, 1).compile().compiled.as_text()
+    shape = ",".join(map(str, WORLD.shape))
+    assert f"f32[{shape}]" in text
+    assert not re.findall(rf"f32\[{shape}\]\S* copy\(", text)
 
 
 def test_windows_that_are_too_small_are_refused() -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from jaxplore.maps.voxel_grid import VoxelGrid
-from jaxplore.maps.window import Window
+from jaxplore.maps.window import Window, read_first
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2
 """States of a coarser voxel."""
@@ -73,8 +73,9 @@ def renewed(
     new: Shaped[Array, "d2 h2 w2"],
     window: Window,
     pool: int,
-) -> tuple[Shaped[Array, "D2 H2 W2"], Window]:
-    """Return coarser voxels with new ones in a window, and their window.
+) -> tuple[Shaped[Array, "D2 H2 W2"], Bool[Array, "d2 h2 w2"], Window]:
+    """Return coarser voxels with new ones in a window, which of these differ from the old ones, and
+    their window.
 
     Args:
         coarse: the coarser voxels.
@@ -84,7 +85,7 @@ def renewed(
     """
     shape = coarse_shape(window.shape, pool)
     target = Window.at(window.corner // pool, shape, coarse_shape(window.map_shape, pool))
-    old = target.read(coarse)
+    old, coarse = read_first(target, coarse)
     # The last coarser voxel is only complete where the map ends. Nothing changes there: windows
     # have a margin.
     for axis, size in enumerate(window.shape):
@@ -93,7 +94,7 @@ def renewed(
             is_last = jnp.arange(shape[axis]) == shape[axis] - 1
             keeps = jnp.expand_dims(is_last & ~is_end, [a for a in range(3) if a != axis])
             new = jnp.where(keeps, old, new)
-    return target.write(coarse, new), target
+    return target.write(coarse, new), new != old, target
 
 
 def within_reach(

@@ -260,13 +260,15 @@ class VolumePerception(eqx.Module):
             grid = sensor.updated(grid, position, rotation, scan, self.sensor_model, window)
         clearance = renewed_clearance(grid, belief.clearance.values, window, self.reach)
         seen = eqx.tree_at(lambda each: each.log_odds, grid, window.read(grid.log_odds))
-        coarse, among = renewed(belief.coarse, coarse_states(seen, self.pool), window, self.pool)
-        room, _ = renewed(
-            belief.room, coarse_room(window.read(clearance), self.pool), window, self.pool
+        states, rooms = (
+            coarse_states(seen, self.pool),
+            coarse_room(window.read(clearance), self.pool),
         )
-        is_new = jnp.any(among.read(coarse) != among.read(belief.coarse), axis=0)
+        coarse, is_new, among = renewed(belief.coarse, states, window, self.pool)
+        room, _, _ = renewed(belief.room, rooms, window, self.pool)
         columns = Window(among.corner[1:], among.shape[1:], among.map_shape[1:])
-        changed = columns.write(belief.changed, columns.read(belief.changed) | is_new)
+        before = columns.read(belief.changed)
+        changed = columns.write(belief.changed, before | is_new.any(axis=0))
         known: VolumeBelief = eqx.tree_at(
             lambda each: (
                 each.position,

@@ -102,6 +102,17 @@ class Window(eqx.Module):
         return (*(0 for _ in leading), *(self.corner[axis] for axis in range(len(self.shape))))
 
 
+def read_first(window: Window, values: Array) -> tuple[Array, Array]:
+    """Return the part of an array in a window, and the array to go on with.
+
+    The part is read before the array that is returned changes. A compiler that reads it later, from
+    the array before its change, must copy the array, however small the window is.
+    """
+    barrier = jax.lax.optimization_barrier
+    part, same = barrier((window.read(values), values))  # type: ignore[no-untyped-call]
+    return part, same
+
+
 def near_faces(
     shape: Sequence[int], which: Bool[Array, "n 2"], width: int
 ) -> Bool[Array, "*shape"]:

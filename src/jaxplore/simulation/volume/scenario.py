@@ -27,6 +27,7 @@ from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import Controller, Info
 from jaxplore.dynamics.quadrotor import Quadrotor, attitude_upwards, position_upwards
 from jaxplore.maps.voxel_grid import FREE_BELOW, OCCUPIED_ABOVE, VoxelGrid
+from jaxplore.maps.window import read_first
 from jaxplore.report.volume.data import FREE, OCCUPIED, UNKNOWN, VolumeFrame, VolumeMetrics
 from jaxplore.report.volume.data import VolumeRecord as VolumeRecord
 from jaxplore.report.volume.recording import VolumeRecording
@@ -181,12 +182,14 @@ class VolumeScenario(Scenario):
                 sensor.scan(self.world, truly, truly_turned, key=each)
                 for sensor, each in zip(self.sensors, keys, strict=True)
             ]
+            window = self.perception.scan_window(before.grid, at, turn)
+            old, log_odds = read_first(window, before.grid.log_odds)
+            before = eqx.tree_at(lambda each: each.grid.log_odds, before, log_odds)
             belief = self.perception.update(before, at, turn, scans)
-            window = self.perception.scan_window(belief.grid, at, turn)
             wanted = belief.placed(window).read(self.observable)
             now, then = (
-                jnp.sum((window.read(each.grid.log_odds) < FREE_BELOW) & wanted, dtype=jnp.int32)
-                for each in (belief, before)
+                jnp.sum((each < FREE_BELOW) & wanted, dtype=jnp.int32)
+                for each in (window.read(belief.grid.log_odds), old)
             )
             return belief, known + now - then
 
