@@ -12,6 +12,7 @@ from scipy import ndimage
 import jaxplore as jx
 from jaxplore import planning
 from jaxplore.belief.volume import NODE, VolumePerception
+from jaxplore.planning.strategy.target_progress import PATIENCE, RADIUS
 from jaxplore.planning.strategy.target_rules import NearestCluster, NearestFrontier
 from jaxplore.simulation.loop import run_chunk
 
@@ -95,6 +96,19 @@ def test_the_guidance_of_the_tracker_leads_to_the_target(explored) -> None:
     )
     distance = np.where(candidates, np.asarray(found.distance), np.inf)
     assert distance[tuple(np.asarray(state.node))] == distance.min()
+    # A robot that comes no nearer to a target goes elsewhere.
+    far = np.unravel_index(np.where(candidates, distance, -1.0).argmax(), distance.shape)
+    assert distance[far] > float(controller.near)
+    waited = state.progress._replace(
+        best=jnp.asarray(distance[far]), waiting=jnp.asarray(PATIENCE - 1, jnp.int32)
+    )
+    still = state._replace(
+        node=jnp.asarray(far, jnp.int32), progress=waited, since=jnp.zeros((), jnp.int32)
+    )
+    _, other, _ = step(still, task.robot, task.belief, key=jax.random.key(1))
+    gap = np.linalg.norm(np.asarray(other.node) - far) * state.guidance.spacing
+    assert not bool(other.has_target) or gap > RADIUS
+    assert int(other.progress.stalls) == 1
     plan = eqx.filter_jit(controller.inspect)(
         controller.init(), task.robot, task.belief, key=jax.random.key(1)
     )

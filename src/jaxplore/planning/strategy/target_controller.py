@@ -25,6 +25,7 @@ from jaxplore.control.base import Controller, Info, ModelBasedController, Sample
 from jaxplore.control.model_checks import checked_call
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.planning.strategy.frontiers import Frontiers
+from jaxplore.planning.strategy.target_progress import TargetProgress
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
@@ -37,6 +38,7 @@ class TargetState(NamedTuple):
         has_target: whether there is a target.
         guidance: cost to go to the target [m].
         since: number of commands so far.
+        progress: how near the robot has come to the target, and which ones it avoids.
     """
 
     tracker: Any
@@ -44,6 +46,7 @@ class TargetState(NamedTuple):
     has_target: Flag
     guidance: GuidanceField | VolumeField
     since: Count
+    progress: TargetProgress
 
 
 class TargetController(Controller):
@@ -54,7 +57,8 @@ class TargetController(Controller):
     replaces it earlier by a candidate that is better by as much. Without candidates, the
     nearest place with a little information left is the target. Without such a place the robot
     waits. Information that cannot be seen from a place after all is discounted while the robot is
-    near it and recovers later (`Belief.dwell`), so no place is given up for ever.
+    near it and recovers later (`Belief.dwell`), so no place is given up for ever. A target to which
+    the robot comes no nearer is avoided for a while (`TargetProgress`).
 
     The tracker descends the cost to go to the target, which replaces the guidance in its belief.
     Motion, obstacles and limits are those of the tracker, the same for all rules.
@@ -93,6 +97,10 @@ class TargetController(Controller):
     @abc.abstractmethod
     def target(self, state: TargetState) -> Position:
         """Return the position (x, y) of the target of a state [m]."""
+
+    @abc.abstractmethod
+    def spacing(self, state: TargetState) -> float:
+        """Return the distance between the nodes of the lattice [m]."""
 
     def at_period(self, control_period: ArrayLike) -> "TargetController":
         """Return a copy of this controller that is called every `control_period` seconds."""
@@ -157,7 +165,12 @@ class TargetController(Controller):
         self, state: TargetState, frontiers: Frontiers, observation: StateVector, key: Key
     ) -> TargetState:
         """Keep the target or choose a new one, and compute the cost to go to it."""
-        candidates = self.rule.candidates(frontiers)
+        on_the_way = state.has_target & (frontiers.distance[tuple(state.node)] > self.near)
+        progress = state.progress.checked(
+            frontiers.distance, state.node, on_the_way, self.spacing(state)
+        )
+        candidates = self.rule.candidates(frontiers) & progress.may_be
+        leftovers = frontiers.is_leftover & progress.may_be
         # A target that is reached is dropped. A robot that stays keeps it while there is
         # information.
         away = frontiers.distance > self.near
@@ -175,7 +188,7 @@ class TargetController(Controller):
             if lead is not None:
                 scores = scores.at[node].add(jnp.where(keeps, lead, 0.0))
             scores = jnp.where(may_be, scores, -jnp.inf)
-            leftover = jnp.where(frontiers.is_leftover & away, -frontiers.distance, -jnp.inf)
+            leftover = jnp.where(leftovers & away, -frontiers.distance, -jnp.inf)
             best = jnp.where(may_be.any(), jnp.argmax(scores), jnp.argmax(leftover))
             is_any = may_be.any() | jnp.isfinite(leftover).any()
             return jnp.stack(jnp.unravel_index(best, shape)).astype(jnp.int32), is_any
@@ -188,4 +201,8 @@ class TargetController(Controller):
         source = jnp.where(has_target, jnp.inf, 0.0) * jnp.ones(shape)
         source = source.at[tuple(chosen)].set(0.0)
         guidance = self.guidance(frontiers, source, state, observation)
-        return state._replace(node=chosen, has_target=has_target, guidance=guidance)
+        is_new = ~state.has_target | jnp.any(chosen != state.node)
+        progress = progress.towards(frontiers.distance[tuple(chosen)], is_new)
+        return state._replace(
+            node=chosen, has_target=has_target, guidance=guidance, progress=progress
+        )

@@ -18,6 +18,7 @@ from jaxplore.control.base import ModelBasedController
 from jaxplore.maps.frame import GridFrame
 from jaxplore.planning.strategy.frontiers import Frontiers, find_frontiers
 from jaxplore.planning.strategy.target_controller import TargetController, TargetState
+from jaxplore.planning.strategy.target_progress import TargetProgress
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
@@ -121,6 +122,7 @@ class TargetExplorer(TargetController):
             jnp.array(False),
             flat,
             jnp.zeros((), jnp.int32),
+            TargetProgress.begin((rows, columns)),
         )
 
     def find(self, belief: Belief, observation: StateVector) -> Frontiers:
@@ -165,3 +167,8 @@ class TargetExplorer(TargetController):
         """Return the position (x, y) of the target of a state [m]."""
         assert isinstance(state.guidance, GuidanceField)
         return state.guidance.frame.cell_centre(state.node)
+
+    def spacing(self, state: TargetState) -> float:
+        """Return the distance between the nodes of the lattice [m]."""
+        assert isinstance(state.guidance, GuidanceField)
+        return state.guidance.frame.resolution

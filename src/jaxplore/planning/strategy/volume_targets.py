@@ -13,6 +13,7 @@ from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.coarse_voxels import FREE, UNKNOWN
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
+from jaxplore.belief.rolling_map import shifted
 from jaxplore.belief.volume import NODE, VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.control.base import ModelBasedController
@@ -21,6 +22,7 @@ from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.planning.strategy.frontiers import Frontiers, cluster_sizes
 from jaxplore.planning.strategy.target_controller import TargetController, TargetState
+from jaxplore.planning.strategy.target_progress import TargetProgress
 from jaxplore.planning.strategy.target_rules import TargetRule
 
 
@@ -101,6 +103,7 @@ class VolumeTargetExplorer(TargetController):
             jnp.array(False),
             self.blank,
             jnp.zeros((), jnp.int32),
+            TargetProgress.begin(self.blank.values.shape),
         )
 
     def find(self, belief: VolumeBelief, observation: StateVector) -> Frontiers:
@@ -148,8 +151,15 @@ class VolumeTargetExplorer(TargetController):
             has_target=state.has_target & is_inside,
             guidance=eqx.tree_at(lambda each: each.origin, old, new.origin),
             since=jnp.where(jnp.any(gap != 0), 0, state.since),
+            progress=state.progress._replace(
+                avoided=shifted(state.progress.avoided, jnp.flip(gap))
+            ),
         )
         return super()._choose_if_due(moved, observation, belief, key)
+
+    def spacing(self, state: TargetState) -> float:
+        """Return the distance between the nodes of the lattice [m]."""
+        return self.blank.spacing
 
     def target(self, state: TargetState) -> Position:
         """Return the position (x, y) of the target of a state [m]."""
