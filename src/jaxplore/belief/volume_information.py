@@ -12,7 +12,7 @@ from jaxplore.maps.window import Window
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 TILE = 24
-"""Nodes along x and y that are computed at a time: their arrays fit the CPU's cache."""
+"""Most nodes along x and y that are computed at a time: their arrays fit the CPU's cache."""
 BEYOND = 3
 """State of what is beyond the map."""
 
@@ -42,7 +42,7 @@ def renewed_information(
         before: the information before.
     """
     depth, rows, columns = before.shape[1:]
-    tile, reach, stride = (min(TILE, rows), min(TILE, columns)), table.reach, table.stride
+    tile, reach, stride = (_side(rows), _side(columns)), table.reach, table.stride
     stale = within_reach(changed, reach, 1, stride, (rows, columns))
     # Beyond the map nothing passes and nothing is learned: that of certainly occupied voxels.
     margin = (reach, reach + stride)
@@ -66,3 +66,9 @@ def renewed_information(
 
     _, values = jax.lax.while_loop(lambda state: jnp.any(state[0]), renew, (stale, before))
     return values
+
+
+def _side(number: int) -> int:
+    """Return the side of the tiles that cover a number of nodes, with as little overlap as can
+    be."""
+    return -(-number // -(-number // TILE))
