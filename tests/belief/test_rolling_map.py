@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxplore as jx
-from jaxplore.belief.rolling_map import RollingMap, centred, shifted, window_shape
+from jaxplore.belief.rolling_map import BLOCK, RollingMap, centred, shifted, window_shape
 from jaxplore.belief.volume import VolumePerception
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
@@ -125,6 +125,15 @@ def test_what_was_left_outside_is_a_goal_at_the_face_towards_it(beliefs) -> None
     _, moving = beliefs[-1]
     beyond = moving.beyond
     assert (np.asarray(beyond.left) >= MOVING.min_information).any()
+    # Only where the robot fits: behind the far wall nothing is known, and nobody can look.
+    whole, _ = beliefs[-1]
+    fits = np.asarray(MOVING.roads(whole).is_open)
+    worth = np.where(fits, np.asarray(whole.sectors).sum(axis=0), 0.0)
+    rows = -(-fits.shape[2] // BLOCK) * BLOCK
+    padded = np.pad(worth, ((0, 0), (0, 0), (0, rows - fits.shape[2])))
+    most = padded.max(axis=(0, 1)).reshape(-1, BLOCK).max(axis=1)
+    begin = int(moving.beyond.offset[2]) // 16
+    assert (np.asarray(beyond.left)[0, :, :begin].max(axis=0) <= most[:begin] + 2e-3).all()
     # Of two blocks, the nearer one counts unless the other one has much more information.
     left = jnp.zeros_like(beyond.left).at[0, 0, 0].set(1.0)
     alone = eqx.tree_at(lambda each: each.left, beyond, left)
@@ -180,8 +189,11 @@ def test_a_place_that_is_not_finite_moves_no_window() -> None:
     rolling, window = RollingMap.around(
         grid, jnp.asarray([10.0, 2.0, 1.0]), (4, 8, 24), 4, InverseSensorModel()
     )
-    due, _ = rolling.next_offset(window, jnp.asarray([np.nan, 2.0, 1.0]), 2.0, 4)
-    assert not bool(due)
+    for place in ([np.nan, 2.0, 1.0], [19.9, np.nan, 1.0]):
+        due, _ = rolling.next_offset(window, jnp.asarray(place), 2.0, 4)
+        assert not bool(due)
+    due, _ = rolling.next_offset(window, jnp.asarray([19.9, 2.0, 1.0]), 2.0, 4)
+    assert bool(due)
 
 
 def test_an_explorer_comes_back_for_what_left_its_window() -> None:

@@ -34,8 +34,8 @@ class RollingMap(eqx.Module):
         stored: (D, H, W) log-odds of the voxels of the whole volume, in shares of the greatest one.
             Those in the window are those of the last time that it was stored.
         offset: voxel (k, j, i) of the volume at which the window begins; whole blocks.
-        left: (Db, Hb, Wb) greatest information of a viewpoint of each block when it was last in the
-            window [nat m^3].
+        left: (Db, Hb, Wb) greatest information of a viewpoint, where the robot fits, of each block
+            when it was last in the window [nat m^3].
         origin: corner (x, y, z) of the volume [m].
         unit: log-odds of a level.
         shape: numbers of voxels (D, H, W) of the volume; static.
@@ -118,6 +118,7 @@ class RollingMap(eqx.Module):
         ends = np.asarray(grid.shape, np.float32)
         gap = jnp.stack([here, ends - here], axis=1) * grid.resolution
         is_near = jnp.any((gap < keep) & self.place(grid.shape).is_inner)
+        is_near = is_near & jnp.all(jnp.isfinite(here))
         offset = centred(here + self.offset.astype(here.dtype), grid.shape, self.shape, block)
         return is_near & jnp.any(offset != self.offset), offset
 
@@ -128,7 +129,8 @@ class RollingMap(eqx.Module):
 
         Args:
             shape: numbers of voxels of the window; static.
-            worth: information of each node of the window [nat m^3].
+            worth: information of each node of the window where the robot fits, 0 elsewhere
+                [nat m^3].
             block: voxels on a side of a block; static.
         """
         padded = jnp.pad(worth, [(0, -size % BLOCK) for size in worth.shape])

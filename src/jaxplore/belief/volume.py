@@ -387,6 +387,8 @@ class VolumePerception(eqx.Module):
 
         def moved() -> VolumeBelief:
             worth = jnp.sum(belief.sectors * jnp.exp(-belief.dwell / self.patience), axis=0)
+            # Behind the walls of a building, too, there is much that is not known.
+            worth = jnp.where(self.roads(belief).is_open, worth, 0.0)
             left = beyond.with_left(grid.shape, worth, self._block)
             there = eqx.tree_at(lambda each: (each.offset, each.left), beyond, (offset, left))
             shift = (offset - beyond.offset) // self.pool
