@@ -371,8 +371,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Write a warning as one line: who gave a command has no use for a line of our code."""
-    say(one_line(f"jaxplore: warning: {message}"), err=True)
+    """Write a warning as one line: who gave a command has no use for a line of our code.
+
+    The name of the program stands before errors only.
+    """
+    say(one_line(f"warning: {message}"), err=True)
 
 
 def _is_interruption(error: BaseException) -> bool:
