@@ -24,7 +24,7 @@ from jaxplore.cli._node_options import node_options, replay_options, robot_optio
 from jaxplore.cli._options import path_options, with_options
 from jaxplore.cli._picture_options import picture_options
 from jaxplore.cli._runner import runner_options
-from jaxplore.cli._terminal import say
+from jaxplore.cli._terminal import say, show_warning
 from jaxplore.cli._tune_options import tune_options
 from jaxplore.cli._view_options import host_option, view_options
 
@@ -348,7 +348,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: command-line arguments; those of the process when absent.
     """
     shown_by_python = warnings.showwarning
-    warnings.showwarning = _show_warning
+    warnings.showwarning = show_warning
     try:
         cli.main(arguments, standalone_mode=False, prog_name="jaxplore")
         if sys.stdout is not None:
@@ -368,14 +368,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _end_interrupted()
     finally:
         warnings.showwarning = shown_by_python
-
-
-def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """Write a warning as one line: who gave a command has no use for a line of our code.
-
-    The name of the program stands before errors only.
-    """
-    say(one_line(f"warning: {message}"), err=True)
 
 
 def _is_interruption(error: BaseException) -> bool:
