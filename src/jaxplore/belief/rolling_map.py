@@ -8,16 +8,17 @@ import math
 from collections.abc import Sequence
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
 from jaxplore._types import Flag, Scalar
 from jaxplore.belief.volume_geodesic import volume_geodesic
-from jaxplore.belief.volume_roads import FAR
+from jaxplore.belief.volume_roads import FAR, VolumeRoads
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
-from jaxplore.maps.window import Window
+from jaxplore.maps.window import Window, near_faces
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 BLOCK = 8
@@ -178,6 +179,61 @@ class RollingMap(eqx.Module):
         # Finite, because interpolation would make NaN of infinity.
         bounded = jnp.minimum(cost, FAR)
         return VolumeField(bounded, self.origin + 0.5 * spacing, spacing, jnp.asarray(FAR))
+
+    def ends(
+        self,
+        grid: VoxelGrid,
+        roads: VolumeRoads,
+        block: int,
+        decay_length: Scalar,
+        min_information: Scalar,
+        kept: float,
+    ) -> Float[Array, "d h w"]:
+        """Return the cost of the nodes at the inner faces of the window as ends of a path [m].
+
+        It is that of `toward_the_rest`, and infinite at all other nodes.
+
+        Args:
+            grid: grid of the window.
+            roads: the nodes.
+            block: voxels on a side of a block; static.
+            decay_length: additional distance that the robot travels for e times the information
+                [m].
+            min_information: information below which a block does not count [nat m^3].
+            kept: distance that the robot keeps from what is beyond the window [m]; static.
+        """
+        rest = self.toward_the_rest(grid, block, decay_length, min_information)
+        shape = roads.slowness.shape
+        width = 1 + math.ceil(kept / roads.spacing)
+        at_face = near_faces(shape, self.place(grid.shape).is_inner, width)
+        cost = jax.vmap(rest)(*(each.reshape(-1) for each in roads.places)).reshape(shape)
+        return jnp.where(at_face & (cost < 0.5 * FAR), cost, jnp.inf)
+
+
+def check_extents(
+    extents: Sequence[float], whole: tuple[int, int, int], side: float, block: int, keep: float
+) -> None:
+    """Check that a window is so large that it need not move again at once.
+
+    Args:
+        extents: extents (x, y, z) of the window [m].
+        whole: numbers of voxels of the volume along z, y and x.
+        side: side of a voxel [m].
+        block: voxels on a side of the blocks by which the window moves.
+        keep: distance to a face, inside the volume, at which the window moves [m].
+
+    Raises:
+        ValueError: a window that is too small.
+    """
+    # The robot is at most half a block from the middle, and moves on before the next fields.
+    least = 2.0 * (keep + (0.5 * block + 1.0) * side + 0.5)
+    for extent, size in zip(reversed(extents), whole, strict=True):
+        if extent < min(least, size * side - 1e-3):
+            raise ValueError(
+                f"window is {list(extents)} for a volume of "
+                f"{[round(n * side, 3) for n in reversed(whole)]} m; accepted: at least "
+                f"{least:.1f} m, or the extent of the volume, along each axis"
+            )
 
 
 def window_shape(

@@ -19,7 +19,7 @@ from jaxplore.belief.coarse_voxels import (
     renewed,
 )
 from jaxplore.belief.exploration_field import information_sources
-from jaxplore.belief.rolling_map import BLOCK, RollingMap, shifted, window_shape
+from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shifted, window_shape
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_information import renewed_information
@@ -28,7 +28,7 @@ from jaxplore.information.voxel_table import VoxelTable
 from jaxplore.maps.volume_clearance import renewed_clearance
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
-from jaxplore.maps.window import Window, near_faces
+from jaxplore.maps.window import Window
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 from jaxplore.sensing.volume import (
     Rotation,
@@ -190,15 +190,7 @@ class VolumePerception(eqx.Module):
         """
         if self.extents is None:
             return shape
-        # The robot is at most half a block from the middle, and moves on before the next fields.
-        least = 2.0 * (self._kept_ahead + (0.5 * self._block + 1.0) * side + 0.5)
-        for extent, size in zip(reversed(self.extents), shape, strict=True):
-            if extent < min(least, size * side - 1e-3):
-                raise ValueError(
-                    f"window is {list(self.extents)} for a volume of "
-                    f"{[round(n * side, 3) for n in reversed(shape)]} m; accepted: at least "
-                    f"{least:.1f} m, or the extent of the volume, along each axis"
-                )
+        check_extents(self.extents, shape, side, self._block, self._kept_ahead)
         return window_shape(shape, self.extents, side, self._block)
 
     @property
@@ -350,7 +342,15 @@ class VolumePerception(eqx.Module):
         worth = sectors.sum(axis=0)
         source = information_sources(worth, self.decay_length, self.min_information)
         if belief.beyond is not None:
-            source = jnp.minimum(source, self._way_to_the_rest(belief, roads))
+            at_faces = belief.beyond.ends(
+                belief.grid,
+                roads,
+                self._block,
+                self.decay_length,
+                self.min_information,
+                self.reach * belief.grid.resolution,
+            )
+            source = jnp.minimum(source, at_faces)
         guidance = roads.field(source)
         views, attention = (
             jnp.einsum("ha,adrc->hdrc", shares, sectors)
@@ -403,20 +403,6 @@ class VolumePerception(eqx.Module):
 
         known: VolumeBelief = eqx.combine(jax.lax.cond(is_due, moved, lambda: rest), stored)
         return known
-
-    def _way_to_the_rest(self, belief: VolumeBelief, roads: VolumeRoads) -> Float[Array, "D H W"]:
-        """Return the cost of the nodes at the inner faces of the window as ends of a path [m]."""
-        assert belief.beyond is not None
-        rest = belief.beyond.toward_the_rest(
-            belief.grid, self._block, self.decay_length, self.min_information
-        )
-        shape = roads.slowness.shape
-        # The robot keeps its clearance from the faces.
-        width = 1 + math.ceil(self.reach * belief.grid.resolution / roads.spacing)
-        at_face = near_faces(shape, belief.beyond.place(belief.grid.shape).is_inner, width)
-        read = jax.vmap(rest)(*(each.reshape(-1) for each in roads.places))
-        cost = read.reshape(shape)
-        return jnp.where(at_face & (cost < 0.5 * FAR), cost, jnp.inf)
 
     def roads(self, belief: VolumeBelief) -> VolumeRoads:
         """Return the lattice of the places at which the robot fits; tight ones cost double."""
