@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.build.volume import volume_shape
+from jaxplore.build.volume import build_sensors, volume_shape
 from jaxplore.cli import main
 from jaxplore.maps.files.volume_file import read_volume
 from jaxplore.settings.volume import GENERATED
@@ -117,6 +117,18 @@ def test_a_file_is_read_once_until_it_changes(room: Path, monkeypatch) -> None:
     # A finer grid of the same file is another volume.
     volume_shape(make_settings({"volume": str(room / "room.npy"), "resolution": 0.1}))
     assert len(read) == 3
+
+
+@pytest.mark.parametrize(
+    ("volume", "given", "degrees"),
+    [("forest", {}, 0.0), ("maze3d", {}, 20.0), ("maze3d", {"tilt_degrees": 0.0}, 0.0)],
+)
+def test_the_camera_of_a_maze_looks_up_to_its_upper_storey(
+    volume: str, given: dict[str, float], degrees: float
+) -> None:
+    settings = make_settings({"volume": volume, "camera": {"columns": 1, "rows": 1, **given}})
+    x, _, z = build_sensors(settings)[0].directions[:, 0]
+    assert np.degrees(np.arctan2(z, x)) == pytest.approx(degrees, abs=1e-3)
 
 
 def test_a_warning_is_one_line(tmp_path: Path, monkeypatch, capsys) -> None:

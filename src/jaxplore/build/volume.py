@@ -33,13 +33,20 @@ from jaxplore.planning.presets.volume import (
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.settings.own import is_own
-from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
+from jaxplore.settings.volume import (
+    GENERATED,
+    DepthCameraSettings,
+    VolumeSettings,
+    make_volume_settings,
+)
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.volume.observable import room_around
 from jaxplore.simulation.volume.scenario import VolumeScenario
 
 _HIGH = 5.6
 """Height of a generated maze, which has two storeys [m]."""
+_LOOKING_UP = 20.0
+"""Tilt of the camera in a generated maze, whose storeys are joined by holes in the floor [deg]."""
 _YAW = 0.6
 """Heading at the start of a generated volume [rad]."""
 
@@ -149,15 +156,21 @@ def build_sensors(settings: VolumeSettings) -> tuple[VolumeSensor, ...]:
     camera, lidar = settings.camera, settings.lidar
     # `arguments` returns angles in degrees, as settings have them.
     if camera is not None:
-        given = arguments(camera, DepthCamera)
-        angles = ("field_of_view", "vertical_view", "tilt")
-        sensors.append(DepthCamera(**_in_radians(given, angles)))
+        given = _in_radians(arguments(camera, DepthCamera), ("field_of_view", "vertical_view"))
+        sensors.append(DepthCamera(**given, tilt=math.radians(_tilt_degrees(settings, camera))))
     if lidar is not None:
         given = arguments(lidar, RingLidar)
         sensors.append(RingLidar(**_in_radians(given, ("field_of_view", "lowest", "highest"))))
     if not sensors:
         raise ValueError("settings camera and lidar are null; accepted: one of them, or both")
     return tuple(sensors)
+
+
+def _tilt_degrees(settings: VolumeSettings, camera: DepthCameraSettings) -> float:
+    """Return the tilt of the camera [deg]."""
+    if camera.tilt_degrees is not None:
+        return camera.tilt_degrees
+    return _LOOKING_UP if GENERATED.get(settings.volume) == "maze" else 0.0
 
 
 def _in_radians(given: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:

@@ -98,14 +98,20 @@ class VolumeRobotSettings(Section):
 
 
 class DepthCameraSettings(Section):
-    """The depth camera: see `jaxplore.DepthCamera`."""
+    """The depth camera: see `jaxplore.DepthCamera`.
+
+    Args:
+        tilt_degrees: pitch of the middle of the view, negative downwards [deg]; level when absent,
+            and 20 deg upwards in a generated maze, where a level camera would not see enough of the
+            storey above to fly there.
+    """
 
     columns: Pixels = setting(DepthCamera, "columns")
     rows: Pixels = setting(DepthCamera, "rows")
     max_range: Range = setting(DepthCamera, "max_range")
     field_of_view_degrees: ViewDegrees = setting(DepthCamera, "field_of_view", in_degrees)
     vertical_view_degrees: ViewDegrees = setting(DepthCamera, "vertical_view", in_degrees)
-    tilt_degrees: Annotated[float, Field(ge=-90, le=90)] = setting(DepthCamera, "tilt", in_degrees)
+    tilt_degrees: Annotated[float, Field(ge=-90, le=90)] | None = None
     range_noise: NonNegative = setting(DepthCamera, "range_noise")
     quadratic_noise: NonNegative = setting(DepthCamera, "quadratic_noise")
 
