@@ -169,7 +169,10 @@ def write_turntable(data: VolumeData, path: Path) -> None:
 
 
 def slices_figure(data: VolumeData) -> "Figure":
-    """Draw level slices of the map at a quarter, a half and three quarters of its height."""
+    """Draw level slices of the map at a quarter, a half and three quarters of its height.
+
+    The path is pale where another slice is nearer to it: there it may pass above or below a wall.
+    """
     from matplotlib.figure import Figure
 
     depth, height, width = data.world.shape
@@ -178,13 +181,16 @@ def slices_figure(data: VolumeData) -> "Figure":
     figure = Figure(figsize=(7.0, 0.4 + each * len(layers)))
     left, low = data.origin[:2]
     extent = (left, left + width * data.resolution, low, low + height * data.resolution)
-    path = data.positions
-    for number, layer in enumerate(layers, start=1):
+    path, heights = data.positions, data.origin[2] + (np.array(layers) + 0.5) * data.resolution
+    nearest = np.abs(path[:, 2:] - heights).argmin(axis=1)
+    for number, (layer, z) in enumerate(zip(layers, heights, strict=True), start=1):
         axes = figure.add_subplot(len(layers), 1, number)
         image = np.asarray(_slice_image(data.belief[layer], 1.0))
         axes.imshow(image, extent=extent)
-        axes.plot(path[:, 0], path[:, 1], color="#1f77b4", linewidth=1.0)
-        axes.set_title(f"z = {data.origin[2] + (layer + 0.5) * data.resolution:.2f} m", fontsize=9)
+        axes.plot(path[:, 0], path[:, 1], color="#1f77b4", linewidth=0.8, alpha=0.25)
+        near = np.where((nearest == number - 1)[:, None], path[:, :2], np.nan)
+        axes.plot(near[:, 0], near[:, 1], color="#1f77b4", linewidth=1.2)
+        axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")
     figure.tight_layout()
