@@ -101,9 +101,9 @@ class DepthCameraSettings(Section):
     """The depth camera: see `jaxplore.DepthCamera`.
 
     Args:
-        tilt_degrees: pitch of the middle of the view, negative downwards [deg]; level when absent,
-            and 20 deg upwards in a generated maze, where a level camera would not see enough of the
-            storey above to fly there.
+        tilt_degrees: pitch of the middle of the view, negative downwards [degrees]; level when
+            absent, and 20 degrees upwards in a generated maze, where a level camera would not see
+            enough of the storey above to fly there.
     """
 
     columns: Pixels = setting(DepthCamera, "columns")
