@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -33,12 +34,7 @@ from jaxplore.planning.presets.volume import (
 from jaxplore.sensing.volume import DepthCamera, RingLidar, VolumeSensor
 from jaxplore.settings.defaults import arguments, parameter_default
 from jaxplore.settings.own import is_own
-from jaxplore.settings.volume import (
-    GENERATED,
-    DepthCameraSettings,
-    VolumeSettings,
-    make_volume_settings,
-)
+from jaxplore.settings.volume import GENERATED, VolumeSettings, make_volume_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.volume.observable import room_around
 from jaxplore.simulation.volume.scenario import VolumeScenario
@@ -156,8 +152,15 @@ def build_sensors(settings: VolumeSettings) -> tuple[VolumeSensor, ...]:
     camera, lidar = settings.camera, settings.lidar
     # `arguments` returns angles in degrees, as settings have them.
     if camera is not None:
-        given = _in_radians(arguments(camera, DepthCamera), ("field_of_view", "vertical_view"))
-        sensors.append(DepthCamera(**given, tilt=math.radians(_tilt_degrees(settings, camera))))
+        given = arguments(camera, DepthCamera)
+        angles = ["field_of_view", "vertical_view"]
+        tilt = camera.tilt_degrees
+        if tilt is None and GENERATED.get(settings.volume) == "maze":
+            tilt = _LOOKING_UP
+        if tilt is not None:
+            given["tilt"] = tilt
+            angles.append("tilt")
+        sensors.append(DepthCamera(**_in_radians(given, angles)))
     if lidar is not None:
         given = arguments(lidar, RingLidar)
         sensors.append(RingLidar(**_in_radians(given, ("field_of_view", "lowest", "highest"))))
@@ -166,14 +169,7 @@ def build_sensors(settings: VolumeSettings) -> tuple[VolumeSensor, ...]:
     return tuple(sensors)
 
 
-def _tilt_degrees(settings: VolumeSettings, camera: DepthCameraSettings) -> float:
-    """Return the tilt of the camera [deg]."""
-    if camera.tilt_degrees is not None:
-        return camera.tilt_degrees
-    return _LOOKING_UP if GENERATED.get(settings.volume) == "maze" else 0.0
-
-
-def _in_radians(given: dict[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+def _in_radians(given: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
     return {**given, **{name: math.radians(given[name]) for name in names}}
 
 
