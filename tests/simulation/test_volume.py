@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import ImageColor
 
 import jaxplore as jx
 from jaxplore.costs import (
@@ -20,6 +21,7 @@ from jaxplore.costs import (
 )
 from jaxplore.dynamics.quadrotor import attitude_upwards, position_upwards
 from jaxplore.maps.generators.volumes import START
+from jaxplore.report.volume.recording import PALE, TRAIL
 from jaxplore.simulation.loop import run_chunk
 
 SIDE = 0.2
@@ -103,6 +105,26 @@ def test_its_folder_has_pictures_and_is_read_again(run, tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.occupied((12, 20, 30)), run.recording.belief == 2)
     assert frame.plan.shape == (21, 3)
     np.testing.assert_allclose(frame.plan[0], run.recording.positions[-1], atol=0.3)
+
+
+def test_a_trail_is_pale_in_a_slice_that_it_is_not_near(run, monkeypatch) -> None:
+    recording, frame = run.recording, run.recording.frames[-1]
+    colours = [ImageColor.getrgb(each) for each in (TRAIL, PALE)]
+
+    def counts() -> list[int]:
+        picture = np.asarray(recording.frame_image(frame))
+        level = picture[: picture.shape[1] * frame.level.shape[0] // frame.level.shape[1]]
+        return [int((level == colour).all(axis=-1).sum()) for colour in colours]
+
+    near, pale = counts()
+    assert near > 0 == pale
+    # At the time of the frame the robot is 2 m higher than at all times before it.
+    positions = recording.positions.copy()
+    positions[: frame.step, 2] -= 2.0
+    monkeypatch.setattr(type(recording), "positions", property(lambda _: positions))
+    beyond, pale = counts()
+    assert beyond < near
+    assert pale > 0
 
 
 def test_a_replay_shows_its_voxels_in_space(run) -> None:

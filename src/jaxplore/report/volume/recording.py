@@ -31,6 +31,10 @@ WIDTH = 640
 """Width of a frame [pixels]."""
 GAP = 8
 """Height of the gap between the two slices [pixels]."""
+BESIDE = 0.7
+"""Distance from a slice through the robot beyond which its trail is pale [m]."""
+TRAIL, PALE, PLAN = "#1f77b4", "#b9d3e6", "#d62728"
+"""Colours of the trail, of its parts that are not near the slice, and of the plan."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
@@ -45,7 +49,10 @@ class VolumeRecording(VolumeData, Recording):
         return compute_volume_metrics(self, seed=seed)
 
     def frame_image(self, frame: VolumeFrame, *, scale: float = 1.0) -> Image.Image:
-        """Draw a level slice at the height of the robot, and below it a vertical one through it."""
+        """Draw a level slice at the height of the robot, and below it a vertical one through it.
+
+        The trail is pale where it is not near the slice: there it may pass behind a wall.
+        """
         pixels = scale * WIDTH / self.world.shape[2]
         level = _slice_image(frame.level, pixels)
         upright = _slice_image(frame.upright, pixels)
@@ -60,16 +67,17 @@ class VolumeRecording(VolumeData, Recording):
         side = [(x, size[1] - z) for x, _, z in points.tolist()]
         plan = (frame.plan[:, :2] - self.origin[:2]) / self.resolution * pixels
         radius = self.robot_radius / self.resolution * pixels
-        for line, colour in ((trail, "#1f77b4"), (side, "#1f77b4")):
-            if len(line) > 1:
-                draw.line(line, fill=colour, width=max(1, round(2 * scale)))
+        width = max(1, round(2 * scale))
+        is_near = np.abs(points - points[-1]) <= BESIDE / self.resolution * pixels
+        for line, axis in ((trail, 2), (side, 1)):
+            draw.line(line, fill=PALE, width=width)
+            for part in _runs(is_near[:, axis]):
+                draw.line(line[part], fill=TRAIL, width=width)
         if len(plan) > 1:
             ahead = [(x, level.height - y) for x, y in plan.tolist()]
-            draw.line(ahead, fill="#d62728", width=max(1, round(2 * scale)))
+            draw.line(ahead, fill=PLAN, width=width)
         for x, y in (trail[-1], side[-1]):
-            draw.ellipse(
-                (x - radius, y - radius, x + radius, y + radius), outline="#d62728", width=2
-            )
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), outline=PLAN, width=2)
         return picture
 
     def figures(self) -> dict[str, Callable[[], "Figure"]]:
@@ -104,6 +112,12 @@ class VolumeRecording(VolumeData, Recording):
         }
 
 
+def _runs(mask: np.ndarray) -> list[slice]:
+    """Return the parts of a sequence in which a mask is true."""
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [slice(begin, end) for begin, end in changes.reshape(-1, 2).tolist()]
+
+
 def _slice_image(states: np.ndarray, pixels: float) -> Image.Image:
     """Draw a slice whose first row is the lowest."""
     pixels_of = np.array([colours.UNKNOWN, colours.FREE, colours.OCCUPIED], np.uint8)
@@ -125,8 +139,8 @@ def volume_figure(data: VolumeData) -> "Figure":
     x, y, z = surface_points(data).T
     axes.scatter(x, y, z, c=z, cmap="viridis", s=4.0, alpha=0.6, linewidths=0.0)
     path = data.positions
-    axes.plot(*path.T, color="#d62728", linewidth=1.5)
-    axes.scatter(*path[0], color="#d62728", marker="o", s=20)
+    axes.plot(*path.T, color=PLAN, linewidth=1.5)
+    axes.scatter(*path[0], color=PLAN, marker="o", s=20)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
     axes.set_zlabel("z [m]")
@@ -187,9 +201,9 @@ def slices_figure(data: VolumeData) -> "Figure":
         axes = figure.add_subplot(len(layers), 1, number)
         image = np.asarray(_slice_image(data.belief[layer], 1.0))
         axes.imshow(image, extent=extent)
-        axes.plot(path[:, 0], path[:, 1], color="#1f77b4", linewidth=0.8, alpha=0.25)
+        axes.plot(path[:, 0], path[:, 1], color=TRAIL, linewidth=0.8, alpha=0.25)
         near = np.where((nearest == number - 1)[:, None], path[:, :2], np.nan)
-        axes.plot(near[:, 0], near[:, 1], color="#1f77b4", linewidth=1.2)
+        axes.plot(near[:, 0], near[:, 1], color=TRAIL, linewidth=1.2)
         axes.set_title(f"z = {z:.2f} m", fontsize=9)
         axes.set_ylabel("y [m]")
     axes.set_xlabel("x [m]")
@@ -204,7 +218,7 @@ def coverage_figure(data: VolumeData) -> "Figure":
     figure = Figure(figsize=(7.0, 3.5))
     axes = figure.add_subplot()
     coverage = np.concatenate([[data.initial_coverage], data.records.coverage])
-    axes.plot(data.time, 100.0 * coverage, color="#1f77b4")
+    axes.plot(data.time, 100.0 * coverage, color=TRAIL)
     axes.axhline(100.0 * data.target_coverage, color="0.6", linestyle="--", linewidth=1.0)
     axes.set_xlabel("time [s]")
     axes.set_ylabel("volume known [%]")
