@@ -127,3 +127,31 @@ def test_a_run_keeps_copies_and_not_the_buffers_of_the_loop(monkeypatch) -> None
     np.testing.assert_array_equal(found.records.state[:, 0], np.arange(3000))
     # Of 300 steps that were timed one at a time, evenly spaced ones are kept.
     assert 10 <= len(found.timing.step_seconds) <= 20
+
+
+@pytest.mark.parametrize(("chunk", "interval"), [(50, 10), (13, 1000), (3, 4)])
+def test_revisions_do_not_depend_on_chunks_or_frames(chunk: int, interval: int) -> None:
+    """The state is a pair: steps done, and when it was revised."""
+    blank = np.zeros((chunk, 1), np.float32)
+
+    def run(state: tuple[int, tuple[int, ...]], steps: Any) -> tuple[Any, np.ndarray, Any]:
+        return (state[0] + int(steps), state[1]), blank, steps
+
+    def revise(state: tuple[int, tuple[int, ...]]) -> tuple[int, tuple[int, ...]]:
+        return state[0], (*state[1], state[0])
+
+    found = run_in_chunks(
+        run,
+        lambda state: jnp.array(state[0] < 69),
+        lambda state, step: step,
+        (0, ()),
+        began=time.perf_counter(),
+        limit=100,
+        chunk=chunk,
+        interval=interval,
+        on_chunk=lambda _: chunk,
+        revise=revise,
+        revise_every=7,
+    )
+    # The finished state is not revised any more.
+    assert found.state[1] == tuple(range(7, 69, 7))

@@ -136,6 +136,17 @@ def record_experiments(
             for i, (one, done) in enumerate(zip(experiments, steps, strict=True))
         )
 
+    every = scenario.steps_per_revision
+
+    def revise(batch: RunBatch) -> RunBatch:
+        runs = (_run_at(batch.states, i) for i in range(len(experiments)))
+        unfinished = np.asarray(_unfinished(stacked, batch.states))
+        alone = [
+            one.scenario.revised(state) if is_left else state
+            for one, state, is_left in zip(experiments, runs, unfinished, strict=True)
+        ]
+        return batch._replace(states=jax.tree.map(lambda *each: jnp.stack(each), *alone))
+
     together = run_in_chunks(
         run,
         lambda batch: jnp.any(_unfinished(stacked, batch.states)),
@@ -146,6 +157,8 @@ def record_experiments(
         chunk=chunk,
         interval=max(1, round(FRAME_SECONDS / scenario.period)),
         on_chunk=lambda _: chunk,
+        revise=revise if every else None,
+        revise_every=every or 0,
     )
     recordings = tuple(
         scenario.recording(controller, _run_at(before.states, i).task, _alone(together, i))

@@ -227,6 +227,8 @@ def run_in_chunks[S, R, F](
     interval: int,
     on_chunk: Callable[[Chunk[S, R]], int],
     former: ChunkedRun[S, R, F] | None = None,
+    revise: Callable[[S], S] | None = None,
+    revise_every: int = 0,
 ) -> ChunkedRun[S, R, F]:
     """Run a loop chunk by chunk until the task is finished or the steps are done.
 
@@ -246,6 +248,9 @@ def run_in_chunks[S, R, F](
             0 to end the run, as Ctrl-C does.
         former: the part of the run that is done, which ended in `state`; None to start. The result
             is the whole run.
+        revise: function from a state to a state, see `Scenario.revised`; none when absent.
+        revise_every: number of steps between two calls of it. They depend on nothing else, so that
+            a run is the same with every length of chunks.
     """
 
     def advance(current: S, steps: int) -> tuple[S, Any, int, float]:
@@ -275,6 +280,8 @@ def run_in_chunks[S, R, F](
             chunks += 1
             pieces = []
             steps = min(longest, frames.next - total, limit - total)
+            if revise is not None:
+                steps = min(steps, revise_every - total % revise_every)
             stepwise = chunks % STEPWISE_CHUNKS == 0
             for size in [1] * steps if stepwise else [steps]:
                 state, rows, done, seconds = advance(state, size)
@@ -284,6 +291,8 @@ def run_in_chunks[S, R, F](
                 finished = not bool(is_unfinished(state))
                 if finished:
                     break
+            if revise is not None and total % revise_every == 0 and not finished:
+                state = revise(state)
             # Frames are made at the end of a chunk only: the compiled loop does not return to
             # Python within.
             frames.add_when_due(state, total)

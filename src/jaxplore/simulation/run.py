@@ -388,6 +388,8 @@ def _closed_loop(
             interval=max(1, round(FRAME_SECONDS / period)),
             on_chunk=report,
             former=None if former is None else former.loop,
+            revise=scenario.revised if scenario.steps_per_revision else None,
+            revise_every=scenario.steps_per_revision or 0,
         )
         recording = scenario.recording(watch.controller, initial.task, done)
     finally:

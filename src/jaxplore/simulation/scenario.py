@@ -251,6 +251,22 @@ class Scenario(eqx.Module):
         frame = self.frame_type(step=step, time=step * self.period, **fields)
         return frame.moved(self.datum.offset, self.robot.state_names)
 
+    @property
+    def steps_per_revision(self) -> int | None:
+        """Control periods between two calls of `revised`; None, the default, for no call."""
+        return None
+
+    def revised(self, state: LoopState) -> LoopState:
+        """Return the state of the loop after work that is not compiled into it, on the host.
+
+        It is for what a library does, such as the optimisation of a pose graph. It is called
+        between compiled steps at `steps_per_revision`, so it depends on no length of chunks.
+
+        Args:
+            state: state of the loop after a step.
+        """
+        return state
+
     def progress(self, state: Any) -> tuple[float, str]:
         """Return the share of the task that is done, from 0 to 1, and a text for the progress
         bar."""
