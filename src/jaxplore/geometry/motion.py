@@ -1,0 +1,84 @@
+"""Compose and compare poses in the plane, with the derivatives that covariances need."""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import Pose, Scalar
+
+Points = Float[Array, "N 2"]
+Matrix = Float[Array, "3 3"]
+
+
+def wrapped(angle: Float[Array, "*N"]) -> Float[Array, "*N"]:
+    """Return angles in [-pi, pi] [rad]."""
+    return jnp.arctan2(jnp.sin(angle), jnp.cos(angle))
+
+
+def compose(pose: Pose, increment: Pose) -> Pose:
+    """Return the pose after a motion.
+
+        (x, y) + R(yaw) (dx, dy),   yaw + dyaw
+
+    Args:
+        pose: pose (x, y, yaw) [m, m, rad].
+        increment: motion (dx, dy, dyaw) in the frame of the pose.
+    """
+    sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
+    dx, dy, turn = jnp.unstack(increment)
+    return pose + jnp.stack([cos * dx - sin * dy, sin * dx + cos * dy, turn])
+
+
+def between(pose: Pose, other: Pose) -> Pose:
+    """Return the motion (dx, dy, dyaw) from a pose to another one, in the frame of the first.
+
+    `compose(pose, between(pose, other))` is the other pose; the turn is in [-pi, pi].
+    """
+    sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
+    dx, dy, turn = jnp.unstack(other - pose)
+    return jnp.stack([cos * dx + sin * dy, cos * dy - sin * dx, wrapped(turn)])
+
+
+def moved_covariance(pose: Pose, increment: Pose, covariance: Matrix, added: Matrix) -> Matrix:
+    """Return the covariance of a pose after an uncertain motion, to first order.
+
+        F P F' + G Q G',   F = d compose / d pose,   G = d compose / d increment
+
+    Args:
+        pose: pose (x, y, yaw) before the motion [m, m, rad].
+        increment: motion (dx, dy, dyaw) in its frame.
+        covariance: covariance P of the pose, in the world.
+        added: covariance Q of the motion, in the frame of the pose.
+    """
+    sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
+    dx, dy, _ = jnp.unstack(increment)
+    one, nothing = jnp.ones(()), jnp.zeros(())
+    by_pose = jnp.stack(
+        [
+            jnp.stack([one, nothing, -sin * dx - cos * dy]),
+            jnp.stack([nothing, one, cos * dx - sin * dy]),
+            jnp.stack([nothing, nothing, one]),
+        ]
+    )
+    turned = rotation(pose[2])
+    return by_pose @ covariance @ by_pose.T + turned @ added @ turned.T
+
+
+def rotation(yaw: Scalar) -> Matrix:
+    """Return the matrix (3, 3) that turns the position of a pose by an angle [rad]."""
+    sin, cos = jnp.sin(yaw), jnp.cos(yaw)
+    one, nothing = jnp.ones(()), jnp.zeros(())
+    return jnp.stack(
+        [
+            jnp.stack([cos, -sin, nothing]),
+            jnp.stack([sin, cos, nothing]),
+            jnp.stack([nothing, nothing, one]),
+        ]
+    )
+
+
+def placed(pose: Pose, points: Points) -> Points:
+    """Return points (N, 2) of the frame of a pose in the world [m]."""
+    sin, cos = jnp.sin(pose[2]), jnp.cos(pose[2])
+    x = cos * points[:, 0] - sin * points[:, 1] + pose[0]
+    y = sin * points[:, 0] + cos * points[:, 1] + pose[1]
+    return jnp.stack([x, y], axis=1)

@@ -1,0 +1,1 @@
+"""Where the robot is: odometry with errors, matching of scans, particle filters."""
