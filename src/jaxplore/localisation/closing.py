@@ -1,0 +1,217 @@
+"""Close loops: find stored scans that see a place again, and move all scans to fit.
+
+It runs on the host, between compiled steps: the search and the new surfaces are compiled, the pose
+graph is optimised by a library.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ArrayLike, Count, Pose, Scalar
+from jaxplore.geometry.motion import Matrix, between, compose, rotation
+from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
+from jaxplore.localisation.pose_graph import Graph, optimised
+from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
+from jaxplore.localisation.surface import EndPoints
+from jaxplore.sensing.beams import Beams
+
+PLACE = 4.0
+"""Way before and behind an old scan whose scans make up the place where it was taken [m]."""
+
+
+class _Found(NamedTuple):
+    """A scan matched to an old place: the motion from the old scan, in its frame."""
+
+    motion: Pose
+    covariance: Matrix
+    share: Scalar
+
+
+class LoopCloser(eqx.Module):
+    """Closes loops.
+
+    For a stored scan an old place is looked for: the nearest older scan within `reach`, more than
+    the memory of the localiser ago by way. The scan is matched to the surfaces of the scans around
+    it. If at least `least_share` of its points lie on them, the loop is closed. If the closed loops
+    contradict the poses by more than `tolerance`, the pose graph is optimised, and the surfaces are
+    made anew.
+
+    Args:
+        reach: greatest distance of an old scan [m].
+        spacing: way between scans for which places are looked for [m].
+        least_share: least share of a scan's points on the surfaces of the old place.
+        tolerance: greatest error of a closed loop that is left as it is [m].
+        matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
+
+    Raises:
+        ValueError: a number that is not positive, a share above 1.
+    """
+
+    reach: Scalar
+    spacing: Scalar
+    least_share: Scalar
+    tolerance: Scalar
+    matcher: ScanMatcher
+
+    def __init__(
+        self,
+        reach: ArrayLike = 4.0,
+        *,
+        spacing: ArrayLike = 1.0,
+        least_share: ArrayLike = 0.5,
+        tolerance: ArrayLike = 0.03,
+        matcher: ScanMatcher | None = None,
+    ) -> None:
+        self.reach = _checks.scalar("reach", reach, above=0.0)
+        self.spacing = _checks.scalar("spacing", spacing, above=0.0)
+        self.least_share = _checks.scalar("least_share", least_share, above=0.0, at_most=1.0)
+        self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
+        if matcher is None:
+            matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
+        self.matcher = matcher
+
+    def closed(
+        self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
+    ) -> LocaliserState | None:
+        """Look for places that the newest scans see again; return the state with moved scans.
+
+        The result has other poses of scans, of the robot and of surfaces. It is None if no scan has
+        moved; then `state.closures` may have changed all the same, see `examined`.
+
+        Args:
+            localiser: the localiser.
+            state: its state.
+            sensors: the sensors.
+        """
+        examined = self.examined(localiser, state, sensors)
+        return self.settled(localiser, examined, sensors)
+
+    def examined(
+        self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
+    ) -> LocaliserState:
+        """Return the state with the loops that the newest scans close; nothing has moved yet."""
+        number, closures = int(state.scans.number), state.closures
+        begin = int(closures.examined)
+        if begin >= number:
+            return state
+        poses, way = (np.asarray(each)[:number] for each in (state.scans.poses, state.scans.way))
+        closed = np.asarray(closures.pairs)[: int(closures.number), 1]
+        last = way[closed[-1]] if len(closed) else -np.inf
+        for newer in range(begin, number):
+            if way[newer] - last < float(self.spacing):
+                continue
+            old = way[newer] - way[:newer] > float(localiser.memory)
+            away = np.hypot(*(poses[:newer, :2] - poses[newer, :2]).T)
+            away = np.where(old, away, np.inf)
+            if not len(away) or away.min() > float(self.reach):
+                continue
+            older = int(away.argmin())
+            near = (np.abs(way - way[older]) <= PLACE) & (
+                way[newer] - way > float(localiser.memory)
+            )
+            place = np.flatnonzero(near)
+            found = _matched(
+                (self.matcher, localiser, tuple(sensors)),
+                state,
+                *(jnp.asarray(each, jnp.int32) for each in (place[0], place[-1] + 1, older, newer)),
+            )
+            if float(found.share) < float(self.least_share):
+                continue
+            closures = closures.with_loop(
+                jnp.asarray(older, jnp.int32),
+                jnp.asarray(newer, jnp.int32),
+                found.motion,
+                found.covariance,
+            )
+            last = way[newer]
+        closures = closures._replace(examined=jnp.asarray(number, jnp.int32))
+        return state._replace(closures=closures)
+
+    def settled(
+        self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
+    ) -> LocaliserState | None:
+        """Return the state whose scans fit the closed loops; None if they fit well enough."""
+        scans, closures = state.scans, state.closures
+        number, loops = int(scans.number), int(closures.number)
+        if not loops:
+            return None
+        poses = np.asarray(scans.poses)[:number]
+        pairs = np.asarray(closures.pairs)[:loops]
+        wanted = np.asarray(closures.motions)[:loops]
+        if _greatest_error(poses, pairs, wanted) <= float(self.tolerance):
+            return None
+        graph = Graph(
+            poses,
+            np.asarray(scans.motions)[1:number],
+            np.asarray(scans.covariances)[1:number],
+            pairs,
+            wanted,
+            np.asarray(closures.covariances)[:loops],
+        )
+        best = optimised(graph)
+        moved = np.asarray(scans.poses).copy()
+        moved[:number] = best.poses
+        if np.abs(best.poses[:, :2] - poses[:, :2]).max() <= 0.5 * float(self.tolerance):
+            return None
+        return _rebuilt(
+            (localiser, tuple(sensors)),
+            state,
+            jnp.asarray(moved, jnp.float32),
+            jnp.asarray(best.covariance, jnp.float32),
+        )
+
+
+def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:
+    """Return the greatest distance between measured and present motions of closed loops [m]."""
+    older, newer = poses[pairs[:, 0]], poses[pairs[:, 1]]
+    cos, sin = np.cos(older[:, 2]), np.sin(older[:, 2])
+    dx, dy = (newer - older)[:, :2].T
+    now = np.stack([cos * dx + sin * dy, cos * dy - sin * dx], axis=1)
+    return float(np.hypot(*(now - wanted[:, :2]).T).max())
+
+
+@eqx.filter_jit
+def _matched(
+    given: tuple[ScanMatcher, Localiser, tuple[Beams, ...]],
+    state: LocaliserState,
+    first: Count,
+    end: Count,
+    older: Count,
+    newer: Count,
+) -> _Found:
+    """Match a stored scan to the surfaces of others."""
+    matcher, localiser, sensors = given
+    place = localiser.surface_of(state, first, end, sensors)
+    scans = state.scans
+    ends = EndPoints.of(sensors[0], scans.scan(newer, sensors)[0])
+    old = scans.poses[older]
+    # The search decides; its prior only keeps Gauss-Newton from leaving where nothing holds it.
+    loose = jnp.diag(jnp.array([1.0, 1.0, 0.25]) ** 2)
+    match: ScanMatch = matcher(place, ends, scans.poses[newer], loose, scans.way[end - 1])
+    back = rotation(old[2]).T
+    covariance = back @ (match.covariance + floor()) @ back.T
+    return _Found(between(old, match.pose), covariance, match.share)
+
+
+@eqx.filter_jit
+def _rebuilt(
+    given: tuple[Localiser, tuple[Beams, ...]],
+    state: LocaliserState,
+    poses: Float[Array, "K 3"],
+    drift: Matrix,
+) -> LocaliserState:
+    """Return the state with other poses of the scans."""
+    localiser, sensors = given
+    last = state.scans.last
+    since = between(state.scans.poses[last], state.pose)
+    state = state._replace(
+        scans=state.scans._replace(poses=poses), pose=compose(poses[last], since), drift=drift
+    )
+    surface = localiser.surface_of(state, jnp.zeros((), jnp.int32), state.scans.number, sensors)
+    return state._replace(surface=surface)

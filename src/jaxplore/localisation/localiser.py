@@ -1,0 +1,213 @@
+"""Where a robot is: odometry between scans, matching of scans, and scans that are stored."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Count, Pose, Scalar
+from jaxplore.geometry.motion import Matrix, between, compose, moved_covariance, rotation
+from jaxplore.localisation.odometry import Odometry
+from jaxplore.localisation.scan_matching import ScanMatcher
+from jaxplore.localisation.stored_scans import Closures, StoredScans
+from jaxplore.localisation.surface import EndPoints, SurfaceMap
+from jaxplore.maps.frame import GridFrame
+from jaxplore.sensing.beams import Beams, Scan
+
+LEAST_MATCHED = 20
+"""Number of end points on known surfaces below which a scan does not correct the pose."""
+FLOOR = (0.002, 0.002, 0.0005)
+"""Least standard deviations of a motion between stored scans [m, m, rad]: errors of the map."""
+MOST_CLOSURES = 2048
+"""Greatest number of closed loops."""
+
+
+class LocaliserState(NamedTuple):
+    """What a localiser knows.
+
+    Args:
+        pose: estimated pose (x, y, yaw) [m, m, rad].
+        covariance: (3, 3) covariance of the motion since the last stored scan, in the world.
+        drift: (3, 3) covariance of the pose relative to the start, or to what closed loops say.
+        way: length of the robot's way by its odometry [m].
+        surface: surfaces seen of late.
+        scans: scans along the way.
+        closures: closed loops.
+        share: share of the newest scan that lies on known surfaces.
+    """
+
+    pose: Pose
+    covariance: Matrix
+    drift: Matrix
+    way: Scalar
+    surface: SurfaceMap
+    scans: StoredScans
+    closures: Closures
+    share: Scalar
+
+    @property
+    def uncertainty(self) -> Scalar:
+        """Standard deviation of the position relative to the map [m]: the root of the mean of its
+        variances along x and y."""
+        total = self.drift + self.covariance
+        return jnp.sqrt(0.5 * (total[0, 0] + total[1, 1]))
+
+
+class Localiser(eqx.Module):
+    """Estimates the pose of a robot by odometry and scans, while it maps.
+
+    Between scans the pose and its covariance follow the odometry. A scan is matched to the surfaces
+    that were seen of late (`SurfaceMap`), which corrects the pose; then it is added to them. Every
+    so often a scan is stored. Loops are closed outside of compiled code, see
+    `jaxplore.localisation.closing`, and move the stored scans.
+
+    Args:
+        odometry: errors of the odometry.
+        matcher: matches scans; with the default numbers when absent.
+        spacing: way after which a scan is stored [m].
+        turn: turn after which a scan is stored [rad].
+        memory: way after which surfaces no longer serve to match scans [m].
+        capacity: greatest number of stored scans; static.
+
+    Raises:
+        ValueError: a part of another class, a number that is not positive.
+    """
+
+    odometry: Odometry
+    matcher: ScanMatcher
+    spacing: Scalar
+    turn: Scalar
+    memory: Scalar
+    capacity: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        odometry: Odometry | None = None,
+        *,
+        matcher: ScanMatcher | None = None,
+        spacing: ArrayLike = 0.25,
+        turn: ArrayLike = 0.25,
+        memory: ArrayLike = 15.0,
+        capacity: int = 4096,
+    ) -> None:
+        _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+        _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
+        self.odometry = Odometry() if odometry is None else odometry
+        self.matcher = ScanMatcher() if matcher is None else matcher
+        self.spacing = _checks.scalar("spacing", spacing, above=0.0)
+        self.turn = _checks.scalar("turn", turn, above=0.0)
+        self.memory = _checks.scalar("memory", memory, above=0.0)
+        self.capacity = _checks.positive_int("capacity", capacity)
+
+    def init(
+        self, pose: Pose, frame: GridFrame, shape: tuple[int, int], sensors: Sequence[Beams]
+    ) -> LocaliserState:
+        """Return the state at the start.
+
+        Args:
+            pose: pose (x, y, yaw) of the start, which defines the frame of the map.
+            frame: pose and cell size of the map.
+            shape: its rows and columns.
+            sensors: the sensors; scans of the first one are matched.
+        """
+        nothing = jnp.zeros(())
+        return LocaliserState(
+            pose,
+            floor(),
+            jnp.zeros((3, 3)),
+            nothing,
+            SurfaceMap.empty(frame, shape, self.memory),
+            StoredScans.none(self.capacity, sensors),
+            Closures.none(MOST_CLOSURES),
+            nothing,
+        )
+
+    def predicted(self, state: LocaliserState, motion: Pose, elapsed: Scalar) -> LocaliserState:
+        """Return the state after a motion.
+
+        Args:
+            state: state before it.
+            motion: motion (dx, dy, dyaw) by the odometry, in the frame of the robot.
+            elapsed: time that it took [s].
+        """
+        added = self.odometry.covariance(motion, elapsed)
+        return state._replace(
+            pose=compose(state.pose, motion),
+            covariance=moved_covariance(state.pose, motion, state.covariance, added),
+            way=state.way + jnp.hypot(motion[0], motion[1]),
+        )
+
+    def corrected(
+        self, state: LocaliserState, scans: Sequence[Scan], sensors: Sequence[Beams]
+    ) -> LocaliserState:
+        """Return the state after scans: the pose corrected, and the surfaces of the first added.
+
+        Args:
+            state: state before the scans.
+            scans: a scan of each sensor.
+            sensors: the sensors.
+        """
+        ends = EndPoints.of(sensors[0], scans[0])
+        match = self.matcher(state.surface, ends, state.pose, state.covariance, state.way)
+        number = jnp.sum(ends.is_point, dtype=jnp.float32)
+        is_matched = match.share * number >= LEAST_MATCHED
+        pose = jnp.where(is_matched, match.pose, state.pose)
+        covariance = jnp.where(is_matched, match.covariance, state.covariance)
+        state = state._replace(
+            pose=pose,
+            covariance=covariance,
+            surface=state.surface.with_scan(pose, ends, state.way),
+            share=match.share,
+        )
+        return self._stored(state, scans)
+
+    def _stored(self, state: LocaliserState, scans: Sequence[Scan]) -> LocaliserState:
+        """Return the state with the scans stored if the robot has moved far enough."""
+        before = state.scans.poses[state.scans.last]
+        way = state.way - state.scans.way[state.scans.last]
+        motion = between(before, state.pose)
+        is_first = state.scans.number == 0
+        is_due = is_first | (way >= self.spacing) | (jnp.abs(motion[2]) >= self.turn)
+
+        back = rotation(before[2]).T
+        local = back @ (state.covariance + floor()) @ back.T
+        # Nothing was measured before the first scan.
+        local = jnp.where(is_first, floor(), local)
+        moved = jnp.where(is_first, 0.0, motion)
+        drift = moved_covariance(before, moved, state.drift, local)
+        stored = state.scans.with_scan(is_due, state.pose, moved, local, state.way, scans)
+        return state._replace(
+            scans=stored,
+            covariance=jnp.where(is_due, floor(), state.covariance),
+            drift=jnp.where(is_due & ~is_first, drift, state.drift),
+        )
+
+    def surface_of(
+        self, state: LocaliserState, first: Count, end: Count, sensors: Sequence[Beams]
+    ) -> SurfaceMap:
+        """Return the surfaces of stored scans alone, at their poses as estimated now.
+
+        Args:
+            state: state with the scans.
+            first: index of the first scan.
+            end: index behind the last one.
+            sensors: the sensors.
+        """
+        shape: tuple[int, int] = state.surface.sums.shape  # type: ignore[assignment]
+        empty = SurfaceMap.empty(state.surface.frame, shape, self.memory)
+        stored = state.scans
+
+        def add(index: Count, surface: SurfaceMap) -> SurfaceMap:
+            ends = EndPoints.of(sensors[0], stored.scan(index, sensors)[0])
+            return surface.with_scan(stored.poses[index], ends, stored.way[index])
+
+        surface: SurfaceMap = jax.lax.fori_loop(first, end, add, empty)
+        return surface
+
+
+def floor() -> Matrix:
+    """Return the least covariance (3, 3) of a motion."""
+    return jnp.diag(jnp.array(FLOOR) ** 2)

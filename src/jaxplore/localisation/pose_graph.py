@@ -1,0 +1,103 @@
+"""Optimise a pose graph: the most likely poses of scans, given motions and closed loops."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxplore._optional import import_optional
+
+HUBER = 1.345
+"""Residual of a closed loop in standard deviations beyond which its influence no longer grows."""
+
+
+class Graph(NamedTuple):
+    """A pose graph. Node 0 is fixed.
+
+    Args:
+        poses: (N, 3) poses (x, y, yaw) to start from [m, m, rad].
+        motions: (N - 1, 3) measured motion from each node to the next, in the frame of the first.
+        motion_covariances: (N - 1, 3, 3) their covariances.
+        pairs: (C, 2) indices of the nodes of the closed loops.
+        loops: (C, 3) measured motion from the first node of a pair to the second.
+        loop_covariances: (C, 3, 3) their covariances.
+    """
+
+    poses: np.ndarray
+    motions: np.ndarray
+    motion_covariances: np.ndarray
+    pairs: np.ndarray
+    loops: np.ndarray
+    loop_covariances: np.ndarray
+
+
+class Optimum(NamedTuple):
+    """Optimum of a pose graph.
+
+    Args:
+        poses: (N, 3) poses of the nodes.
+        covariance: (3, 3) covariance of the last node, in the world.
+        error: half the sum of the squared errors in standard deviations.
+    """
+
+    poses: np.ndarray
+    covariance: np.ndarray
+    error: float
+
+
+def optimised(graph: Graph) -> Optimum:
+    """Return the poses that minimise the squared errors of all motions and closed loops.
+
+        sum over motions of |e|^2 + sum over loops of huber(|e|),
+        e = Sigma^(-1/2) (between(pose_i, pose_j) - measured)
+
+    The Huber loss bounds the influence of a closed loop that is wrong. The minimum is that of GTSAM
+    by Levenberg and Marquardt's method.
+
+    Source: Lu and Milios, "Globally consistent range scan alignment for environment mapping",
+    Autonomous Robots 1997; Dellaert and Kaess, "Factor graphs for robot perception", 2017.
+
+    Args:
+        graph: the graph.
+
+    Raises:
+        ValueError: GTSAM is not installed.
+    """
+    library: Any = import_optional("gtsam", "slam")
+    factors, start = library.NonlinearFactorGraph(), library.Values()
+    for node, pose in enumerate(graph.poses.astype(float)):
+        start.insert(node, library.Pose2(*pose))
+    first = library.Pose2(*graph.poses[0].astype(float))
+    fixed = library.noiseModel.Constrained.All(3)
+    factors.add(library.PriorFactorPose2(0, first, fixed))
+    for node, (motion, covariance) in enumerate(
+        zip(graph.motions, graph.motion_covariances, strict=True)
+    ):
+        factors.add(_factor(library, node, node + 1, motion, _noise(library, covariance)))
+    for (i, j), motion, covariance in zip(
+        graph.pairs.tolist(), graph.loops, graph.loop_covariances, strict=True
+    ):
+        huber = library.noiseModel.mEstimator.Huber.Create(HUBER)
+        noise = library.noiseModel.Robust.Create(huber, _noise(library, covariance))
+        factors.add(_factor(library, i, j, motion, noise))
+    found = library.LevenbergMarquardtOptimizer(factors, start).optimize()
+    poses = np.array([_numbers(found.atPose2(node)) for node in range(len(graph.poses))])
+    covariance = np.zeros((3, 3))
+    if len(poses) > 1:
+        local = library.Marginals(factors, found).marginalCovariance(len(poses) - 1)
+        turn = np.eye(3)
+        cos, sin = np.cos(poses[-1, 2]), np.sin(poses[-1, 2])
+        turn[:2, :2] = [[cos, -sin], [sin, cos]]
+        covariance = turn @ local @ turn.T
+    return Optimum(poses, covariance, float(factors.error(found)))
+
+
+def _noise(library: Any, covariance: np.ndarray) -> Any:
+    return library.noiseModel.Gaussian.Covariance(covariance.astype(float))
+
+
+def _factor(library: Any, i: int, j: int, motion: np.ndarray, noise: Any) -> Any:
+    return library.BetweenFactorPose2(i, j, library.Pose2(*motion.astype(float)), noise)
+
+
+def _numbers(pose: Any) -> tuple[float, float, float]:
+    return pose.x(), pose.y(), pose.theta()

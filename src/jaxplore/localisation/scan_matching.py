@@ -1,0 +1,186 @@
+"""Match a scan to a map of surfaces: a correlative search, then Gauss-Newton with a covariance."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore import _checks
+from jaxplore._types import ArrayLike, Count, Pose, Scalar
+from jaxplore.geometry.motion import Matrix, placed
+from jaxplore.localisation.surface import EndPoints, SurfaceMap
+
+TIE = 1e-3
+"""Weight of the prior in the search: among poses that fit equally well the most likely one."""
+LEAST_STD = 0.01
+"""Least standard deviation of a residual [m]."""
+CHUNK = 64
+"""Number of poses whose scores are computed at once."""
+
+
+class ScanMatch(NamedTuple):
+    """Result of a match.
+
+    Args:
+        pose: pose (x, y, yaw) [m, m, rad].
+        covariance: its covariance (3, 3), in the world.
+        share: share of the end points that lie on a known surface, within twice `sigma`.
+        residual: weighted root mean square of the distances of the end points [m].
+    """
+
+    pose: Pose
+    covariance: Matrix
+    share: Scalar
+    residual: Scalar
+
+
+class ScanMatcher(eqx.Module):
+    """Finds the pose at which the end points of a scan lie on the surfaces of a map.
+
+    With d the signed distance of the map, T(p) the motion from the robot to the world and x_i the
+    end points, the search takes the pose of a lattice around the guess with the greatest score
+
+        mean over i of exp(-d(T(p) x_i)^2 / (2 sigma^2)) - 0.001 (p - p_0)' P^-1 (p - p_0)
+
+    Gauss-Newton then minimises the sum over i of w_i d(T(p) x_i)^2 / s^2 and the distance from the
+    guess, with the weights w_i = (1 + d^2 / sigma^2)^-2 of Geman and McClure. With J_i the gradient
+    of d(T(p) x_i) and s^2 the weighted mean of the squared distances, the covariance is
+
+        (sum over i of w_i J_i' J_i / s^2 + P^-1)^-1
+
+    Source: Olson, "Real-time correlative scan matching", ICRA 2009; Kohlbrecher et al., "A flexible
+    and scalable SLAM system with full 3D motion estimation", SSRR 2011.
+
+    Args:
+        sigma: distance at which an end point counts half as much or less [m].
+        steps: number of steps of the lattice to either side in each coordinate; static.
+        spacing: greatest spacing of the lattice along x and y [m]; it is the standard deviation of
+            the guess where that is less.
+        turn_spacing: greatest spacing of its yaw [rad], likewise.
+        search_points: number of end points in the search; static.
+        iterations: number of steps of Gauss-Newton; static.
+
+    Raises:
+        ValueError: a number that is not positive.
+    """
+
+    sigma: Scalar
+    spacing: Scalar
+    turn_spacing: Scalar
+    steps: int = eqx.field(static=True)
+    search_points: int = eqx.field(static=True)
+    iterations: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        sigma: ArrayLike = 0.1,
+        *,
+        steps: int = 3,
+        spacing: ArrayLike = 0.1,
+        turn_spacing: ArrayLike = 0.02,
+        search_points: int = 90,
+        iterations: int = 6,
+    ) -> None:
+        self.sigma = _checks.scalar("sigma", sigma, above=0.0)
+        self.spacing = _checks.scalar("spacing", spacing, above=0.0)
+        self.turn_spacing = _checks.scalar("turn_spacing", turn_spacing, above=0.0)
+        self.steps = _checks.positive_int("steps", steps)
+        self.search_points = _checks.positive_int("search_points", search_points)
+        self.iterations = _checks.positive_int("iterations", iterations)
+
+    def __call__(
+        self, surface: SurfaceMap, ends: EndPoints, guess: Pose, covariance: Matrix, way: Scalar
+    ) -> ScanMatch:
+        """Match a scan.
+
+        Where the result is not finite it is the guess, with a share of 0.
+
+        Args:
+            surface: the map.
+            ends: end points of the scan.
+            guess: pose (x, y, yaw) by the odometry [m, m, rad].
+            covariance: covariance (3, 3) of the guess, in the world.
+            way: length of the robot's way so far [m].
+        """
+        prior = jnp.linalg.inv(covariance)
+        start = self.search(surface, ends, guess, covariance, way)
+
+        def step(_: Count, pose: Pose) -> Pose:
+            normal, gradient, *_rest = self._system(surface, ends, pose, guess, prior, way)
+            better: Pose = pose - jnp.linalg.solve(normal, gradient)
+            return better
+
+        pose: Pose = jax.lax.fori_loop(0, self.iterations, step, start)
+        normal, _, share, residual = self._system(surface, ends, pose, guess, prior, way)
+        found = jnp.linalg.inv(normal)
+        is_finite = jnp.isfinite(pose).all() & jnp.isfinite(found).all()
+        return ScanMatch(
+            jnp.where(is_finite, pose, guess),
+            jnp.where(is_finite, found, covariance),
+            jnp.where(is_finite, share, 0.0),
+            jnp.where(is_finite, residual, jnp.inf),
+        )
+
+    def search(
+        self, surface: SurfaceMap, ends: EndPoints, guess: Pose, covariance: Matrix, way: Scalar
+    ) -> Pose:
+        """Return the pose of the lattice with the greatest score; arguments as in a call."""
+        offsets = self.offsets(covariance)
+        prior = jnp.linalg.inv(covariance)
+        few = ends.every(max(1, ends.points.shape[0] // self.search_points))
+        number = jnp.maximum(few.is_point.sum(dtype=jnp.float32), 1.0)
+
+        def score(offset: Pose) -> Scalar:
+            cells = jax.vmap(surface.frame.to_cell)(placed(guess + offset, few.points))
+            away = jax.vmap(surface.nearest, (0, None))(cells, way)
+            # Unknown cells are a band away, and count nothing.
+            near = jnp.where(away < surface.band, jnp.exp(-0.5 * (away / self.sigma) ** 2), 0.0)
+            fit = jnp.sum(jnp.where(few.is_point, near, 0.0)) / number
+            return fit - TIE * (offset @ prior @ offset)
+
+        scores: Array = jax.lax.map(score, offsets, batch_size=CHUNK)
+        return guess + offsets[jnp.argmax(scores)]
+
+    def offsets(self, covariance: Matrix) -> Float[Array, "K 3"]:
+        """Return the differences from the guess that the search tries.
+
+        Args:
+            covariance: covariance (3, 3) of the guess.
+        """
+        count = jnp.arange(-self.steps, self.steps + 1, dtype=jnp.float32)
+        lattice = jnp.stack(jnp.meshgrid(count, count, count, indexing="ij"), axis=-1)
+        greatest = jnp.stack([self.spacing, self.spacing, self.turn_spacing])
+        std = jnp.sqrt(jnp.diagonal(covariance))
+        offsets: Array = lattice.reshape(-1, 3) * jnp.minimum(std, greatest)
+        return offsets
+
+    def _system(
+        self,
+        surface: SurfaceMap,
+        ends: EndPoints,
+        pose: Pose,
+        guess: Pose,
+        prior: Matrix,
+        way: Scalar,
+    ) -> tuple[Matrix, Pose, Scalar, Scalar]:
+        """Return the normal matrix, the gradient, the share and the residual at a pose."""
+        points = placed(pose, ends.points)
+        away, slope, is_known = jax.vmap(surface.at, (0, None))(points, way)
+        # The map's own slope along a wall is noise, which would count as information.
+        own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
+        slope = jnp.where(ends.is_flat[:, None], own, slope)
+        arm = points - pose[:2]
+        by_yaw = slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]
+        rows = jnp.concatenate([slope, by_yaw[:, None]], axis=1)
+        is_used = ends.is_point & is_known
+        weight = jnp.where(is_used, (1.0 + (away / self.sigma) ** 2) ** -2, 0.0)
+        variance = jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0)
+        least = jnp.maximum(variance, LEAST_STD**2)
+        normal = jnp.einsum("n,ni,nj->ij", weight, rows, rows) / least + prior
+        gradient = (weight * away) @ rows / least + prior @ (pose - guess)
+        is_near = is_used & (jnp.abs(away) <= 2.0 * self.sigma)
+        number = jnp.maximum(ends.is_point.sum(dtype=jnp.float32), 1.0)
+        share = is_near.sum(dtype=jnp.float32) / number
+        return normal, gradient, share, jnp.sqrt(variance)
