@@ -25,6 +25,7 @@ from jaxplore import (
     dynamics,
     geometry,
     information,
+    localisation,
     maps,
     planning,
     sensing,
@@ -33,7 +34,7 @@ from jaxplore import (
 from wrong_types_methods import WRONG, methods, outcome, walk_method
 
 PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, planning, sensing)
-PACKAGES += (simulation,)
+PACKAGES += (simulation, localisation)
 
 RECORDS = {
     "Anomalies",
@@ -45,6 +46,7 @@ RECORDS = {
     "EnvironmentState",
     "Experiment",
     "InformationField",
+    "LikelihoodField",
     "HeadingField",
     "Metrics",
     "ObjectClasses",

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore._types import GridMask, Key, Pose, Scalar
-from jaxplore.geometry.motion import Points, placed
+from jaxplore.geometry.motion import placed
 from jaxplore.maps.clearance import clearance_field
 from jaxplore.maps.field import ScalarField
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 
-Poses = Float[Array, "N 3"]
+Poses = Float[Array, "K 3"]
+Points = Float[Array, "B 2"]
 
 
 class LikelihoodField(eqx.Module):
@@ -49,7 +50,7 @@ class LikelihoodField(eqx.Module):
         self,
         pose: Pose,
         points: Points,
-        is_counted: Bool[Array, " N"],
+        is_counted: Bool[Array, " B"],
         distance_std: Scalar,
         outlier_share: Scalar,
     ) -> Scalar:
@@ -64,8 +65,8 @@ class LikelihoodField(eqx.Module):
 
         Args:
             pose: pose (x, y, yaw) of the robot [m, m, rad].
-            points: ends (N, 2) of beams, in the frame of the robot [m].
-            is_counted: mask (N,) of the beams that count.
+            points: ends (B, 2) of beams, in the frame of the robot [m].
+            is_counted: mask (B,) of the beams that count.
             distance_std: standard deviation of the distance from a wall [m].
             outlier_share: least likelihood of a beam, that of one which fits nothing on the map.
         """

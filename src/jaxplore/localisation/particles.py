@@ -6,13 +6,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import LONGEST_RANGE, MOST_BEAMS, MOST_SAMPLES
 from jaxplore._types import ArrayLike, Flag, Key, Pose, Rows, Scalar, Vector
-from jaxplore.geometry.motion import Matrix, Points, compose, wrapped
-from jaxplore.localisation.likelihood_field import LikelihoodField, Poses
+from jaxplore.geometry.motion import Matrix, compose, wrapped
+from jaxplore.localisation.likelihood_field import LikelihoodField, Points, Poses
 from jaxplore.localisation.odometry import Odometry
 from jaxplore.localisation.resampling import (
     Weights,
@@ -20,7 +20,7 @@ from jaxplore.localisation.resampling import (
     indices_at,
     low_variance_indices,
 )
-from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OccupancyGrid
 
 CANDIDATES = 64
 """Number of particles around which the heaviest cluster is looked for."""
@@ -35,8 +35,8 @@ class Particles(NamedTuple):
     """A distribution of the pose, as a particle filter holds it.
 
     Args:
-        poses: poses (N, 3) as (x, y, yaw) [m, m, rad].
-        weights: weights (N,) of the poses, which add up to 1.
+        poses: poses (K, 3) as (x, y, yaw) [m, m, rad].
+        weights: weights (K,) of the poses, which add up to 1.
         slow: slow mean of how well scans fit, in [0, 1].
         fast: fast mean of the same.
     """
@@ -48,7 +48,7 @@ class Particles(NamedTuple):
 
     @property
     def effective_sample_size(self) -> Scalar:
-        """Return `1 / sum w^2`: N with equal weights, 1 if one particle has all."""
+        """Return `1 / sum w^2`: K with equal weights, 1 if one particle has all."""
         return effective_sample_size(self.weights)
 
 
@@ -83,7 +83,7 @@ class ParticleFilter(eqx.Module):
     because they share the errors of the map and of the model. So `num_beams` of them count like
     `temper * num_beams` independent ones. Beams without a return do not count.
 
-    If the effective sample size is below N / 2, particles are drawn anew by the low-variance
+    If the effective sample size is below K / 2, particles are drawn anew by the low-variance
     sampler. To recover from a wrong pose the filter compares how well scans fit now and before,
 
         fit = sum_i w_i L_i^(1 / number of beams),   slow += slow_rate (fit - slow),
@@ -91,7 +91,7 @@ class ParticleFilter(eqx.Module):
 
     and replaces each particle with the probability p. Both means begin at `usual_fit`, so that a
     robot that never knew its pose and settles at a wrong one is found as well. The new particles
-    are drawn from N random poses on free cells by their likelihood, of every fourth beam: with
+    are drawn from K random poses on free cells by their likelihood, of every fourth beam: with
     2000 particles in a room of 80 m^2, a robot that was carried away was found after 3 scans
     (median of 12 runs) instead of 13 with random poses alone.
 
@@ -107,7 +107,7 @@ class ParticleFilter(eqx.Module):
 
     Args:
         odometry: model of the odometry; `Odometry()` by default.
-        num_particles: number of particles, N.
+        num_particles: number of particles, K.
         num_beams: number of beams of a scan that count, evenly spread; all if a scan has fewer.
         max_distance: bound of the distance from a wall [m]; static. Three times `distance_std` are
             enough.
@@ -115,7 +115,7 @@ class ParticleFilter(eqx.Module):
         outlier_share: share of beams that end at nothing on the map, in (0, 1).
         temper: exponent of the likelihood, in (0, 1].
         usual_fit: fit of scans at the right pose that is expected before the first scan, in (0, 1].
-            With an exact map it is 0.9, and the less the more of what is seen is not on the map.
+            It was 0.93 in a simulated room and 0.73 in a real building, on a map of other scans.
         slow_rate: share of a scan in the slow mean of the fit, in [0, 1].
         fast_rate: share of a scan in the fast mean of the fit, in [0, 1].
         cluster_radius: greatest distance from the centre of a cluster [m].
@@ -183,7 +183,9 @@ class ParticleFilter(eqx.Module):
             ValueError: something else than an `OccupancyGrid`, or one without a free cell.
         """
         _kinds.instance("grid", grid, OccupancyGrid)
-        if not _kinds.is_traced(grid.probability) and not bool(grid.is_free.any()):
+        known = grid.probability
+        # In NumPy: while something else is traced, JAX traces what is made of known arrays too.
+        if not _kinds.is_traced(known) and not (np.asarray(known) < FREE_THRESHOLD).any():
             raise ValueError("grid has no free cell; accepted: a map with free cells")
         return LikelihoodField.of(grid, self.max_distance)
 
@@ -241,7 +243,7 @@ class ParticleFilter(eqx.Module):
         self,
         particles: Particles,
         points: Points,
-        is_return: Bool[Array, " N"],
+        is_return: Bool[Array, " B"],
         field: LikelihoodField,
         key: Key,
     ) -> Particles:
@@ -285,13 +287,13 @@ class ParticleFilter(eqx.Module):
         self,
         poses: Poses,
         points: Points,
-        is_counted: Bool[Array, " N"],
+        is_counted: Bool[Array, " B"],
         field: LikelihoodField,
     ) -> Weights:
-        """Return log L of all given beams for each pose (N,), not tempered.
+        """Return log L of all given beams for each pose (K,), not tempered.
 
         Args:
-            poses: poses (N, 3) [m, m, rad].
+            poses: poses (K, 3) [m, m, rad].
             points: ends (B, 2) of beams in the frame of the robot [m].
             is_counted: mask (B,) of the beams that count.
             field: known map.
@@ -333,9 +335,9 @@ class ParticleFilter(eqx.Module):
         return Particles(poses, weights, self.usual_fit, self.usual_fit)
 
     def _fitting_poses(
-        self, points: Points, is_counted: Bool[Array, " N"], field: LikelihoodField, key: Key
+        self, points: Points, is_counted: Bool[Array, " B"], field: LikelihoodField, key: Key
     ) -> Poses:
-        """Return poses (N, 3) that are drawn from N random ones by how well a scan fits."""
+        """Return poses (K, 3) that are drawn from K random ones by how well a scan fits."""
         keys = jax.random.split(key)
         poses = field.random_poses(self.num_particles, keys[0])
         few = points[::COARSE], is_counted[::COARSE]
@@ -348,8 +350,8 @@ class ParticleFilter(eqx.Module):
         return poses[low_variance_indices(weights, jax.random.uniform(keys[1], ()))]
 
     def _counted(
-        self, points: Points, is_return: Bool[Array, " N"]
-    ) -> tuple[Points, Bool[Array, " M"]]:
+        self, points: Points, is_return: Bool[Array, " B"]
+    ) -> tuple[Float[Array, "M 2"], Bool[Array, " M"]]:
         """Return the ends of the beams that count, and the mask of those that are valid."""
         chosen = np.linspace(0, len(points) - 1, min(self.num_beams, len(points))).round()
         index = chosen.astype(np.int32)
@@ -361,7 +363,7 @@ class ParticleFilter(eqx.Module):
         """Return a running mean after a scan, of which some beams must count."""
         return jnp.where(count > 0, mean + rate * (fit - mean), mean)
 
-    def _is_near(self, poses: Poses, centre: Pose) -> Bool[Array, " N"]:
+    def _is_near(self, poses: Poses, centre: Pose) -> Bool[Array, " K"]:
         """Return the mask of the poses that belong to the cluster around a pose."""
         away = poses - centre
         distance = jnp.hypot(away[:, 0], away[:, 1])

@@ -5,23 +5,23 @@ from jaxtyping import Array, Float, Int
 
 from jaxplore._types import Scalar
 
-Weights = Float[Array, " N"]
+Weights = Float[Array, " K"]
 
 
 def effective_sample_size(weights: Weights) -> Scalar:
-    """Return `1 / sum w^2`: N with equal weights, 1 if one particle has all."""
+    """Return `1 / sum w^2`: K with equal weights, 1 if one particle has all."""
     return 1.0 / (weights**2).sum()
 
 
-def low_variance_indices(weights: Weights, offset: Scalar) -> Int[Array, " N"]:
-    """Draw N particles by the low-variance sampler: particle i floor(N w_i) or ceil(N w_i) times.
+def low_variance_indices(weights: Weights, offset: Scalar) -> Int[Array, " K"]:
+    """Draw K particles by the low-variance sampler: particle i floor(K w_i) or ceil(K w_i) times.
 
-    Particle k is the first whose cumulative weight exceeds `(k + offset) / N`.
+    Draw j is the first particle whose cumulative weight exceeds `(j + offset) / K`.
 
     Source: Thrun, Burgard and Fox, "Probabilistic Robotics", 2005, table 4.4.
 
     Args:
-        weights: weights (N,), which add up to 1.
+        weights: weights (K,), which add up to 1.
         offset: random number that is uniform in [0, 1).
     """
     number = weights.shape[0]
@@ -32,7 +32,7 @@ def indices_at(weights: Weights, levels: Float[Array, " M"]) -> Int[Array, " M"]
     """Return the first particle (M,) whose cumulative weight exceeds each level in [0, 1).
 
     Args:
-        weights: weights (N,), which add up to 1.
+        weights: weights (K,), which add up to 1.
         levels: the levels (M,).
     """
     cumulative = jnp.cumsum(weights)
