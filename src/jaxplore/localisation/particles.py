@@ -91,13 +91,13 @@ class ParticleFilter(eqx.Module):
 
     and replaces each particle with the probability p. Both means begin at `usual_fit`, so that a
     robot that never knew its pose and settles at a wrong one is found as well. The new particles
-    are drawn from K random poses on free cells by their likelihood, of every fourth beam: with
-    2000 particles in a room of 80 m^2, a robot that was carried away was found after 3 scans
-    (median of 12 runs) instead of 13 with random poses alone.
+    are drawn from K random poses on free cells by their likelihood, of every fourth beam: with 500
+    particles in a hall of 80 m^2, a robot that was carried away was lost for 6 scans, in the mean
+    of 8 runs, instead of 19 with random poses alone.
 
-    All methods but `likelihood_field` and `init_around` are made to be traced. Nothing in them
-    raises: a motion that is not finite is none, a point that is not finite does not count, and a
-    pose that is not finite is replaced by a random one.
+    All methods may be traced, and mapped over several filters. `likelihood_field` and `init_around`
+    check what they are given if it is not traced. Nothing else raises: a motion that is not finite
+    is none, a point that is not finite does not count, and a pose that is not finite is replaced.
 
     Source: Thrun, Burgard and Fox, "Probabilistic Robotics", 2005: tables 4.4 (low-variance
     sampler), 6.3 (likelihood field) and 8.3 (augmented MCL). There the fit is the product over all
