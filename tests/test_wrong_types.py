@@ -139,6 +139,7 @@ RIGHT = {
     "get_parameters(controller=text)",
     "map_datum(path=text)",  # refused, as a file that is not there
     "mpcc(comfort_weight=None)",
+    "read_laser_log(path=text)",  # refused, as a file that is not there
 }
 """Calls of the walk whose argument is of an accepted type."""
 

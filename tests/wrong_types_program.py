@@ -25,6 +25,7 @@ from jaxplore import (
     dynamics,
     geometry,
     information,
+    localisation,
     maps,
     planning,
     sensing,
@@ -33,7 +34,7 @@ from jaxplore import (
 from wrong_types_methods import WRONG, methods, outcome, walk_method
 
 PACKAGES = (jx, belief, control, costs, dynamics, geometry, information, maps, planning, sensing)
-PACKAGES += (simulation,)
+PACKAGES += (simulation, localisation)
 
 RECORDS = {
     "Anomalies",
@@ -45,6 +46,7 @@ RECORDS = {
     "EnvironmentState",
     "Experiment",
     "InformationField",
+    "LikelihoodField",
     "HeadingField",
     "Metrics",
     "ObjectClasses",
@@ -120,6 +122,8 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     """
     (folder / "path.csv").write_text("x,y\n0,0\n2,0\n4,1\n")
     jx.OccupancyGrid(np.zeros((2, 3)), 0.5).to_ros(folder / "map.yaml")
+    scan = " ".join(["FLASER 180", *["1.0"] * 180, "0 0 0 0 0 0 1.0 host 1.0"])
+    (folder / "lidar.log").write_text(scan)
     robot = jx.DifferentialDrive()
     lidar = jx.Lidar(num_beams=8, max_range=2.0)
     grid = jx.OccupancyGrid(np.pad(np.zeros((10, 10)), 1, constant_values=1.0), 0.5)
@@ -301,6 +305,7 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "path_datum": {"path": str(folder / "path.csv")},
         "map_datum": {"path": str(folder / "map.yaml")},
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
+        "read_laser_log": {"path": str(folder / "lidar.log")},
         "read_volume": {"path": str(folder / "volume.npy")},
         "volume_explorer": {"robot": quadrotor},
         "volume_informative_mppi": {"robot": quadrotor, "perception": seen, "grid": volume},

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from jaxplore import dynamics as dynamics
     from jaxplore import geometry as geometry
     from jaxplore import information as information
+    from jaxplore import localisation as localisation
     from jaxplore import maps as maps
     from jaxplore import parameters as parameters
     from jaxplore import planning as planning
@@ -191,6 +192,7 @@ _PACKAGES = {
     ],
     "geometry": ["Path", "Rectangle", "path_through", "race_track", "sin_cos"],
     "information": ["FieldSensor", "PoseInformation", "TrajectoryInformation"],
+    "localisation": [],
     "maps": [
         "MovingObstacle",
         "OccupancyGrid",

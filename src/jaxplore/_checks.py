@@ -371,6 +371,13 @@ def covariances(
     return jnp.broadcast_to(given, (number, 2, 2))
 
 
+def covariance(name: str, value: Rows, size: int) -> Float[Array, "n n"]:
+    """Return `value` as a covariance matrix (size, size), which may be singular."""
+    given = array(name, value, (size, size))
+    _check_covariance(given, may_be_zero=True)
+    return given
+
+
 def isotropic(std: Float[Array, " N"]) -> Float[Array, "N 2 2"]:
     """Return isotropic covariances (N, 2, 2), `std^2 I`, for standard deviations (N,)."""
     return (std * std)[:, None, None] * jnp.eye(2)

@@ -6,6 +6,15 @@ from jaxplore.report.exploration.metrics import ExplorationMetrics as Exploratio
 from jaxplore.report.exploration.recording import ExplorationRecording as ExplorationRecording
 from jaxplore.report.following.metrics import PathMetrics as PathMetrics
 from jaxplore.report.following.recording import PathRecording as PathRecording
+from jaxplore.report.localisation import AbsoluteError as AbsoluteError
+from jaxplore.report.localisation import Alignment as Alignment
+from jaxplore.report.localisation import MapAgreement as MapAgreement
+from jaxplore.report.localisation import RelativeError as RelativeError
+from jaxplore.report.localisation import absolute_error as absolute_error
+from jaxplore.report.localisation import aligned as aligned
+from jaxplore.report.localisation import aligned_coverage as aligned_coverage
+from jaxplore.report.localisation import map_agreement as map_agreement
+from jaxplore.report.localisation import relative_error as relative_error
 from jaxplore.report.metrics import Column as Column
 from jaxplore.report.metrics import Curve as Curve
 from jaxplore.report.metrics import Metrics as Metrics

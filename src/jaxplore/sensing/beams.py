@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -80,6 +81,16 @@ class Scan(NamedTuple):
 
     ranges: Float[Array, " B"]
     is_return: Bool[Array, " B"]
+
+    def points(self, sensor: Beams) -> Float[Array, "B 2"]:
+        """Return the ends (B, 2) of the beams in the frame of the sensor [m].
+
+        Args:
+            sensor: sensor that the scan is of.
+        """
+        angles = sensor.beam_angles
+        ends = [self.ranges * np.cos(angles), self.ranges * np.sin(angles)]
+        return jnp.stack(ends, axis=1)
 
     @classmethod
     def from_ranges(
