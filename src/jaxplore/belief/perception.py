@@ -231,9 +231,8 @@ class Perception(eqx.Module):
         """
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
-        grid = freed_below(grid, pose, self.required_clearance, self.sensor_model)
-        closed = closed_cells(grid, self.ground)
-        clearance = clearance_field(closed, grid.frame, self.max_clearance)
+        grid = self.standing(grid, pose)
+        clearance = self._clearance(grid)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
@@ -254,6 +253,30 @@ class Perception(eqx.Module):
             idleness,
             anomalies,
         )
+
+    def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:
+        """Return a map with the cells under the robot free.
+
+        Args:
+            grid: the map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+        """
+        return freed_below(grid, pose, self.required_clearance, self.sensor_model)
+
+    def remapped(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+        """Return the belief with another map, all of whose fields are made anew.
+
+        The time that the robot spent at each place and the idleness stay as they are.
+
+        Args:
+            belief: belief with the former map.
+            grid: the map, with the cells of the former one.
+            pose: present pose (x, y, yaw) of the robot [m, m, rad].
+        """
+        clearance = self._clearance(grid)
+        changed = dataclasses.replace(belief, grid=grid, clearance=clearance)
+        information = self._information(grid, belief.idleness, None)
+        return self._derived(changed, information, belief.dwell, pose)
 
     def observe(
         self,
@@ -337,13 +360,23 @@ class Perception(eqx.Module):
         # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
+        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
+        return self._derived(belief, information, dwell, pose)
+
+    def _clearance(self, grid: OccupancyGrid) -> ScalarField:
+        closed = closed_cells(grid, self.ground)
+        return clearance_field(closed, grid.frame, self.max_clearance)
+
+    def _derived(
+        self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
+    ) -> Belief:
+        """Return the belief with the fields that follow from its map and the information."""
         if self.anomalies is not None and belief.anomalies is not None:
             information = self.anomalies.attended(belief.anomalies, information, belief.grid)
         if self.recognition is not None and belief.objects is not None:
             information = self.recognition.informed(
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
-        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         guidance, is_explored = self._guided(
             belief.grid, belief.clearance, information, dwell, pose
         )

@@ -9,6 +9,7 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
+from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import (
     build_chassis,
     build_faults,
@@ -96,6 +97,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
         chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
+        localisation=build_localisation(settings.localisation),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
         **arguments(settings, ExplorationScenario),
