@@ -109,6 +109,7 @@ class LocalisationData(NamedTuple):
     Args:
         true_poses: (N, 3) true poses at the stored scans [m, m, rad].
         poses: (N, 3) poses that the robot estimated for them at the end of the run.
+        reckoned: (N, 3) poses by the odometry alone.
         way: (N,) length of its way by its odometry [m].
         reference: (H, W) map that the same scans give at the true poses.
         num_loops: number of loops that were closed.
@@ -116,6 +117,7 @@ class LocalisationData(NamedTuple):
 
     true_poses: np.ndarray
     poses: np.ndarray
+    reckoned: np.ndarray
     way: np.ndarray
     reference: np.ndarray
     num_loops: int
@@ -123,7 +125,9 @@ class LocalisationData(NamedTuple):
     def moved(self, offset: np.ndarray) -> "LocalisationData":
         """Return the data with an offset (2,) [m] added to positions."""
         return self._replace(
-            true_poses=moved(self.true_poses, offset), poses=moved(self.poses, offset)
+            true_poses=moved(self.true_poses, offset),
+            poses=moved(self.poses, offset),
+            reckoned=moved(self.reckoned, offset),
         )
 
 

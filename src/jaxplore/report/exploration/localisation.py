@@ -18,6 +18,8 @@ from jaxplore.report.localisation import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+ESTIMATE = "#7b2d8b"
+"""Colour of where the robot took itself to be."""
 RPE_LENGTH = 5.0
 """Length of the pieces of the relative pose error [m]."""
 
@@ -25,7 +27,15 @@ RPE_LENGTH = 5.0
 def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
     """Return the metrics of the localisation, as in `ExplorationMetrics`."""
     found = recording.localisation
-    names = ("ate", "rpe", "map_iou", "double_walls", "aligned_coverage", "num_loops")
+    names = (
+        "ate",
+        "odometry_ate",
+        "rpe",
+        "map_iou",
+        "double_walls",
+        "aligned_coverage",
+        "num_loops",
+    )
     if found is None or not len(found.poses):
         return dict.fromkeys(names)
     origin, side = np.asarray(recording.origin, np.float64), recording.resolution
@@ -38,6 +48,7 @@ def localisation_metrics(recording: ExplorationData) -> dict[str, Any]:
     agreement = map_agreement(grid(found.reference), grid(recording.belief), motion)
     return {
         "ate": absolute_error(found.true_poses, found.poses).rms,
+        "odometry_ate": absolute_error(found.true_poses, found.reckoned).rms,
         "rpe": None if relative is None else relative.translation,
         "map_iou": agreement.iou,
         "double_walls": agreement.double_walls,
@@ -56,7 +67,9 @@ def add_estimate(axes: "Axes", recording: ExplorationData, window: Window) -> No
     found = recording.localisation
     if found is None or not len(found.poses):
         return
-    track = window.place(found.poses[:, :2]) + window.corner
-    axes.plot(
-        *track.T, color="#d1495b", linewidth=1.0, linestyle="--", zorder=4.0, label="estimated way"
-    )
+    for poses, style, label in (
+        (found.reckoned, ":", "by odometry alone"),
+        (found.poses, "--", "estimated way"),
+    ):
+        track = window.place(poses[:, :2]) + window.corner
+        axes.plot(*track.T, color=ESTIMATE, linewidth=1.1, linestyle=style, zorder=4.0, label=label)

@@ -94,6 +94,7 @@ class ExplorationMetrics(Metrics):
             `true_label` and `is_true`; None without a detector.
         ate: absolute trajectory error of a robot that localised itself, root mean square after the
             alignment [m]; None if it knew its pose, as are the ones below.
+        odometry_ate: the same error of the odometry alone [m].
         rpe: relative pose error over 5 m, root mean square of the position [m].
         map_iou: intersection over union of the occupied cells of the aligned map and of the map of
             the same scans at the true poses, to within a cell.
@@ -155,6 +156,7 @@ class ExplorationMetrics(Metrics):
     class_entropy: float | None
     labels: list[dict[str, Any]] | None
     ate: float | None = None
+    odometry_ate: float | None = None
     rpe: float | None = None
     map_iou: float | None = None
     double_walls: float | None = None
@@ -364,7 +366,8 @@ class ExplorationMetrics(Metrics):
         shares = percent(self.map_iou), percent(self.double_walls)
         return [
             ("trajectory error", f"{self.ate:.3f} m, {text(self.rpe, 3)} m over 5 m"),
-            ("map", f"{shares[0]} of the walls in place, {shares[1]} double"),
+            ("  of odometry", f"{text(self.odometry_ate, 2)} m"),
+            ("walls", f"{shares[0]} in place, {shares[1]} double"),
             ("aligned coverage", f"{percent(self.aligned_coverage)}"),
             ("loops", f"{self.num_loops} closed"),
         ]

@@ -15,7 +15,7 @@ from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose
-from jaxplore.localisation.closing import LoopCloser
+from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.localisation.odometry import Odometry, OdometryBias
 from jaxplore.maps.occupancy_grid import OccupancyGrid
@@ -36,6 +36,8 @@ class Located(NamedTuple):
         bias: errors of the odometry in this run.
         key: random key of its noise.
         true_poses: (K, 3) true poses of the stored scans.
+        reckoned: pose by the odometry alone.
+        reckoned_poses: (K, 3) poses of the stored scans by the odometry alone.
         reference: (H, W) map that the same scans give at the true poses.
     """
 
@@ -43,6 +45,8 @@ class Located(NamedTuple):
     bias: OdometryBias
     key: Key
     true_poses: Float[Array, "K 3"]
+    reckoned: Pose
+    reckoned_poses: Float[Array, "K 3"]
     reference: GridValues
 
     def recorded(self, pose: Pose) -> dict[str, Scalar]:
@@ -116,6 +120,8 @@ class Localisation(eqx.Module):
             self.odometry.draw(drawn),
             jax.random.key(0) if drawn is None else jax.random.fold_in(drawn, 1),
             known.scans.poses,
+            pose,
+            known.scans.poses,
             grid.probability,
         )
 
@@ -133,7 +139,10 @@ class Localisation(eqx.Module):
         """
         key = jax.random.fold_in(located.key, step)
         motion = self.odometry.measure(between(before, after), period, located.bias, key)
-        return located._replace(known=self.localiser.predicted(located.known, motion, period))
+        return located._replace(
+            known=self.localiser.predicted(located.known, motion, period),
+            reckoned=compose(located.reckoned, motion),
+        )
 
     def scanned(
         self, located: Located, scans: Sequence[Scan], sensors: Sequence[Sensor], pose: Pose
@@ -147,11 +156,12 @@ class Localisation(eqx.Module):
             pose: true pose of the robot.
         """
         known = self.localiser.corrected(located.known, scans, sensors)
-        # The newest place is written again and again until the next scan is stored.
         is_new = known.scans.number > located.known.scans.number
         at = jnp.where(is_new, known.scans.last, known.scans.capacity)
         return located._replace(
-            known=known, true_poses=located.true_poses.at[at].set(pose, mode="drop")
+            known=known,
+            true_poses=located.true_poses.at[at].set(pose, mode="drop"),
+            reckoned_poses=located.reckoned_poses.at[at].set(located.reckoned, mode="drop"),
         )
 
     def judged(
@@ -206,6 +216,8 @@ class Localisation(eqx.Module):
         if self.closer is None:
             return located, belief
         sensors = perception.sensors
+        if is_nearly_full(located.known):
+            located = _thinned(located)
         known = self.closer.examined(self.localiser, located.known, sensors)
         settled = self.closer.settled(self.localiser, known, sensors)
         if settled is None:
@@ -226,6 +238,7 @@ class Localisation(eqx.Module):
         return LocalisationData(
             true_poses=np.asarray(located.true_poses, np.float64)[:number],
             poses=np.asarray(scans.poses, np.float64)[:number],
+            reckoned=np.asarray(located.reckoned_poses, np.float64)[:number],
             way=np.asarray(scans.way, np.float64)[:number],
             reference=grid.cropped(located.reference),
             num_loops=int(located.known.closures.number),
@@ -250,6 +263,21 @@ def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Po
         after: its pose after it.
     """
     return observed_state(robot, state, compose(after, between(before, robot.pose(state))))
+
+
+@eqx.filter_jit
+def _thinned(located: Located) -> Located:
+    """Return the state with every second stored scan left out."""
+
+    def halved(rows: Float[Array, "K 3"]) -> Float[Array, "K 3"]:
+        kept = rows[::2]
+        return jnp.zeros_like(rows).at[: len(kept)].set(kept)
+
+    return located._replace(
+        known=thinned(located.known),
+        true_poses=halved(located.true_poses),
+        reckoned_poses=halved(located.reckoned_poses),
+    )
 
 
 @eqx.filter_jit
