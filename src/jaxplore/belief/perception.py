@@ -378,7 +378,7 @@ class Perception(eqx.Module):
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
         guidance, is_explored = self._guided(
-            belief.grid, belief.clearance, information, dwell, pose
+            belief.grid, belief.clearance, information, dwell, pose, belief.revisit
         )
         return dataclasses.replace(
             belief,
@@ -426,14 +426,19 @@ class Perception(eqx.Module):
         information: InformationField,
         dwell: GridValues,
         pose: Pose,
+        revisit: GridValues | None = None,
     ) -> tuple[GuidanceField, Flag]:
         """Return the guidance, and whether the map counts as explored; never without a goal."""
+        worth = information.total * dwell_discount(dwell, self.patience)
+        if revisit is not None:
+            # A robot that is about to lose itself looks for its position first.
+            worth = jnp.where((revisit > 0.0).any(), revisit, worth)
         is_known = is_goal_next = jnp.array(False)
         if self.goal is not None:
             is_known = unknown_fraction(grid) < self.max_unknown
         guidance = exploration_field(
             clearance,
-            information.total * dwell_discount(dwell, self.patience),
+            worth,
             self.required_clearance,
             self.locomotion,
             decay_length=self.decay_length,

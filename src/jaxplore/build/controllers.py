@@ -4,6 +4,7 @@ import math
 
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
+from jaxplore.build.localisation import uncertain_robot
 from jaxplore.build.own import own_controller, own_rule
 from jaxplore.build.parts import build_robot
 from jaxplore.build.world import RunWorld
@@ -27,6 +28,7 @@ from jaxplore.planning.presets.quadrotor import (
 )
 from jaxplore.planning.presets.target_explorer import target_explorer
 from jaxplore.planning.strategy.targets import TargetChoice
+from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import BASELINES, Settings
@@ -50,12 +52,17 @@ def build_controller(
     """
     robot, perception = scenario.robot, scenario.perception
     if settings.architecture == "explorer":
-        return explorer(
+        uncertain = uncertain_robot(scenario, settings.rates.sensing)
+        given = settings.localisation
+        controller = explorer(
             robot,
             has_moving_obstacles=bool(world.movers),
             chassis=scenario.chassis,
+            uncertain=uncertain,
+            uncertainty_weight=0.0 if given is None else given.uncertainty_weight,
             **arguments(settings.controller, explorer),
         )
+        return controller if uncertain is None else UncertaintyAware(controller)
     if settings.architecture == "portfolio":
         return _portfolio(settings, world, scenario.chassis)
     own = own_rule(settings.architecture) if is_own(settings.architecture) else None

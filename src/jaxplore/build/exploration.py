@@ -97,7 +97,7 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
         chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
-        localisation=build_localisation(settings.localisation),
+        localisation=build_localisation(settings, sensors[0], world.grid.resolution),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
         **arguments(settings, ExplorationScenario),

@@ -132,6 +132,9 @@ class LoopCloser(eqx.Module):
                 found.covariance,
             )
             last = way[newer]
+            # What the robot knows of its position is what the old place tells it.
+            turned = rotation(jnp.asarray(poses[older, 2]))
+            state = state._replace(drift=turned @ found.covariance @ turned.T)
         closures = closures._replace(examined=jnp.asarray(number, jnp.int32))
         return state._replace(closures=closures)
 

@@ -15,6 +15,8 @@ class LocalisationSettings(Section):
 
     Args:
         loops: whether loops are closed.
+        uncertainty_weight: weight of the expected uncertainty of the position in the explorer's
+            plans; 0 for plans that do not know it.
     """
 
     distance_noise: NonNegative = setting(Odometry, "distance_noise")
@@ -28,6 +30,8 @@ class LocalisationSettings(Section):
     spacing: Length = setting(Localiser, "spacing")
     memory: Length = setting(Localiser, "memory")
     loops: bool = True
+    uncertainty_weight: NonNegative = 0.0
+    most_uncertainty: Length | None = setting(Localisation, "most_uncertainty")
     closing_rate: Rate = setting(Localisation, "closing_rate")
     reach: Length = setting(LoopCloser, "reach")
     least_share: Share = setting(LoopCloser, "least_share")

@@ -12,10 +12,12 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import ToGoalCost
+from jaxplore.costs.localisation import CertainInformationCost, UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.terrain import StabilityCost
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.uncertain import UncertainRobot
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.planning.presets.sampling import sampling
 
@@ -43,6 +45,8 @@ def explorer(
     control_weight: ArrayLike = 0.01,
     has_moving_obstacles: bool = False,
     chassis: Chassis | None = None,
+    uncertain: UncertainRobot | None = None,
+    uncertainty_weight: ArrayLike = 10.0,
 ) -> MPPI:
     """Build MPPI that explores, with weights that work on any map.
 
@@ -85,21 +89,31 @@ def explorer(
         chassis: chassis of a vehicle that can tip over, to which 100 times `obstacle_weight` a
             `StabilityCost` applies: tipping over costs as much per step as being 5 cm too close to
             an obstacle.
+        uncertain: the robot with the variance of its position, for a robot that localises itself:
+            its rollouts then pay `uncertainty_weight` times an `UncertaintyCost`, and information
+            counts less where the position will be uncertain (`CertainInformationCost`). The
+            controller needs an `UncertaintyAware` around it. None for neither.
+        uncertainty_weight: the trade-off between exploring and knowing the position.
 
     Raises:
         ValueError: a value that a part does not accept.
     """
     _kinds.instance("robot", robot, Dynamics)
+    _kinds.instance("uncertain", uncertain, UncertainRobot, may_be_none=True)
+    informed: Cost = InformationCost() if uncertain is None else CertainInformationCost()
     weight = _checks.scalar("obstacle_weight", obstacle_weight)
     obstacles: Cost = weight * ObstacleCost(clearance)
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
         obstacles = obstacles + weight * MovingObstacleCost()
     if chassis is not None:
         obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
+    if uncertain is not None:
+        uncertainty = _checks.scalar("uncertainty_weight", uncertainty_weight, at_least=0.0)
+        obstacles = obstacles + uncertainty * UncertaintyCost()
     return _ground_mppi(
-        robot,
+        robot if uncertain is None else uncertain,
         obstacles
-        + _checks.scalar("information_weight", information_weight) * InformationCost()
+        + _checks.scalar("information_weight", information_weight) * informed
         + _checks.scalar("guidance_weight", guidance_weight) * GuidanceCost()
         + _checks.scalar("control_weight", control_weight) * ControlCost(),
         horizon=horizon,

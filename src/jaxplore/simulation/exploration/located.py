@@ -1,5 +1,6 @@
 """A robot that does not know its pose: odometry with errors, localisation, and what judges it."""
 
+import dataclasses
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -10,8 +11,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
-from jaxplore._types import Count, GridMask, GridValues, Key, Pose, Scalar, StateVector
+from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Key, Pose, Scalar, StateVector
 from jaxplore.belief.belief import Belief
+from jaxplore.belief.certainty import CertaintyField
 from jaxplore.belief.perception import Perception
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.geometry.motion import between, compose
@@ -24,6 +26,8 @@ from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.progress import MapSums
 
+PLACE_WORTH = 100.0
+"""Worth of an old place, more than any information that still counts [nat]."""
 _ODOMETRY = 2**31 + 4
 """What is folded into the key of a run for its odometry; no step has such a number."""
 
@@ -74,6 +78,10 @@ class Localisation(eqx.Module):
         localiser: estimates the pose.
         closer: closes loops; none when absent.
         closing_rate: rate at which loops are looked for [Hz].
+        most_uncertainty: standard deviation of the position beyond which the robot goes to a place
+            that it knows from long before, to close a loop [m]; None for never.
+        certainty: how well scans tell the position, for controllers that plan with it; None for
+            others.
 
     Raises:
         ValueError: a part of another class, a rate that is not positive.
@@ -82,6 +90,8 @@ class Localisation(eqx.Module):
     odometry: Odometry
     localiser: Localiser
     closer: LoopCloser | None
+    most_uncertainty: Scalar | None
+    certainty: CertaintyField | None
     closing_rate: float = eqx.field(static=True)
 
     def __init__(
@@ -91,6 +101,8 @@ class Localisation(eqx.Module):
         closer: LoopCloser | None = None,
         *,
         closing_rate: float = 1.0,
+        most_uncertainty: ArrayLike | None = None,
+        certainty: CertaintyField | None = None,
     ) -> None:
         _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
         _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
@@ -101,6 +113,10 @@ class Localisation(eqx.Module):
         self.odometry = localiser.odometry if odometry is None else odometry
         self.closer = closer
         self.closing_rate = _checks.number("closing_rate", closing_rate, above=0.0)
+        _kinds.instance("certainty", certainty, CertaintyField, may_be_none=True)
+        self.most_uncertainty, self.certainty = None, certainty
+        if most_uncertainty is not None:
+            self.most_uncertainty = _checks.scalar("most_uncertainty", most_uncertainty, above=0.0)
 
     def init(
         self, pose: Pose, grid: OccupancyGrid, sensors: Sequence[Sensor], key: Key | None
@@ -196,6 +212,26 @@ class Localisation(eqx.Module):
         changed = located._replace(reference=reference.probability)
         return changed, sums.changed(before, after)
 
+    def informed(self, located: Located, belief: Belief) -> Belief:
+        """Return the belief with what planning needs of the localisation, for the next fields.
+
+        Args:
+            located: state of the localisation.
+            belief: the belief.
+        """
+        known = located.known
+        if self.certainty is not None:
+            belief = dataclasses.replace(
+                belief,
+                certainty=self.certainty(belief.grid, belief.clearance, known.pose[:2]),
+                position_variance=known.uncertainty**2,
+            )
+        if self.most_uncertainty is not None:
+            is_lost = known.uncertainty > self.most_uncertainty
+            worth = jnp.where(is_lost, old_places(known, belief, self.localiser.memory), 0.0)
+            belief = dataclasses.replace(belief, revisit=worth)
+        return belief
+
     def revised(
         self,
         located: Located,
@@ -243,6 +279,27 @@ class Localisation(eqx.Module):
             reference=grid.cropped(located.reference),
             num_loops=int(located.known.closures.number),
         )
+
+
+def old_places(
+    known: LocaliserState, belief: Belief, memory: Scalar
+) -> Float[Array, "rows columns"]:
+    """Return the worth of the nodes at which the robot was long before; 0 elsewhere.
+
+    Args:
+        known: what the robot knows of its way.
+        belief: its belief.
+        memory: way after which a place is old [m].
+    """
+    scans, frame = known.scans, belief.information.frame
+    rows, columns = belief.information.total.shape
+    index = jnp.arange(scans.capacity)
+    is_old = (index < scans.number) & (known.way - scans.way > memory)
+    row, column = jnp.unstack(jax.vmap(frame.to_cell)(scans.poses[:, :2]), axis=1)
+    is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    at = jnp.where(is_old & is_inside, row * columns + column, rows * columns)
+    worth = jnp.zeros(rows * columns).at[at].set(PLACE_WORTH, mode="drop")
+    return worth.reshape(rows, columns)
 
 
 def observed_state(robot: Dynamics, state: StateVector, pose: Pose) -> StateVector:

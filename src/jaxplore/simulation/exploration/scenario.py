@@ -320,6 +320,7 @@ class ExplorationScenario(Scenario):
         located, start = None, self.robot.pose(self.start)
         if self.localisation is not None:
             located = self.localisation.init(start, belief.grid, self.sensors, key)
+            belief = self.localisation.informed(located, belief)
         state = initial_state(
             self.start,
             belief,

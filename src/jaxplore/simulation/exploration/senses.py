@@ -160,6 +160,8 @@ class Senses(NamedTuple):
         here = pose if located is None else located.known.pose
 
         def derive(current: Belief) -> tuple[Belief]:
+            if located is not None and self.localisation is not None:
+                current = self.localisation.informed(located, current)
             return (perception.update_fields(current, here, elapsed),)
 
         is_due = (step % every == every - 1) | (step == 0)
