@@ -54,6 +54,8 @@ class Belief(eqx.Module):
             an idleness map.
         anomalies: what differs from the known map; absent without a test for it.
         objects: objects and the probabilities of their classes; absent without a detector.
+        claims: (rows, columns) additional cost of each node as the end of a path, because other
+            robots claim it [m]; absent for a robot without a fleet.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -70,6 +72,7 @@ class Belief(eqx.Module):
     idleness: GridValues | None = None
     anomalies: Anomalies | None = None
     objects: ObjectClasses | None = None
+    claims: Float[Array, "rows columns"] | None = None
 
     @property
     def pull(self) -> ScalarField:

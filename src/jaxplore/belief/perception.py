@@ -345,7 +345,7 @@ class Perception(eqx.Module):
             )
         dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         guidance, is_explored = self._guided(
-            belief.grid, belief.clearance, information, dwell, pose
+            belief.grid, belief.clearance, information, dwell, pose, belief.claims
         )
         return dataclasses.replace(
             belief,
@@ -393,6 +393,7 @@ class Perception(eqx.Module):
         information: InformationField,
         dwell: GridValues,
         pose: Pose,
+        claims: GridValues | None = None,
     ) -> tuple[GuidanceField, Flag]:
         """Return the guidance, and whether the map counts as explored; never without a goal."""
         is_known = is_goal_next = jnp.array(False)
@@ -409,6 +410,7 @@ class Perception(eqx.Module):
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
             start=pose[:2],
+            claims=claims,
         ).from_pose(pose)
         if self.goal is not None and not self.is_goal_apart:
             is_goal_next = leads_to_goal(guidance, pose[:2])
