@@ -61,6 +61,7 @@ class Obstacles(eqx.Module):
         is_known: (N,) whether each obstacle is known: false if never seen, or forgotten; all are
             known when absent.
         memory: time without a measurement after which `update` forgets an obstacle [s].
+        plans: plans that the obstacles have told; none when absent.
 
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, a negative deviation or
@@ -94,6 +95,7 @@ class Obstacles(eqx.Module):
         age: Vector | None = None,
         is_known: ArrayLike | None = None,
         memory: ArrayLike = 3.0,
+        plans: Plans | None = None,
     ) -> None:
         _kinds.instance("outlines", outlines, Outlines)
         number = outlines.number
@@ -124,7 +126,7 @@ class Obstacles(eqx.Module):
         self.is_known = None if is_known is None else jnp.array(is_known, bool)
         if self.is_known is not None and self.is_known.shape != (number,):
             raise ValueError(f"is_known has shape {self.is_known.shape}; accepted: ({number},)")
-        self.memory, self.plans = scalar("memory", memory, above=0.0), None
+        self.memory, self.plans = scalar("memory", memory, above=0.0), plans
 
     @classmethod
     def unseen(cls, radii: Vector, growth: Vector = 0.2, memory: ArrayLike = 3.0) -> "Obstacles":

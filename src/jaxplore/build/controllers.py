@@ -1,9 +1,11 @@
 """Controllers of exploration runs, from settings."""
 
 import math
+from typing import Any
 
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
+from jaxplore.build.fleet import cost_of_others, has_others
 from jaxplore.build.own import own_controller, own_rule
 from jaxplore.build.parts import build_robot
 from jaxplore.build.world import RunWorld
@@ -49,11 +51,15 @@ def build_controller(
             an architecture of the user's own that is none.
     """
     robot, perception = scenario.robot, scenario.perception
+    moving: dict[str, Any] = {
+        "has_moving_obstacles": bool(world.movers) or has_others(settings),
+        "moving_obstacle_cost": cost_of_others(settings),
+    }
     if settings.architecture == "explorer":
         return explorer(
             robot,
-            has_moving_obstacles=bool(world.movers),
             chassis=scenario.chassis,
+            **moving,
             **arguments(settings.controller, explorer),
         )
     if settings.architecture == "portfolio":
@@ -67,8 +73,8 @@ def build_controller(
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
-            has_moving_obstacles=bool(world.movers),
             chassis=scenario.chassis,
+            **moving,
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):
@@ -142,7 +148,7 @@ def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> 
         Mission(
             goal,
             has_terrain=world.ground is not None,
-            has_moving_obstacles=bool(world.movers),
+            has_moving_obstacles=bool(world.movers) or has_others(settings),
             chassis=chassis,
         ),
         members=given.members if given.weights is None else given.weights,

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -113,6 +114,30 @@ def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, 
     return jnp.argmax(offers + own[:, :, None], axis=1)
 
 
+def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Float[Array, "N N *A"]:
+    """Return `values[source[i, k], k]` for each robot i and each robot k that is known.
+
+    Whole maps are copied one by one, and those that a robot has already are not: a gather of all of
+    them at once would move them cell by cell.
+    """
+    number, shape = source.shape[0], values.shape[2:]
+    zeros = (0,) * len(shape)
+
+    def take(pair: Count, rows: Array) -> Array:
+        holder, of = jnp.divmod(pair, number)
+        origin = source[holder, of]
+
+        def copy(rows: Array) -> Array:
+            row = jax.lax.dynamic_slice(values, (origin, of, *zeros), (1, 1, *shape))
+            return jax.lax.dynamic_update_slice(rows, row, (holder, of, *zeros))
+
+        result: Array = jax.lax.cond(origin == holder, lambda same: same, copy, rows)
+        return result
+
+    found: Array = jax.lax.fori_loop(0, number * number, take, values)
+    return found
+
+
 class Exchanged(NamedTuple):
     """Result of an exchange.
 
@@ -172,7 +197,7 @@ def exchange(
     log_odds = heard.log_odds.at[every, every].add(own)
     version = heard.version.at[every, every].set(step)
     source = newest(version, links)
-    received = log_odds[source, every[None, :]]
+    received = taken(log_odds, source)
     version = version[source, every[None, :]]
     is_new = received != log_odds
     sent = CELL_BYTES * jnp.sum(is_new, dtype=jnp.float32)
@@ -194,7 +219,7 @@ def exchange(
             lengths.append(roads.lengths_from(pose))
     told = heard.lengths
     if with_lengths:
-        told = told.at[every, every].set(jnp.stack(lengths))[source, every[None, :]]
+        told = taken(told.at[every, every].set(jnp.stack(lengths)), source)
         is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
         sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
     if with_claims:

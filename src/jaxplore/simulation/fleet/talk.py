@@ -22,6 +22,10 @@ from jaxplore.simulation.fleet.state import FleetState, Team
 from jaxplore.simulation.scenario import Moment
 
 
+BESIDE = 1.0
+"""Distance that robots keep in view beyond the reach of their plans [m]."""
+
+
 class Talk(NamedTuple):
     """How the robots of a fleet tell one another what they know.
 
@@ -149,9 +153,10 @@ class Talk(NamedTuple):
 
         def tell(known: tuple[Obstacles, ...], _: Scalar, __: Count) -> Any:
             links = self.links(state, moment)
+            near = self._may_meet(places, team.plans)
             after = []
             for index, obstacles in enumerate(known):
-                is_heard = without(links[index], index)
+                is_heard = without((links & near)[index], index)
                 rest = obstacles.outlines.number - is_heard.shape[0]
 
                 def rows(values: Array, i: int = index, first: int = rest) -> Array:
@@ -182,6 +187,21 @@ class Talk(NamedTuple):
         team = team._replace(links=links)
         return state._replace(members=members, coverage=coverage, team=team)
 
+    def _may_meet(
+        self, places: Float[Array, "N 2"], plans: Float[Array, "N S 2"]
+    ) -> Bool[Array, "N N"]:
+        """Return which robots may come close while they carry out their plans.
+
+        The others need no obstacle in a belief, and while a belief has none, its controller
+        computes no cost of obstacles.
+        """
+
+        def distance(offset: Array) -> Array:
+            return jnp.sqrt(jnp.sum(offset * offset, axis=-1))
+
+        reach = distance(plans - places[:, None]).max(axis=-1) + self.radii + BESIDE
+        return distance(places[:, None] - places[None, :]) < reach[:, None] + reach[None, :]
+
     def planned(
         self,
         team: Team,
@@ -200,7 +220,7 @@ class Talk(NamedTuple):
             return planned_positions(self.robot, moved, info.controls, size, self.plan_step)
 
         plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
-        return team._replace(plans=plans, velocities=change / self.control_period)
+        return team._replace(plans=plans, velocities=change / self.members[0].control_period)
 
 
 def without(rows: Array, index: int) -> Array:
