@@ -7,6 +7,9 @@ contributions are a state-based replicated data type (Shapiro et al., "Conflict-
 types", SSS 2011). The map is a function of them alone:
 
     l = clip(l_prior + sum_k c_k, minimum, maximum)
+
+The sum itself is not clamped. What a robot has seen often, and another one as well, takes more
+contrary scans to change than on the map of one robot.
 """
 
 import dataclasses
@@ -49,8 +52,8 @@ def merged_map(
         prior: probabilities (H, W) that were known in advance.
         contributions: (K, H, W) sums of log-odds changes.
         now: probabilities (H, W) of the map before.
-        is_new: (H, W) cells with a contribution that was not in the map before. All others keep
-            their probability to the bit.
+        is_new: (H, W) cells with a contribution that may not be in the map. All others keep their
+            probability to the bit.
     """
     total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))

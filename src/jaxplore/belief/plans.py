@@ -28,7 +28,7 @@ class Plans(NamedTuple):
     @classmethod
     def unknown(cls, number: int, steps: int, period: Scalar) -> "Plans":
         """Return no plans, of so many rows, for so many obstacles."""
-        return cls(jnp.zeros((number, steps, 2)), period, jnp.full(number, jnp.inf))
+        return cls(jnp.zeros((number, steps, 2)), period, jnp.full(number, jnp.inf, jnp.float32))
 
     @property
     def is_fresh(self) -> Bool[Array, " N"]:
@@ -65,5 +65,5 @@ class Plans(NamedTuple):
         row = jnp.clip(jnp.where(self.is_fresh, time, 0.0) / self.period, 0.0, size - 1.0)
         # The weights of linear interpolation, of which two are not 0. A sum over all rows is one
         # short loop in a compiled rollout, where reading two rows by their number is several.
-        weight = jnp.maximum(1.0 - jnp.abs(row[:, None] - jnp.arange(size)), 0.0)
+        weight = jnp.maximum(1.0 - jnp.abs(row[:, None] - jnp.arange(size, dtype=jnp.float32)), 0.0)
         return jnp.sum(weight[:, :, None] * self.positions, axis=1)

@@ -19,7 +19,8 @@ control periods and F frames, in bytes:
     record      300 S                                 every step, in the file that it is read from
     frames      2 min(F (H W + 4 N), 1e9)             maps for the animation
 
-All but the programs and the frames are needed by each robot of a fleet. The factors were measured, see `docs/limits.md`: a run takes between half and twice the estimate.
+A fleet needs all parts but the programs once per robot. The factors were measured, see
+`docs/limits.md`: a run takes between half and twice the estimate.
 """
 
 import math

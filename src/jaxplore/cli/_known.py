@@ -68,7 +68,13 @@ def from_settings() -> Known:
     from jaxplore.study.tuning.search import POPULATION
 
     ground, flying = (
-        dict(_flat(make_exploration_settings({"map": OFFICE, FLEET: {}, **kind}).model_dump(mode="json")))
+        dict(
+            _flat(
+                make_exploration_settings({"map": OFFICE, FLEET: {}, **kind}).model_dump(
+                    mode="json"
+                )
+            )
+        )
         for kind in ({}, {"architecture": "two-layer"})
     )
     words: dict[str, list[str]] = {}

@@ -1,7 +1,7 @@
 """The part of a map that figures show, and its coordinates."""
 
 import dataclasses
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -11,6 +11,7 @@ MARGIN = 1.0
 """Margin around the reachable cells [m]."""
 
 
+@runtime_checkable
 class MapData(Protocol):
     """A run on a map of which a part is drawn, of any task."""
 

@@ -151,7 +151,7 @@ def _draw(canvas: Canvas, frame: FleetFrame) -> Image.Image:
 
 def _ground(canvas: Canvas, frame: FleetFrame) -> Image.Image:
     """Draw what the robots know together, and unseen true walls; one pixel per pixel of the map."""
-    level = canvas.window.crop(frame.probability, 128)
+    level = canvas.window.crop(frame.probability, 128.0)
     is_unknown = np.abs(level.astype(int) - 128) < UNSEEN
     colours = belief_colours()[level]
     colours[is_unknown] = UNKNOWN

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxplore._types import Scalar, StateVector
+from jaxplore._types import Scalar
 from jaxplore.dynamics.formation import Formation
 
 
@@ -20,7 +20,7 @@ class Parted(NamedTuple):
         gap: (N,) distance of each robot from the nearest other one [m].
     """
 
-    states: tuple[StateVector, ...]
+    states: tuple[Array, ...]
     is_contact: Bool[Array, " N"]
     gap: Float[Array, " N"]
 
@@ -28,8 +28,8 @@ class Parted(NamedTuple):
 def parted(
     formation: Formation,
     radii: Float[Array, " N"],
-    before: Sequence[StateVector],
-    moved: Sequence[StateVector],
+    before: Sequence[Array],
+    moved: Sequence[Array],
 ) -> Parted:
     """Stop the robots whose moves would make them touch another robot.
 
@@ -79,7 +79,7 @@ def parted(
 
 def planned_positions(
     formation: Formation,
-    states: Sequence[StateVector],
+    states: Sequence[Array],
     controls: Float[Array, "T nu"],
     num_steps: int,
     dt: Scalar,

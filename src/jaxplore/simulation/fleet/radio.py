@@ -43,7 +43,7 @@ class Heard(NamedTuple):
         """Return what robots know of one another before the first exchange."""
         return cls(
             jnp.zeros((number, number, *cells)),
-            jnp.full((number, number, *nodes), jnp.inf),
+            jnp.full((number, number, *nodes), jnp.inf, jnp.float32),
             jnp.full((number, number), NEVER, jnp.int32),
         )
 
@@ -111,7 +111,7 @@ def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, 
     own = jnp.eye(number, dtype=bool)
     # (holder, from, of); twice the version leaves room to prefer what is known already.
     offers = jnp.where((links | own)[:, :, None], 2 * version[None], 2 * NEVER - 1)
-    return jnp.argmax(offers + own[:, :, None], axis=1)
+    return jnp.argmax(offers + own[:, :, None].astype(jnp.int32), axis=1)
 
 
 def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Float[Array, "N N *A"]:
@@ -205,7 +205,10 @@ def exchange(
     for i, (one, state, now, pose) in enumerate(zip(scenarios, members, grids, poses, strict=True)):
         perception, reachable = one.perception, one.map_arrays.reachable
         prior, model = one.map_arrays.prior.probability, perception.sensor_model
-        probability = merged_map(model, prior, received[i], now, is_new[i].any(axis=0))
+        # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of
+        # its own scans follow the sum as well, and robots that have heard the same agree.
+        is_changed = is_new[i].any(axis=0) | (links[i].any() & (own[i] != 0.0))
+        probability = merged_map(model, prior, received[i], now, is_changed)
         belief = with_map(perception, state.belief, probability)
         sums = MapSums.of(probability, reachable)
         progress = map_progress(sums, belief, reachable, time)

@@ -21,7 +21,6 @@ from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
 from jaxplore.simulation.fleet.state import FleetState, Team
 from jaxplore.simulation.scenario import Moment
 
-
 BESIDE = 1.0
 """Distance that robots keep in view beyond the reach of their plans [m]."""
 
@@ -206,7 +205,7 @@ class Talk(NamedTuple):
         self,
         team: Team,
         before: StateVector,
-        moved: Sequence[StateVector],
+        moved: Sequence[Array],
         step: Count,
         info: Info,
     ) -> Team:
