@@ -158,7 +158,7 @@ class Obstacles(eqx.Module):
         """Concatenate two sets of obstacles; `memory` is that of `self`."""
         both = (self, other)
         names = ("velocities", "centres", "covariance", "growth")
-        merged: dict[str, Array] = {
+        merged: dict[str, Any] = {
             name: jnp.concatenate([getattr(each, name) for each in both]) for name in names
         }
         if self.turn_rates is not None or other.turn_rates is not None:

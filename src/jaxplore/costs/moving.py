@@ -124,9 +124,10 @@ class MovingObstacleCost(Cost):
         # All samples share the obstacles, so under `jax.vmap` this stays a branch: while none is
         # known, as of robots that are far apart, nothing is computed.
         zero = jnp.zeros_like(state.position[0])
-        return jax.lax.cond(
+        paid: Scalar = jax.lax.cond(
             jnp.any(obstacles.is_known), lambda: self._paid(state, t, obstacles), lambda: zero
         )
+        return paid
 
     def _paid(self, state: State, t: Scalar, obstacles: Obstacles) -> Scalar:
         """Return the cost of a state; obstacles that are not known cost nothing."""

@@ -80,6 +80,11 @@ def moved_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -
     return states
 
 
+def moved_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
+    """Return records of steps with an offset (2,) [m] added to the positions of all robots."""
+    return records._replace(state=moved_states(records.state, offset, names))
+
+
 @dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
 class FleetData(RunData):
     """Data of an exploration by a fleet: every step, frames, and the true world.
@@ -120,9 +125,8 @@ class FleetData(RunData):
 
     def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that have positions, with an offset (2,) [m] added."""
-        states = moved_states(self.records.state, offset, self.state_names)
         return {
-            "records": self.records._replace(state=states),
+            "records": moved_records(self.records, offset, self.state_names),
             "start": moved_states(self.start, offset, self.state_names),
             "origin": moved(self.origin, offset),
         }

@@ -17,7 +17,7 @@ from jaxplore._xla import on_device
 from jaxplore.control.base import Controller, Info
 from jaxplore.control.fleet_controller import FleetBelief, robot_keys
 from jaxplore.dynamics.formation import Formation, extent
-from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_states
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
 from jaxplore.report.fleet.metrics import FleetMetrics
 from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.simulation.chunks import ChunkedRun
@@ -236,7 +236,7 @@ class Fleet(Scenario):
         controls = self.robot.split_control(control)
         for one, each, own in zip(self.members, state.members, controls, strict=True):
             truth = one.true_world(each, moment._replace(time=later))
-            record, _ = move(
+            each_record, _ = move(
                 one.robot,
                 each,
                 own,
@@ -248,7 +248,7 @@ class Fleet(Scenario):
                 stop=None,
                 chassis=None,
             )
-            records.append(record)
+            records.append(each_record)
         moved = [each.state for each in records]
         clearance = jnp.stack([each.clearance for each in records])
         contact, team = jnp.zeros(self.num_robots, bool), state.team
@@ -306,7 +306,7 @@ class Fleet(Scenario):
         same: Fleet = eqx.tree_at(lambda at: at.members, self, members)
         return same
 
-    def varied(self, variation: Any) -> "Fleet":  # type: ignore[override]
+    def varied(self, variation: Any) -> "Fleet":
         """Return the scenario itself: the robots of a fleet do not vary.
 
         Raises:
@@ -314,7 +314,7 @@ class Fleet(Scenario):
         """
         return self._without_part("variation", variation)
 
-    def guarded(self, guard: Any) -> "Fleet":  # type: ignore[override]
+    def guarded(self, guard: Any) -> "Fleet":
         """Return the scenario itself: the robots of a fleet have no guard.
 
         Raises:
@@ -364,8 +364,7 @@ class Fleet(Scenario):
 
     def records_on_map(self, records: Any) -> Any:
         """Return records in NumPy, with the states of all robots in the map's coordinates."""
-        states = moved_states(records.state, self.datum.offset, self.robot.state_names)
-        return records._replace(state=states)
+        return moved_records(records, self.datum.offset, self.robot.state_names)
 
     @property
     def _talk(self) -> Talk:

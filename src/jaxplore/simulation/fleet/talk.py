@@ -66,7 +66,8 @@ class Talk(NamedTuple):
         """Return what the robots have told one another at the start: nothing."""
         number = len(members)
         belief = members[0].belief
-        nodes = belief.information.total.shape if self.coordination != "none" else (1, 1)
+        rows, columns = belief.information.total.shape
+        nodes = (rows, columns) if self.coordination != "none" else (1, 1)
         # The cells below a robot, which it knows to be free from the start, are news to the others.
         priors = tuple(each.map_arrays.prior.probability for each in self.members)
         return Team(
