@@ -79,11 +79,12 @@ def coverage_figure(data: FleetData) -> "Figure":
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
     duration, metrics = max(float(data.time[-1]), data.control_period), compute_metrics(data)
     ink = np.asarray(INK) / 255.0
+    # Wide and pale, below the curves of the robots that it is the upper bound of.
+    above.plot(data.time, 100.0 * data.coverage, color="0.78", linewidth=5.0, label="together")
     for number, (rows, length) in enumerate(zip(data.coverages, data.lengths, strict=True)):
         style = line_style(number)
         above.plot(data.time, 100.0 * rows, linewidth=1.2, label=f"robot {number + 1}", **style)
         below.plot(data.time, length, linewidth=1.4, **style)
-    above.plot(data.time, 100.0 * data.coverage, color=ink, linewidth=2.4, label="together")
     level = 100.0 * data.target_coverage
     above.axhline(level, color="0.6", linewidth=0.8, linestyle="--", label=f"target: {level:.3g} %")
     for share in LEVELS:
