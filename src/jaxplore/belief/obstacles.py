@@ -98,6 +98,7 @@ class Obstacles(eqx.Module):
         plans: Plans | None = None,
     ) -> None:
         _kinds.instance("outlines", outlines, Outlines)
+        _kinds.instance("plans", plans, Plans, may_be_none=True)
         number = outlines.number
         rows: dict[str, Any] = {"may_be_empty": number == 0}
         self.outlines = outlines

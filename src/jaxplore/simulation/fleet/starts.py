@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import jax.numpy as jnp
 import numpy as np
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._limits import MOST_ROBOTS
 from jaxplore._types import Rows
 from jaxplore.dynamics.formation import extent
@@ -30,6 +30,7 @@ def near_starts(scenario: ExplorationScenario, number: int) -> np.ndarray:
     Raises:
         ValueError: less than one robot, more than there is room for.
     """
+    _kinds.instance("scenario", scenario, ExplorationScenario)
     number = _checks.positive_int("robots", number, at_most=MOST_ROBOTS)
     import scipy.ndimage  # slow to import, and few need it
 
