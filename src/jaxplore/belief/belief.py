@@ -59,6 +59,8 @@ class Belief(eqx.Module):
         position_variance: variance of the position in the map [m^2].
         revisit: worth of places that the robot knows from long before, in the unit of `worth`,
             where it should look for its position; 0 while it knows it well enough.
+        claims: (rows, columns) additional cost of each node as the end of a path, because other
+            robots claim it [m]; absent for a robot without a fleet.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -78,6 +80,7 @@ class Belief(eqx.Module):
     certainty: ScalarField | None = None
     position_variance: Scalar | None = None
     revisit: Float[Array, "rows columns"] | None = None
+    claims: Float[Array, "rows columns"] | None = None
 
     @property
     def pull(self) -> ScalarField:

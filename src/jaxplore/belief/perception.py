@@ -378,7 +378,13 @@ class Perception(eqx.Module):
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
         guidance, is_explored = self._guided(
-            belief.grid, belief.clearance, information, dwell, pose, belief.revisit
+            belief.grid,
+            belief.clearance,
+            information,
+            dwell,
+            pose,
+            belief.claims,
+            belief.revisit,
         )
         return dataclasses.replace(
             belief,
@@ -426,6 +432,7 @@ class Perception(eqx.Module):
         information: InformationField,
         dwell: GridValues,
         pose: Pose,
+        claims: GridValues | None = None,
         revisit: GridValues | None = None,
     ) -> tuple[GuidanceField, Flag]:
         """Return the guidance, and whether the map counts as explored; never without a goal."""
@@ -447,6 +454,7 @@ class Perception(eqx.Module):
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
             start=pose[:2],
+            claims=claims,
         ).from_pose(pose)
         if self.goal is not None and not self.is_goal_apart:
             is_goal_next = leads_to_goal(guidance, pose[:2])

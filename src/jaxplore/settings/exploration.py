@@ -25,6 +25,7 @@ from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.sensing.detector import Detector
 from jaxplore.settings.defaults import difference_entries, setting
+from jaxplore.settings.fleet import FleetSettings
 from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
@@ -339,7 +340,8 @@ class Settings(RunSettings):
         informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
-            `jaxplore.MotionGuard`.
+            `jaxplore.MotionGuard`. A fleet has none.
+        fleet: several robots that share what they know; one robot when absent.
     """
 
     map: str
@@ -371,6 +373,7 @@ class Settings(RunSettings):
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
     guard: bool = True
+    fleet: FleetSettings | None = None
 
 
 def scenario_path(name: str) -> Path:

@@ -200,6 +200,7 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
                 _IN_ROBOT["robot.max_speed"].reads(settings) or _FLYING.reads(settings)
             ),
         ),
+        "fleet": Reader("runs with a fleet", lambda settings: settings.fleet is not None),
         "chassis": Reader("runs with a chassis", lambda settings: settings.chassis is not None),
         "camera": Reader("runs with a camera", lambda settings: settings.camera is not None),
         "localisation": Reader(

@@ -15,6 +15,9 @@ from jaxplore.simulation.exploration.moving_obstacles import (
 )
 from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
 from jaxplore.simulation.faults import Faults as Faults
+from jaxplore.simulation.fleet.radio import Radio as Radio
+from jaxplore.simulation.fleet.scenario import Fleet as Fleet
+from jaxplore.simulation.fleet.starts import near_starts as near_starts
 from jaxplore.simulation.following.scenario import PathScenario as PathScenario
 from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run

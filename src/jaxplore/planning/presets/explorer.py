@@ -44,6 +44,7 @@ def explorer(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
     has_moving_obstacles: bool = False,
+    moving_obstacle_cost: MovingObstacleCost | None = None,
     chassis: Chassis | None = None,
     uncertain: UncertainRobot | None = None,
     uncertainty_weight: ArrayLike = 10.0,
@@ -86,6 +87,7 @@ def explorer(
         has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
             times a `MovingObstacleCost` applies; without it the robot sees them as parts of the map
             only, where they were.
+        moving_obstacle_cost: that cost; `MovingObstacleCost()` when absent.
         chassis: chassis of a vehicle that can tip over, to which 100 times `obstacle_weight` a
             `StabilityCost` applies: tipping over costs as much per step as being 5 cm too close to
             an obstacle.
@@ -101,10 +103,14 @@ def explorer(
     _kinds.instance("robot", robot, Dynamics)
     _kinds.instance("uncertain", uncertain, UncertainRobot, may_be_none=True)
     informed: Cost = InformationCost() if uncertain is None else CertainInformationCost()
+    _kinds.instance(
+        "moving_obstacle_cost", moving_obstacle_cost, MovingObstacleCost, may_be_none=True
+    )
     weight = _checks.scalar("obstacle_weight", obstacle_weight)
     obstacles: Cost = weight * ObstacleCost(clearance)
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
-        obstacles = obstacles + weight * MovingObstacleCost()
+        moving = MovingObstacleCost() if moving_obstacle_cost is None else moving_obstacle_cost
+        obstacles = obstacles + weight * moving
     if chassis is not None:
         obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
     if uncertain is not None:

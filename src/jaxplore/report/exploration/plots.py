@@ -30,7 +30,7 @@ from jaxplore.report.exploration.overlays import (
     closed_cells,
 )
 from jaxplore.report.exploration.progress import LEVELS, at_instants, is_known_map, progress
-from jaxplore.report.exploration.window import Window
+from jaxplore.report.exploration.window import MapData, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,7 @@ MAX_SEGMENTS = 2000
 
 
 def true_outline(
-    recording: ExplorationData, window: Window, beside: np.ndarray | None = None
+    recording: MapData, window: Window, beside: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
 

@@ -369,7 +369,13 @@ class ExplorationScenario(Scenario):
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        senses = Senses(
+        known = self.senses.perceive(state, self.true_world(state, moment), moment, key)
+        return known, known.belief
+
+    @property
+    def senses(self) -> Senses:
+        """Sensors of the robot, and what updates its belief."""
+        return Senses(
             self.robot,
             self.sensors,
             self.perception,
@@ -382,8 +388,6 @@ class ExplorationScenario(Scenario):
             self.steps_per_field,
             self.localisation,
         )
-        known = senses.perceive(state, self.true_world(state, moment), moment, key)
-        return known, known.belief
 
     def scan_points(self, state: ExplorationState) -> ScanPoints:
         """Return the newest scan for the guard."""

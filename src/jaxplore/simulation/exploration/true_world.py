@@ -17,7 +17,11 @@ from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.moving_obstacles import START_OF_MOVING, MovingObstacles
+from jaxplore.simulation.exploration.moving_obstacles import (
+    START_OF_MOVING,
+    MovingDiscs,
+    MovingObstacles,
+)
 
 
 class TrueWorld(eqx.Module):
@@ -32,7 +36,7 @@ class TrueWorld(eqx.Module):
 
     grid: OccupancyGrid
     ground: Ground | None
-    moving: MovingObstacles | None
+    moving: MovingObstacles | MovingDiscs | None
     time: Scalar
 
     @property
