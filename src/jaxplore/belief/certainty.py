@@ -115,9 +115,10 @@ class CertaintyField(eqx.Module):
             position: position (x, y) [m].
         """
         side = self.resolution
-        angles = jnp.arange(self.num_directions) * (2.0 * np.pi / self.num_directions)
+        turn = 2.0 * np.pi / self.num_directions
+        angles = turn * jnp.arange(self.num_directions, dtype=jnp.float32)
         directions = jnp.stack([jnp.cos(angles), jnp.sin(angles)], axis=1)
-        reach = side * jnp.arange(1.0, self.max_range / side)
+        reach = side * jnp.arange(1.0, self.max_range / side, dtype=jnp.float32)
         points = position + reach[:, None] * directions[:, None]
         cells = jax.vmap(jax.vmap(grid.frame.to_cell))(points)
         probability = grid.at_cell(cells)

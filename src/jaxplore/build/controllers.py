@@ -64,7 +64,7 @@ def build_controller(
             robot,
             chassis=scenario.chassis,
             uncertain=uncertain,
-            uncertainty_weight=0.0 if given is None else given.uncertainty_weight,
+            **({} if given is None else arguments(given, explorer)),
             **moving,
             **arguments(settings.controller, explorer),
         )

@@ -26,7 +26,7 @@ def build_localisation(settings: Settings, sensor: Beams, resolution: float) -> 
     if given is None:
         return None
     is_planned = given.uncertainty_weight > 0.0
-    angles = ("turn_per_distance", "turn_noise", "turn_per_metre", "gyro")
+    angles = ("turn_per_distance", "turn_noise")
     # `arguments` returns angles in degrees, as settings have them.
     odometry = Odometry(
         **arguments(given, Odometry)

@@ -3,6 +3,7 @@
 from jaxplore.localisation.closing import LoopCloser
 from jaxplore.localisation.localiser import Localiser
 from jaxplore.localisation.odometry import Odometry
+from jaxplore.planning.presets.explorer import explorer
 from jaxplore.settings.defaults import in_degrees, setting
 from jaxplore.settings.sections import Length, NonNegative, Positive, Rate, Section, Share
 from jaxplore.simulation.exploration.located import Localisation
@@ -15,8 +16,6 @@ class LocalisationSettings(Section):
 
     Args:
         loops: whether loops are closed.
-        uncertainty_weight: weight of the expected uncertainty of the position in the explorer's
-            plans; 0 for plans that do not know it.
     """
 
     distance_noise: NonNegative = setting(Odometry, "distance_noise")
@@ -25,12 +24,12 @@ class LocalisationSettings(Section):
     slip_in_turns: NonNegative = setting(Odometry, "slip_in_turns")
     scale: NonNegative = setting(Odometry, "scale")
     turn_scale: NonNegative = setting(Odometry, "turn_scale")
-    turn_per_metre_degrees: NonNegative = setting(Odometry, "turn_per_metre", in_degrees)
-    gyro_degrees: NonNegative = setting(Odometry, "gyro", in_degrees)
+    turn_per_metre: NonNegative = setting(Odometry, "turn_per_metre")
+    gyro: NonNegative = setting(Odometry, "gyro")
     spacing: Length = setting(Localiser, "spacing")
     memory: Length = setting(Localiser, "memory")
     loops: bool = True
-    uncertainty_weight: NonNegative = 0.0
+    uncertainty_weight: NonNegative = setting(explorer, "uncertainty_weight")
     most_uncertainty: Length | None = setting(Localisation, "most_uncertainty")
     closing_rate: Rate = setting(Localisation, "closing_rate")
     reach: Length = setting(LoopCloser, "reach")

@@ -47,7 +47,7 @@ def explorer(
     moving_obstacle_cost: MovingObstacleCost | None = None,
     chassis: Chassis | None = None,
     uncertain: UncertainRobot | None = None,
-    uncertainty_weight: ArrayLike = 10.0,
+    uncertainty_weight: ArrayLike = 0.0,
 ) -> MPPI:
     """Build MPPI that explores, with weights that work on any map.
 
@@ -95,7 +95,8 @@ def explorer(
             its rollouts then pay `uncertainty_weight` times an `UncertaintyCost`, and information
             counts less where the position will be uncertain (`CertainInformationCost`). The
             controller needs an `UncertaintyAware` around it. None for neither.
-        uncertainty_weight: the trade-off between exploring and knowing the position.
+        uncertainty_weight: weight of `UncertaintyCost`, the trade-off between exploring and knowing
+            the position; 0 for plans that do not know it.
 
     Raises:
         ValueError: a value that a part does not accept.

@@ -63,6 +63,7 @@ def _check_supported(index: int, one: ExplorationScenario) -> None:
         "chassis": one.chassis,
         "guard": one.guard,
         "variation": one.variation,
+        "localisation": one.localisation,
         "targets": one.targets if one.num_targets else None,
     }
     for name, part in parts.items():
