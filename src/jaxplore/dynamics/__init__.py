@@ -16,4 +16,5 @@ from jaxplore.dynamics.path_parameter import PathParameter as PathParameter
 from jaxplore.dynamics.pendulum import Pendulum as Pendulum
 from jaxplore.dynamics.point_mass import PointMass as PointMass
 from jaxplore.dynamics.quadrotor import Quadrotor as Quadrotor
+from jaxplore.dynamics.uncertain import UncertainRobot as UncertainRobot
 from jaxplore.dynamics.unicycle import Unicycle as Unicycle

@@ -9,6 +9,7 @@ from jaxplore.simulation.environment.environment import Environment as Environme
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import StepResult as StepResult
 from jaxplore.simulation.experiment import Experiment as Experiment
+from jaxplore.simulation.exploration.located import Localisation as Localisation
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
 from jaxplore.simulation.exploration.moving_obstacles import (
     MovingObstacleState as MovingObstacleState,

@@ -114,8 +114,8 @@ def explorer(
         obstacles = obstacles + weight * moving
     if chassis is not None:
         obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
+    uncertainty = _checks.scalar("uncertainty_weight", uncertainty_weight, at_least=0.0)
     if uncertain is not None:
-        uncertainty = _checks.scalar("uncertainty_weight", uncertainty_weight, at_least=0.0)
         obstacles = obstacles + uncertainty * UncertaintyCost()
     return _ground_mppi(
         robot if uncertain is None else uncertain,
