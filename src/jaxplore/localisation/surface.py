@@ -65,7 +65,8 @@ class EndPoints(eqx.Module):
         beside = jnp.arange(number)[:, None] + shifts
         # Beams apart by REACH on a surface that faces the sensor; on others points are rarer.
         wide = jnp.ceil(REACH / (sensor.beam_spacing * jnp.maximum(scan.ranges, 1e-3)))
-        is_used = jnp.abs(shifts) <= jnp.clip(wide, 1, NEIGHBOURS)[:, None]
+        most = jnp.clip(wide, 1, NEIGHBOURS).astype(jnp.int32)
+        is_used = jnp.abs(shifts) <= most[:, None]
         if not sensor.is_full_circle:
             # The first beam and the last are no neighbours.
             is_used &= (beside >= 0) & (beside < number)
@@ -155,7 +156,8 @@ class SurfaceMap(eqx.Module):
         points, anchors = placed(pose, ends.points), placed(pose, ends.anchors)
         normals = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
         # Half a cell apart, so that no cell on the normal is left out.
-        steps = jnp.arange(-round(2 * BEHIND), round(2 * AHEAD) + 1) * (0.5 * side)
+        shifts = jnp.arange(-round(2 * BEHIND), round(2 * AHEAD) + 1, dtype=jnp.float32)
+        steps = shifts * (0.5 * side)
         on_normal = points[:, None] + steps[:, None] * normals[:, None]
         cells = jax.vmap(jax.vmap(self.frame.to_cell))(on_normal)
         centres = jax.vmap(jax.vmap(self.frame.to_world))(cells.astype(jnp.float32) + 0.5)
