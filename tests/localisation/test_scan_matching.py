@@ -30,9 +30,14 @@ type ScanOf = Callable[..., Scan]
 
 @eqx.filter_jit
 def matched(
-    matcher: ScanMatcher, surface: SurfaceMap, scan: Scan, guess: jax.Array, prior: jax.Array
+    matcher: ScanMatcher,
+    surface: SurfaceMap,
+    scan: Scan,
+    guess: jax.Array,
+    prior: jax.Array,
+    sensor: Lidar = SENSOR,
 ) -> ScanMatch:
-    return matcher(surface, EndPoints.of(SENSOR, scan), guess, prior, WAY)
+    return matcher(surface, EndPoints.of(sensor, scan), guess, prior, WAY)
 
 
 @eqx.filter_jit
@@ -43,16 +48,18 @@ def searched(surface: SurfaceMap, ends: EndPoints, guess: jax.Array, prior: jax.
 end_points = eqx.filter_jit(EndPoints.of)
 
 
-def surface_of(scan_of: ScanOf, walls: np.ndarray, noise: float, number: int) -> SurfaceMap:
+def surface_of(
+    scan_of: ScanOf, walls: np.ndarray, noise: float, number: int, sensor: Lidar = SENSOR
+) -> SurfaceMap:
     """Return the map of scans around the place."""
     rng = np.random.default_rng(1)
     add = eqx.filter_jit(
-        lambda surface, pose, scan: surface.with_scan(pose, EndPoints.of(SENSOR, scan), WAY)
+        lambda surface, pose, scan: surface.with_scan(pose, EndPoints.of(sensor, scan), WAY)
     )
     surface = SurfaceMap.empty(GridFrame(SIDE, ORIGIN), SHAPE, jnp.asarray(10.0))
     for seed in range(number):
         pose = PLACE + rng.uniform(-1.0, 1.0, 3) * [0.4, 0.4, math.pi]
-        scan = scan_of(walls, pose, SENSOR, noise, seed)
+        scan = scan_of(walls, pose, sensor, noise, seed)
         surface = add(surface, jnp.asarray(pose, jnp.float32), scan)
     return surface
 
@@ -98,7 +105,7 @@ def test_the_search_finds_the_best_pose_of_the_lattice(seed: int) -> None:
     points = rng.uniform(-3.0, 3.0, (180, 2)).astype(np.float32)
     is_point = rng.random(180) < 0.7
     yes = jnp.asarray(is_point)
-    ends = EndPoints(*(jnp.asarray(points) for _ in range(3)), yes, yes)
+    ends = EndPoints(*(jnp.asarray(points) for _ in range(3)), yes, yes, jnp.zeros(180))
     guess = rng.uniform(-0.5, 0.5, 3).astype(np.float32)
     # The lattice is narrower than its greatest spacing along x and in the yaw.
     factor = np.diag([0.04, 0.2, 0.01]) @ (np.eye(3) + 0.1 * rng.standard_normal((3, 3)))
@@ -208,17 +215,22 @@ def test_a_wrong_guess_is_corrected(
         assert float(found.share) > 0.95
 
 
-def test_along_a_corridor_nothing_is_measured(scan_of: ScanOf) -> None:
-    """The pose and the covariance along it stay those of the guess, and in the other coordinates
-    they are measured."""
+@pytest.mark.parametrize(
+    ("sensor", "noise"), [(SENSOR, 0.01), (Lidar(361, 8.0, math.radians(180.0)), 0.02)]
+)
+def test_along_a_corridor_nothing_is_measured(
+    scan_of: ScanOf, sensor: Lidar, noise: float
+) -> None:
+    """The covariance along it stays that of the guess, and in the other coordinates the pose is
+    measured. Neither the noise of normals nor end points far along the walls count."""
     long = 50.0
     walls = np.array([[[-long, y], [long, y]] for y in (-1.0, 1.5)])
-    surface = surface_of(scan_of, walls, 0.01, 30)
+    surface = surface_of(scan_of, walls, noise, 30, sensor)
     start = np.array([-1.0, 0.1, 0.0])
     guess = start + [0.1, 0.06, -0.03]
-    scan = scan_of(walls, start, SENSOR, 0.01, 5)
+    scan = scan_of(walls, start, sensor, noise, 5)
     prior = jnp.asarray(np.diag([0.2, 0.1, 0.05]) ** 2, jnp.float32)
-    found = matched(MATCHER, surface, scan, jnp.asarray(guess, jnp.float32), prior)
+    found = matched(MATCHER, surface, scan, jnp.asarray(guess, jnp.float32), prior, sensor)
     std = np.sqrt(np.diag(np.asarray(found.covariance, float)))
     assert std[0] == pytest.approx(0.2, rel=0.02)
     assert std[1] < 0.005
