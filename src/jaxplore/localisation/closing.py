@@ -14,15 +14,17 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks
 from jaxplore._types import ArrayLike, Count, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, between, compose, rotation
+from jaxplore.geometry.motion import Matrix, between, compose, placed, rotation
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, optimised
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
 from jaxplore.localisation.surface import EndPoints
-from jaxplore.sensing.beams import Beams
+from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
 """Way before and behind an old scan whose scans make up the place where it was taken [m]."""
+CLEAR = 0.3
+"""Distance before what a beam met from which on a point contradicts the beam [m]."""
 
 
 class _Found(NamedTuple):
@@ -31,6 +33,7 @@ class _Found(NamedTuple):
     motion: Pose
     covariance: Matrix
     share: Scalar
+    contradicted: Scalar
 
 
 class LoopCloser(eqx.Module):
@@ -38,14 +41,16 @@ class LoopCloser(eqx.Module):
 
     For a stored scan an old place is looked for: the nearest older scan within `reach`, more than
     the memory of the localiser ago by way. The scan is matched to the surfaces of the scans around
-    it. If at least `least_share` of its points lie on them, the loop is closed. If the closed loops
-    contradict the poses by more than `tolerance`, the pose graph is optimised, and the surfaces are
-    made anew.
+    it. If at least `least_share` of its points lie on them, and at most `most_contradicted` of the
+    points of the old scan and of this one lie where a beam of the other passed, the loop is closed.
+    If the closed loops contradict the poses by more than `tolerance`, the pose graph is optimised,
+    and the surfaces are made anew.
 
     Args:
         reach: greatest distance of an old scan [m].
         spacing: way between scans for which places are looked for [m].
         least_share: least share of a scan's points on the surfaces of the old place.
+        most_contradicted: greatest share of points in the free space of the other scan.
         tolerance: greatest error of a closed loop that is left as it is [m].
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
@@ -56,6 +61,7 @@ class LoopCloser(eqx.Module):
     reach: Scalar
     spacing: Scalar
     least_share: Scalar
+    most_contradicted: Scalar
     tolerance: Scalar
     matcher: ScanMatcher
 
@@ -65,12 +71,16 @@ class LoopCloser(eqx.Module):
         *,
         spacing: ArrayLike = 1.0,
         least_share: ArrayLike = 0.5,
+        most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
         self.spacing = _checks.scalar("spacing", spacing, above=0.0)
         self.least_share = _checks.scalar("least_share", least_share, above=0.0, at_most=1.0)
+        self.most_contradicted = _checks.scalar(
+            "most_contradicted", most_contradicted, above=0.0, at_most=1.0
+        )
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
@@ -122,6 +132,8 @@ class LoopCloser(eqx.Module):
                 *(jnp.asarray(each, jnp.int32) for each in (place[0], place[-1] + 1, older, newer)),
             )
             if float(found.share) < float(self.least_share):
+                continue
+            if float(found.contradicted) > float(self.most_contradicted):
                 continue
             closures = closures.with_loop(
                 jnp.asarray(older, jnp.int32),
@@ -189,14 +201,50 @@ def _matched(
     matcher, localiser, sensors = given
     place = localiser.surface_of(state, first, end, sensors)
     scans = state.scans
-    ends = EndPoints.of(sensors[0], scans.scan(newer, sensors)[0])
+    scan, old_scan = (scans.scan(index, sensors)[0] for index in (newer, older))
+    ends = EndPoints.of(sensors[0], scan)
     old = scans.poses[older]
     # The search decides; its prior only keeps Gauss-Newton from leaving where nothing holds it.
     loose = jnp.diag(jnp.array([1.0, 1.0, 0.25]) ** 2)
     match: ScanMatch = matcher(place, ends, scans.poses[newer], loose, scans.way[end - 1])
     back = rotation(old[2]).T
     covariance = back @ (match.covariance + floor()) @ back.T
-    return _Found(between(old, match.pose), covariance, match.share)
+    motion = between(old, match.pose)
+    contradicted = jnp.maximum(
+        _contradicted(sensors[0], scan, old_scan, motion),
+        _contradicted(sensors[0], old_scan, scan, between(match.pose, old)),
+    )
+    return _Found(motion, covariance, match.share, contradicted)
+
+
+def _contradicted(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scalar:
+    """Return the share of the points of a scan that lie where beams of another scan passed.
+
+    A point contradicts the beam in whose direction it is, and the ones beside it, if it lies more
+    than `CLEAR` before what each of them met.
+
+    Args:
+        sensor: sensor of both scans.
+        scan: the scan.
+        other: the other scan.
+        motion: pose of the first scan in the frame of the other one.
+    """
+    points = placed(motion, scan.points(sensor))
+    x, y = jnp.unstack(points, axis=1)
+    number = sensor.num_beams
+    bearing = (jnp.arctan2(y, x) - float(sensor.beam_angles[0])) % (2.0 * jnp.pi)
+    beam = jnp.round(bearing / sensor.beam_spacing).astype(jnp.int32)
+    is_seen = scan.is_return
+    if sensor.is_full_circle:
+        beam = beam % number
+    else:
+        is_seen &= beam < number
+        beam = jnp.minimum(beam, number - 1)
+    ranges = other.ranges
+    least = jnp.minimum(ranges, jnp.minimum(jnp.roll(ranges, 1), jnp.roll(ranges, -1)))
+    is_before = is_seen & (jnp.hypot(x, y) < least[beam] - CLEAR)
+    number_of_points = jnp.maximum(jnp.sum(scan.is_return, dtype=jnp.float32), 1.0)
+    return jnp.sum(is_before, dtype=jnp.float32) / number_of_points
 
 
 @eqx.filter_jit
