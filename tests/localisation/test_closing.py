@@ -34,7 +34,9 @@ LOCALISER = Localiser(
     memory=4.0,
     capacity=128,
 )
-CLOSER = LoopCloser(2.0, spacing=1.0, matcher=ScanMatcher(steps=5, spacing=0.125, turn_spacing=0.05))
+CLOSER = LoopCloser(
+    2.0, spacing=1.0, matcher=ScanMatcher(steps=5, spacing=0.125, turn_spacing=0.05)
+)
 # The track around the block, with round corners.
 CORNERS = np.array([[1.0, 1.0], [7.0, 1.0], [7.0, 5.0], [1.0, 5.0]])
 
@@ -73,8 +75,7 @@ def track(laps: float) -> np.ndarray:
         left = np.array([-direction[1], direction[0]])
         centre = end - radius * direction + radius * left
         poses += [
-            [*(centre + radius * (np.sin(a) * direction - np.cos(a) * left)), yaw + a]
-            for a in turn
+            [*(centre + radius * (np.sin(a) * direction - np.cos(a) * left)), yaw + a] for a in turn
         ]
     lap = np.array(poses)
     number = round(laps * len(lap))
@@ -233,7 +234,9 @@ def test_another_place_closes_no_loop(driven: Any) -> None:
     assert len(poses) == number
 
 
-@pytest.mark.parametrize("name", ["reach", "spacing", "least_share", "most_contradicted", "tolerance"])
+@pytest.mark.parametrize(
+    "name", ["reach", "spacing", "least_share", "most_contradicted", "tolerance"]
+)
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan])
 def test_numbers_that_are_not_positive_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=rf"^{name} is .*; accepted: "):

@@ -114,7 +114,9 @@ def random_graph(seed: int) -> tuple[Graph, np.ndarray]:
     motions = np.array([measured(i, i + 1, noise) for i, noise in enumerate(noises)])
     pairs = np.array([[0, 12], [2, 9], [4, 11]])
     loop_noises = np.array([covariance() for _ in pairs])
-    loops = np.array([measured(*pair, noise) for pair, noise in zip(pairs, loop_noises, strict=True)])
+    loops = np.array(
+        [measured(*pair, noise) for pair, noise in zip(pairs, loop_noises, strict=True)]
+    )
     loops[1, :2] += 0.8
     return Graph(chain(motions), motions, noises, pairs, loops, loop_noises), true
 

@@ -218,9 +218,7 @@ def test_a_wrong_guess_is_corrected(
 @pytest.mark.parametrize(
     ("sensor", "noise"), [(SENSOR, 0.01), (Lidar(361, 8.0, math.radians(180.0)), 0.02)]
 )
-def test_along_a_corridor_nothing_is_measured(
-    scan_of: ScanOf, sensor: Lidar, noise: float
-) -> None:
+def test_along_a_corridor_nothing_is_measured(scan_of: ScanOf, sensor: Lidar, noise: float) -> None:
     """The covariance along it stays that of the guess, and in the other coordinates the pose is
     measured. Neither the noise of normals nor end points far along the walls count."""
     long = 50.0

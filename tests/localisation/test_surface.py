@@ -190,9 +190,11 @@ def test_normals_of_end_points_are_those_of_walls(
 ) -> None:
     pose = np.array([-1.0, 0.2, 0.4])
     ends = end_points(sensor, scan_of(room, pose, sensor))
-    points = np.asarray(ends.points, float) @ np.array(
-        [[math.cos(0.4), math.sin(0.4)], [-math.sin(0.4), math.cos(0.4)]]
-    ) + pose[:2]
+    points = (
+        np.asarray(ends.points, float)
+        @ np.array([[math.cos(0.4), math.sin(0.4)], [-math.sin(0.4), math.cos(0.4)]])
+        + pose[:2]
+    )
     start, along = room[:, 0], room[:, 1] - room[:, 0]
     length = np.linalg.norm(along, axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1) / length[:, None]
@@ -210,9 +212,7 @@ def test_normals_of_end_points_are_those_of_walls(
         [[math.cos(0.4), math.sin(0.4)], [-math.sin(0.4), math.cos(0.4)]]
     )
     assert np.asarray(ends.is_flat)[is_clear].all()
-    np.testing.assert_allclose(
-        np.abs((normals * turned).sum(axis=1))[is_clear], 1.0, atol=1e-5
-    )
+    np.testing.assert_allclose(np.abs((normals * turned).sum(axis=1))[is_clear], 1.0, atol=1e-5)
     # They point to the sensor, are of length 1, and the anchors are on the walls.
     assert ((normals * (pose[:2] - points)).sum(axis=1) > 0.0)[is_clear].all()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
@@ -231,15 +231,15 @@ def test_the_first_beam_and_the_last_are_neighbours_only_on_a_circle() -> None:
         is_return = np.zeros(72, bool)
         is_return[[0, 1, 71]] = True
         ranges = np.where(is_return, -1.0 / np.cos(angles), 4.0)
-        ends = end_points(
-            sensor, Scan(jnp.asarray(ranges, jnp.float32), jnp.asarray(is_return))
-        )
+        ends = end_points(sensor, Scan(jnp.asarray(ranges, jnp.float32), jnp.asarray(is_return)))
         assert bool(ends.is_flat[0]) == is_flat
         assert bool(ends.is_flat[71]) == is_flat
 
 
 def test_a_scan_without_returns_changes_nothing(scan_of: Callable[..., Scan]) -> None:
-    seen = with_scan(empty(), ORIGIN, end_points(FAN, scan_of(long_wall(1.2, 0.0), ORIGIN, FAN)), WAY)
+    seen = with_scan(
+        empty(), ORIGIN, end_points(FAN, scan_of(long_wall(1.2, 0.0), ORIGIN, FAN)), WAY
+    )
     nothing = end_points(FAN, scan_of(long_wall(50.0, 0.0), ORIGIN, FAN))
     assert not np.asarray(nothing.is_point).any()
     after = with_scan(seen, ORIGIN, nothing, jnp.asarray(3.0))
