@@ -23,11 +23,8 @@ def between_by_hand(pose: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def compose_by_hand(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    return pose + [
-        cos * motion[0] - sin * motion[1],
-        sin * motion[0] + cos * motion[1],
-        motion[2],
-    ]
+    moved = [cos * motion[0] - sin * motion[1], sin * motion[0] + cos * motion[1], motion[2]]
+    return pose + np.array(moved)
 
 
 def chain(motions: np.ndarray) -> np.ndarray:

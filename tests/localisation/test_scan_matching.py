@@ -225,7 +225,7 @@ def test_along_a_corridor_nothing_is_measured(scan_of: ScanOf, sensor: Lidar, no
     walls = np.array([[[-long, y], [long, y]] for y in (-1.0, 1.5)])
     surface = surface_of(scan_of, walls, noise, 30, sensor)
     start = np.array([-1.0, 0.1, 0.0])
-    guess = start + [0.1, 0.06, -0.03]
+    guess = start + np.array([0.1, 0.06, -0.03])
     scan = scan_of(walls, start, sensor, noise, 5)
     prior = jnp.asarray(np.diag([0.2, 0.1, 0.05]) ** 2, jnp.float32)
     found = matched(MATCHER, surface, scan, jnp.asarray(guess, jnp.float32), prior, sensor)
@@ -242,7 +242,7 @@ def test_along_a_corridor_nothing_is_measured(scan_of: ScanOf, sensor: Lidar, no
 def test_a_scan_that_says_nothing_leaves_the_guess(
     scan_of: ScanOf, room: np.ndarray, noisy_map: SurfaceMap
 ) -> None:
-    guess = jnp.asarray(PLACE + [0.05, 0.0, 0.0], jnp.float32)
+    guess = jnp.asarray(PLACE + np.array([0.05, 0.0, 0.0]), jnp.float32)
     nothing = Scan(jnp.full(180, 8.0), jnp.zeros(180, bool))
     # A scan that is far off the map, too.
     away = scan_of(room, PLACE, SENSOR)

@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
@@ -67,17 +68,24 @@ def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
     folder = free_name(Path("runs") / f"{file.stem}-map") if out is None else out
     reserve(folder, overwrite=options.overwrite)
     number = len(log.times)
-    with progress_bar("mapping", enabled=True) as advance:
-        advance(0.0, "compiling, about 10 s the first time")
+    with ExitStack() as stack:
+        bars: list[Callable[[float, str], None]] = []
+
+        def show(scans: int, loops: int) -> None:
+            # The first call comes after all checks, whose messages are one line without a bar.
+            if not bars:
+                bars.append(stack.enter_context(progress_bar("mapping", enabled=True)))
+                bars[0](0.0, "compiling, about 10 s the first time")
+                return
+            bars[0](scans / number, f"{scans} of {number} scans, {loops} loops closed")
+
         mapped = map_log(
             log,
             key=jax.random.key(seed),
             odometry=odometry,
             resolution=resolution,
             max_range=options.max_range,
-            on_progress=lambda scans, loops: advance(
-                scans / number, f"{scans} of {number} scans, {loops} loops closed"
-            ),
+            on_progress=show,
         )
     metrics = log_metrics(mapped)
     _write(mapped, metrics, folder, overwrite=options.overwrite)

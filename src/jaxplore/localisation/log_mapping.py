@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from jaxplore import _checks, _kinds
 from jaxplore._limits import FINEST, LONGEST_RANGE, MOST_BEAMS
+from jaxplore._optional import import_optional
 from jaxplore._types import Count, Key
 from jaxplore.geometry.motion import between, compose
 from jaxplore.localisation.closing import LoopCloser
@@ -37,6 +38,8 @@ WHOLE = 128
 """The sides of maps are multiples of so many cells, so that few shapes are compiled."""
 SCANS_PER_SEARCH = 32
 """Number of scans between two searches for closed loops."""
+CERTAIN = 4.0
+"""Greatest log-odds of a cell of the map."""
 COARSEST = 1.0
 """Largest side of a cell [m]."""
 MAX_RANGE = 25.0
@@ -150,7 +153,8 @@ def map_log(
         localiser: localiser; by default one for this odometry that stores a scan every 0.25 m. It
             must have room for all scans.
         closer: closes loops; with the default numbers when absent.
-        on_progress: called with the number of scans and of closed loops so far.
+        on_progress: called with the number of scans and of closed loops so far; first with 0, after
+            all checks.
 
     Raises:
         ValueError: an argument of another class, a resolution outside [0.001, 1] m, a range that is
@@ -164,6 +168,8 @@ def map_log(
     _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
     resolution = _checks.number("resolution", resolution, at_least=FINEST, at_most=COARSEST)
     max_range = _checks.number("max_range", max_range, above=0.0, at_most=LONGEST_RANGE)
+    # It is needed when the first loop is closed, after minutes.
+    import_optional("gtsam", "slam")
     odometry = default_drift() if odometry is None else odometry
     sensor = log_sensor(log, max_range)
     scans = _all_scans(log, sensor)
@@ -181,6 +187,7 @@ def map_log(
     motions, elapsed = drifted_motions(log, odometry, key)
     dead_reckoned = _accumulated(true[0], np.asarray(motions, np.float64))
     frame, shape = frame_around(sensor, scans, dead_reckoned, resolution, MARGIN)
+    on_progress(0, 0)
     sensors = (sensor,)
     state = localiser.init(jnp.asarray(true[0], jnp.float32), frame, shape, sensors)
     track = _Track(jnp.zeros((number, 3)), jnp.zeros(number, jnp.int32))
@@ -264,7 +271,10 @@ def _map_of(sensor: Sensor, scans: Scan, poses: _Floats, resolution: float) -> O
     """Return the occupancy grid of scans at poses."""
     frame, shape = frame_around(sensor, scans, poses, resolution, resolution)
     blank = OccupancyGrid.unknown(shape, frame)
-    return _drawn(sensor, InverseSensorModel(), blank, scans, jnp.asarray(poses, jnp.float32))
+    # Beams without an echo often met glass or something black: they say nothing of what is free.
+    returned = Scan(jnp.where(scans.is_return, scans.ranges, 0.0), scans.is_return)
+    model = InverseSensorModel.from_odds(clamp=(-CERTAIN, CERTAIN))
+    return _drawn(sensor, model, blank, returned, jnp.asarray(poses, jnp.float32))
 
 
 def frame_around(

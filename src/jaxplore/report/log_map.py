@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxplore.localisation.log_mapping import LogMap
-from jaxplore.report.drawing.colours import SERIES, belief_colours
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD, OccupancyGrid
+from jaxplore.report.drawing.colours import SERIES, UNKNOWN, belief_colours, shade
 from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.localisation import (
     AbsoluteError,
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 PIECE = 5.0
 """Length of the pieces over which drift is measured [m]."""
+MOST_PIXELS = 900
+"""Greatest number of blocks of cells along a side of the figure."""
 BORDER = 1.0
 """Width of what is drawn around the known cells [m]."""
 TRACKS = (
@@ -85,16 +88,17 @@ def log_figure(mapped: LogMap) -> "Figure":
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     corner = np.asarray(grid.frame.origin, np.float64)[:2] + mapped.start
-    side = np.array(belief.shape[::-1]) * grid.resolution
-    colours = belief_colours()[np.round(255.0 * belief).astype(np.uint8)]
+    blocks, factor = _coarser(belief, size, grid)
+    side = np.array(blocks.shape[::-1]) * factor * grid.resolution
+    colours = belief_colours()[np.round(255.0 * blocks).astype(np.uint8)]
     axes.imshow(
         colours,
         extent=(corner[0], corner[0] + side[0], corner[1], corner[1] + side[1]),
         origin="lower",
-        interpolation="antialiased",
+        interpolation="nearest",
     )
     # Beyond the map nothing is known.
-    axes.set_facecolor([level / 255.0 for level in belief_colours()[128]])
+    axes.set_facecolor(shade(UNKNOWN))
     for name, label, colour, width in TRACKS:
         x, y = (getattr(mapped, name)[:, :2] + mapped.start).T
         axes.plot(x, y, color=colour, linewidth=width, label=label)
@@ -122,6 +126,27 @@ def log_figure(mapped: LogMap) -> "Figure":
         fontsize=11,
     )
     return figure
+
+
+def _coarser(belief: np.ndarray, size: np.ndarray, grid: OccupancyGrid) -> tuple[np.ndarray, int]:
+    """Return the belief in blocks that are no smaller than pixels, and the cells along a block.
+
+    A block with an occupied cell is occupied, so that walls of one cell stay visible.
+
+    Args:
+        belief: probabilities (H, W).
+        size: width and height of what is drawn [m].
+        grid: grid of the belief.
+    """
+    factor = max(1, round(float(size.max()) / grid.resolution / MOST_PIXELS))
+    # Rows and columns of unknown cells fill the last blocks.
+    short = [-count % factor for count in belief.shape]
+    padded = np.pad(belief, [(0, each) for each in short], constant_values=0.5)
+    height, width = (count // factor for count in padded.shape)
+    blocks = padded.reshape(height, factor, width, factor)
+    highest = blocks.max(axis=(1, 3))
+    coarse: np.ndarray = np.where(highest > OCCUPIED_THRESHOLD, highest, blocks.mean(axis=(1, 3)))
+    return coarse, factor
 
 
 def _extent(mapped: LogMap, belief: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
