@@ -80,7 +80,7 @@ def test_a_log_becomes_a_map(log: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert metrics["iou"] > 0.8
     assert f"{metrics['num_loops']} loops closed" in capsys.readouterr().out
     with np.load(folder / "trajectories.npz") as arrays:
-        np.testing.assert_allclose(arrays["start"], PLACE + [6.0, 2.5], atol=1e-3)
+        np.testing.assert_allclose(arrays["start"], PLACE + np.array([6.0, 2.5]), atol=1e-3)
         assert arrays["estimated"].shape == arrays["true"].shape == (60, 3)
     # The map is where the log has the robot, and its walls are those of the building.
     grid = OccupancyGrid.from_ros(folder / "map.yaml")

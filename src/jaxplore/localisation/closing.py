@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Pose, Scalar
 from jaxplore.geometry.motion import Matrix, between, compose, placed, rotation
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
@@ -55,7 +55,7 @@ class LoopCloser(eqx.Module):
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
     Raises:
-        ValueError: a number that is not positive, a share above 1.
+        ValueError: a number that is not positive, a share above 1, a matcher of another class.
     """
 
     reach: Scalar
@@ -82,6 +82,7 @@ class LoopCloser(eqx.Module):
             "most_contradicted", most_contradicted, above=0.0, at_most=1.0
         )
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
+        _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
         self.matcher = matcher
@@ -98,6 +99,9 @@ class LoopCloser(eqx.Module):
             localiser: the localiser.
             state: its state.
             sensors: the sensors.
+
+        Raises:
+            ValueError: an argument of another class; GTSAM is not installed.
         """
         examined = self.examined(localiser, state, sensors)
         return self.settled(localiser, examined, sensors)
@@ -105,7 +109,11 @@ class LoopCloser(eqx.Module):
     def examined(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState:
-        """Return the state with the loops that the newest scans close; nothing has moved yet."""
+        """Return the state with the loops that the newest scans close; nothing has moved yet.
+
+        Arguments and errors are those of `closed`.
+        """
+        _check(localiser, state, sensors)
         number, closures = int(state.scans.number), state.closures
         begin = int(closures.examined)
         if begin >= number:
@@ -148,7 +156,11 @@ class LoopCloser(eqx.Module):
     def settled(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState | None:
-        """Return the state whose scans fit the closed loops; None if they fit well enough."""
+        """Return the state whose scans fit the closed loops; None if they fit well enough.
+
+        Arguments and errors are those of `closed`.
+        """
+        _check(localiser, state, sensors)
         scans, closures = state.scans, state.closures
         number, loops = int(scans.number), int(closures.number)
         if not loops:
@@ -177,6 +189,12 @@ class LoopCloser(eqx.Module):
             jnp.asarray(moved, jnp.float32),
             jnp.asarray(best.covariance, jnp.float32),
         )
+
+
+def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]) -> None:
+    _kinds.instance("localiser", localiser, Localiser)
+    _kinds.instance("state", state, LocaliserState)
+    _kinds.instances("sensors", sensors, Beams)
 
 
 def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:

@@ -166,6 +166,7 @@ def map_log(
     _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
     _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
     _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
+    _kinds.function("on_progress", on_progress, "a function of two numbers")
     resolution = _checks.number("resolution", resolution, at_least=FINEST, at_most=COARSEST)
     max_range = _checks.number("max_range", max_range, above=0.0, at_most=LONGEST_RANGE)
     # It is needed when the first loop is closed, after minutes.

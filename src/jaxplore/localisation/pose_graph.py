@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxplore import _kinds
 from jaxplore._optional import import_optional
 
 HUBER = 1.345
@@ -60,8 +61,9 @@ def optimised(graph: Graph) -> Optimum:
         graph: the graph.
 
     Raises:
-        ValueError: GTSAM is not installed.
+        ValueError: something else than a graph; GTSAM is not installed.
     """
+    _kinds.instance("graph", graph, Graph)
     library: Any = import_optional("gtsam", "slam")
     factors, start = library.NonlinearFactorGraph(), library.Values()
     for node, pose in enumerate(graph.poses.astype(float)):
