@@ -43,6 +43,7 @@ RECORDS = {
     "ChunkedRun",
     "ControlSpace",
     "Detections",
+    "EndPoints",
     "EnvironmentState",
     "Experiment",
     "FleetBelief",
@@ -61,6 +62,7 @@ RECORDS = {
     "State",
     "StrategicBelief",
     "SumCost",
+    "SurfaceMap",
     "TargetScores",
     "TerrainMap",
     "VolumeBelief",
@@ -92,7 +94,7 @@ INNER = {
 }
 """Functions that are called in traced code, where nothing may be checked."""
 
-RUNNING = {"compare", "record_runs", "simulate"}
+RUNNING = {"compare", "map_log", "optimised", "record_runs", "simulate"}
 """Functions that compile and run a loop if nothing is wrong. Then their own tests do."""
 
 
@@ -313,7 +315,9 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         "generate_volume": {"kind": "forest"},
         "line_path": {"start": (0.0, 0.0)},
         "read_path": {"path": str(folder / "path.csv")},
+        "optimised": {"graph": localisation.Graph(*[np.zeros((0, 3))] * 6)},
         "path_datum": {"path": str(folder / "path.csv")},
+        "map_log": {"log": jx.sensing.read_laser_log(folder / "lidar.log")},
         "map_datum": {"path": str(folder / "map.yaml")},
         "relative_world": {"world": jx.maps.three_zones(), "datum": jx.maps.Datum()},
         "read_laser_log": {"path": str(folder / "lidar.log")},

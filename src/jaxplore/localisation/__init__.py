@@ -4,6 +4,8 @@ from jaxplore.localisation.closing import LoopCloser as LoopCloser
 from jaxplore.localisation.likelihood_field import LikelihoodField as LikelihoodField
 from jaxplore.localisation.localiser import Localiser as Localiser
 from jaxplore.localisation.localiser import LocaliserState as LocaliserState
+from jaxplore.localisation.log_mapping import LogMap as LogMap
+from jaxplore.localisation.log_mapping import map_log as map_log
 from jaxplore.localisation.odometry import Odometry as Odometry
 from jaxplore.localisation.odometry import OdometryBias as OdometryBias
 from jaxplore.localisation.particles import ParticleFilter as ParticleFilter

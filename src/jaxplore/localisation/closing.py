@@ -13,18 +13,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxplore import _checks
+from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Pose, Scalar
-from jaxplore.geometry.motion import Matrix, between, compose, moved_covariance, rotation
+from jaxplore.geometry.motion import (
+    Matrix,
+    between,
+    compose,
+    moved_covariance,
+    placed,
+    rotation,
+)
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
 from jaxplore.localisation.pose_graph import Graph, optimised
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
 from jaxplore.localisation.stored_scans import StoredScans
 from jaxplore.localisation.surface import EndPoints
-from jaxplore.sensing.beams import Beams
+from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
 """Way before and behind an old scan whose scans make up the place where it was taken [m]."""
+CLEAR = 0.3
+"""Distance before what a beam met from which on a point contradicts the beam [m]."""
 
 
 class _Found(NamedTuple):
@@ -33,6 +42,7 @@ class _Found(NamedTuple):
     motion: Pose
     covariance: Matrix
     share: Scalar
+    contradicted: Scalar
 
 
 class LoopCloser(eqx.Module):
@@ -40,24 +50,27 @@ class LoopCloser(eqx.Module):
 
     For a stored scan an old place is looked for: the nearest older scan within `reach`, more than
     the memory of the localiser ago by way. The scan is matched to the surfaces of the scans around
-    it. If at least `least_share` of its points lie on them, the loop is closed. If the closed loops
-    contradict the poses by more than `tolerance`, the pose graph is optimised, and the surfaces are
-    made anew.
+    it. If at least `least_share` of its points lie on them, and at most `most_contradicted` of the
+    points of the old scan and of this one lie where a beam of the other passed, the loop is closed.
+    If the closed loops contradict the poses by more than `tolerance`, the pose graph is optimised,
+    and the surfaces are made anew.
 
     Args:
         reach: greatest distance of an old scan [m].
         spacing: way between scans for which places are looked for [m].
         least_share: least share of a scan's points on the surfaces of the old place.
+        most_contradicted: greatest share of points in the free space of the other scan.
         tolerance: greatest error of a closed loop that is left as it is [m].
         matcher: matches a scan to an old place; it searches 1 m and 0.25 rad by default.
 
     Raises:
-        ValueError: a number that is not positive, a share above 1.
+        ValueError: a number that is not positive, a share above 1, a matcher of another class.
     """
 
     reach: Scalar
     spacing: Scalar
     least_share: Scalar
+    most_contradicted: Scalar
     tolerance: Scalar
     matcher: ScanMatcher
 
@@ -67,13 +80,18 @@ class LoopCloser(eqx.Module):
         *,
         spacing: ArrayLike = 1.0,
         least_share: ArrayLike = 0.5,
+        most_contradicted: ArrayLike = 0.1,
         tolerance: ArrayLike = 0.03,
         matcher: ScanMatcher | None = None,
     ) -> None:
         self.reach = _checks.scalar("reach", reach, above=0.0)
         self.spacing = _checks.scalar("spacing", spacing, above=0.0)
         self.least_share = _checks.scalar("least_share", least_share, above=0.0, at_most=1.0)
+        self.most_contradicted = _checks.scalar(
+            "most_contradicted", most_contradicted, above=0.0, at_most=1.0
+        )
         self.tolerance = _checks.scalar("tolerance", tolerance, above=0.0)
+        _kinds.instance("matcher", matcher, ScanMatcher, may_be_none=True)
         if matcher is None:
             matcher = ScanMatcher(steps=8, spacing=0.125, turn_spacing=0.03, iterations=10)
         self.matcher = matcher
@@ -90,6 +108,9 @@ class LoopCloser(eqx.Module):
             localiser: the localiser.
             state: its state.
             sensors: the sensors.
+
+        Raises:
+            ValueError: an argument of another class; GTSAM is not installed.
         """
         examined = self.examined(localiser, state, sensors)
         return self.settled(localiser, examined, sensors)
@@ -97,7 +118,11 @@ class LoopCloser(eqx.Module):
     def examined(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState:
-        """Return the state with the loops that the newest scans close; nothing has moved yet."""
+        """Return the state with the loops that the newest scans close; nothing has moved yet.
+
+        Arguments and errors are those of `closed`.
+        """
+        _check(localiser, state, sensors)
         number, closures = int(state.scans.number), state.closures
         begin = int(closures.examined)
         if begin >= number:
@@ -125,6 +150,8 @@ class LoopCloser(eqx.Module):
             )
             if float(found.share) < float(self.least_share):
                 continue
+            if float(found.contradicted) > float(self.most_contradicted):
+                continue
             closures = closures.with_loop(
                 jnp.asarray(older, jnp.int32),
                 jnp.asarray(newer, jnp.int32),
@@ -141,7 +168,11 @@ class LoopCloser(eqx.Module):
     def settled(
         self, localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]
     ) -> LocaliserState | None:
-        """Return the state whose scans fit the closed loops; None if they fit well enough."""
+        """Return the state whose scans fit the closed loops; None if they fit well enough.
+
+        Arguments and errors are those of `closed`.
+        """
+        _check(localiser, state, sensors)
         scans, closures = state.scans, state.closures
         number, loops = int(scans.number), int(closures.number)
         if not loops:
@@ -170,6 +201,12 @@ class LoopCloser(eqx.Module):
             jnp.asarray(moved, jnp.float32),
             jnp.asarray(best.covariance, jnp.float32),
         )
+
+
+def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]) -> None:
+    _kinds.instance("localiser", localiser, Localiser)
+    _kinds.instance("state", state, LocaliserState)
+    _kinds.instances("sensors", sensors, Beams)
 
 
 def _greatest_error(poses: np.ndarray, pairs: np.ndarray, wanted: np.ndarray) -> float:
@@ -251,14 +288,50 @@ def _matched(
     matcher, localiser, sensors = given
     place = localiser.surface_of(state, first, end, sensors)
     scans = state.scans
-    ends = EndPoints.of(sensors[0], scans.scan(newer, sensors)[0])
+    scan, old_scan = (scans.scan(index, sensors)[0] for index in (newer, older))
+    ends = EndPoints.of(sensors[0], scan)
     old = scans.poses[older]
     # The search decides; its prior only keeps Gauss-Newton from leaving where nothing holds it.
     loose = jnp.diag(jnp.array([1.0, 1.0, 0.25]) ** 2)
     match: ScanMatch = matcher(place, ends, scans.poses[newer], loose, scans.way[end - 1])
     back = rotation(old[2]).T
     covariance = back @ (match.covariance + floor()) @ back.T
-    return _Found(between(old, match.pose), covariance, match.share)
+    motion = between(old, match.pose)
+    contradicted = jnp.maximum(
+        _contradicted(sensors[0], scan, old_scan, motion),
+        _contradicted(sensors[0], old_scan, scan, between(match.pose, old)),
+    )
+    return _Found(motion, covariance, match.share, contradicted)
+
+
+def _contradicted(sensor: Beams, scan: Scan, other: Scan, motion: Pose) -> Scalar:
+    """Return the share of the points of a scan that lie where beams of another scan passed.
+
+    A point contradicts the beam in whose direction it is, and the ones beside it, if it lies more
+    than `CLEAR` before what each of them met.
+
+    Args:
+        sensor: sensor of both scans.
+        scan: the scan.
+        other: the other scan.
+        motion: pose of the first scan in the frame of the other one.
+    """
+    points = placed(motion, scan.points(sensor))
+    x, y = jnp.unstack(points, axis=1)
+    number = sensor.num_beams
+    bearing = (jnp.arctan2(y, x) - float(sensor.beam_angles[0])) % (2.0 * jnp.pi)
+    beam = jnp.round(bearing / sensor.beam_spacing).astype(jnp.int32)
+    is_seen = scan.is_return
+    if sensor.is_full_circle:
+        beam = beam % number
+    else:
+        is_seen &= beam < number
+        beam = jnp.minimum(beam, number - 1)
+    ranges = other.ranges
+    least = jnp.minimum(ranges, jnp.minimum(jnp.roll(ranges, 1), jnp.roll(ranges, -1)))
+    is_before = is_seen & (jnp.hypot(x, y) < least[beam] - CLEAR)
+    number_of_points = jnp.maximum(jnp.sum(scan.is_return, dtype=jnp.float32), 1.0)
+    return jnp.sum(is_before, dtype=jnp.float32) / number_of_points
 
 
 @eqx.filter_jit

@@ -112,7 +112,14 @@ class Localiser(eqx.Module):
             frame: pose and cell size of the map.
             shape: its rows and columns.
             sensors: the sensors; scans of the first one are matched.
+
+        Raises:
+            ValueError: something else than a pose, a frame, a shape or sensors.
         """
+        pose = _checks.pose("pose", pose)
+        _kinds.instance("frame", frame, GridFrame)
+        shape = _checks.rows_and_columns("shape", shape)
+        _kinds.instances("sensors", sensors, Beams)
         nothing = jnp.zeros(())
         return LocaliserState(
             pose,
@@ -132,7 +139,11 @@ class Localiser(eqx.Module):
             state: state before it.
             motion: motion (dx, dy, dyaw) by the odometry, in the frame of the robot.
             elapsed: time that it took [s].
+
+        Raises:
+            ValueError: something else than a state.
         """
+        _kinds.instance("state", state, LocaliserState)
         added = self.odometry.covariance(motion, elapsed)
         return state._replace(
             pose=compose(state.pose, motion),
@@ -149,7 +160,13 @@ class Localiser(eqx.Module):
             state: state before the scans.
             scans: a scan of each sensor.
             sensors: the sensors.
+
+        Raises:
+            ValueError: something else than a state, scans or sensors.
         """
+        _kinds.instance("state", state, LocaliserState)
+        _kinds.instances("scans", scans, Scan)
+        _kinds.instances("sensors", sensors, Beams)
         ends = EndPoints.of(sensors[0], scans[0])
         match = self.matcher(state.surface, ends, state.pose, state.covariance, state.way)
         number = jnp.sum(ends.is_point, dtype=jnp.float32)

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxplore import _kinds
 from jaxplore._optional import import_optional
 
 HUBER = 1.345
@@ -16,10 +17,10 @@ class Graph(NamedTuple):
     Args:
         poses: (N, 3) poses (x, y, yaw) to start from [m, m, rad].
         motions: (N - 1, 3) measured motion from each node to the next, in the frame of the first.
-        motion_covariances: (N - 1, 3, 3) their covariances.
+        motion_covariances: (N - 1, 3, 3) their covariances, in the frame of the first.
         pairs: (C, 2) indices of the nodes of the closed loops.
         loops: (C, 3) measured motion from the first node of a pair to the second.
-        loop_covariances: (C, 3, 3) their covariances.
+        loop_covariances: (C, 3, 3) their covariances, in the frame of the first.
     """
 
     poses: np.ndarray
@@ -60,8 +61,9 @@ def optimised(graph: Graph) -> Optimum:
         graph: the graph.
 
     Raises:
-        ValueError: GTSAM is not installed.
+        ValueError: something else than a graph; GTSAM is not installed.
     """
+    _kinds.instance("graph", graph, Graph)
     library: Any = import_optional("gtsam", "slam")
     factors, start = library.NonlinearFactorGraph(), library.Values()
     for node, pose in enumerate(graph.poses.astype(float)):
@@ -72,12 +74,13 @@ def optimised(graph: Graph) -> Optimum:
     for node, (motion, covariance) in enumerate(
         zip(graph.motions, graph.motion_covariances, strict=True)
     ):
-        factors.add(_factor(library, node, node + 1, motion, _noise(library, covariance)))
+        noise = _noise(library, motion, covariance)
+        factors.add(_factor(library, node, node + 1, motion, noise))
     for (i, j), motion, covariance in zip(
         graph.pairs.tolist(), graph.loops, graph.loop_covariances, strict=True
     ):
         huber = library.noiseModel.mEstimator.Huber.Create(HUBER)
-        noise = library.noiseModel.Robust.Create(huber, _noise(library, covariance))
+        noise = library.noiseModel.Robust.Create(huber, _noise(library, motion, covariance))
         factors.add(_factor(library, i, j, motion, noise))
     found = library.LevenbergMarquardtOptimizer(factors, start).optimize()
     poses = np.array([_numbers(found.atPose2(node)) for node in range(len(graph.poses))])
@@ -87,15 +90,22 @@ def optimised(graph: Graph) -> Optimum:
     covariance = np.zeros((3, 3))
     if len(poses) > 1:
         local = library.Marginals(factors, found).marginalCovariance(len(poses) - 1)
-        turn = np.eye(3)
-        cos, sin = np.cos(poses[-1, 2]), np.sin(poses[-1, 2])
-        turn[:2, :2] = [[cos, -sin], [sin, cos]]
+        turn = _rotation(poses[-1, 2])
         covariance = turn @ local @ turn.T
     return Optimum(poses, covariance, float(factors.error(found)))
 
 
-def _noise(library: Any, covariance: np.ndarray) -> Any:
-    return library.noiseModel.Gaussian.Covariance(covariance.astype(float))
+def _rotation(yaw: float) -> np.ndarray:
+    turn = np.eye(3)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    turn[:2, :2] = [[cos, -sin], [sin, cos]]
+    return turn
+
+
+def _noise(library: Any, motion: np.ndarray, covariance: np.ndarray) -> Any:
+    # GTSAM has the error of a motion in the frame of its end.
+    back = _rotation(-float(motion[2]))
+    return library.noiseModel.Gaussian.Covariance(back @ covariance.astype(float) @ back.T)
 
 
 def _factor(library: Any, i: int, j: int, motion: np.ndarray, noise: Any) -> Any:

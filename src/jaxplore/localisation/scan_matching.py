@@ -16,6 +16,8 @@ TIE = 1e-3
 """Weight of the prior in the search: among poses that fit equally well the most likely one."""
 LEAST_STD = 0.01
 """Least standard deviation of a residual [m]."""
+NOISY = 2.0
+"""Information, relative to that which errors of normals add, below which nothing was measured."""
 CHUNK = 64
 """Number of poses whose scores are computed at once."""
 
@@ -49,6 +51,10 @@ class ScanMatcher(eqx.Module):
     of d(T(p) x_i) and s^2 the weighted mean of the squared distances, the covariance is
 
         (sum over i of w_i J_i' J_i / s^2 + P^-1)^-1
+
+    Where the end point is on a line, its normal takes the place of the gradient of d. Directions in
+    which the sum is no more than what errors of normals would add, such as along a corridor, are
+    left out of it, and of the steps.
 
     Source: Olson, "Real-time correlative scan matching", ICRA 2009; Kohlbrecher et al., "A flexible
     and scalable SLAM system with full 3D motion estimation", SSRR 2011.
@@ -106,15 +112,18 @@ class ScanMatcher(eqx.Module):
         """
         prior = jnp.linalg.inv(covariance)
         start = self.search(surface, ends, guess, covariance, way)
+        kept = _measured(*self._system(surface, ends, start, way)[:2])
 
         def step(_: Count, pose: Pose) -> Pose:
-            normal, gradient, *_rest = self._system(surface, ends, pose, guess, prior, way)
-            better: Pose = pose - jnp.linalg.solve(normal, gradient)
+            information, _tilt, gradient, *_rest = self._system(surface, ends, pose, way)
+            normal = kept @ information @ kept.T + prior
+            slope = kept @ (kept @ gradient) + prior @ (pose - guess)
+            better: Pose = pose - jnp.linalg.solve(normal, slope)
             return better
 
         pose: Pose = jax.lax.fori_loop(0, self.iterations, step, start)
-        normal, _, share, residual = self._system(surface, ends, pose, guess, prior, way)
-        found = jnp.linalg.inv(normal)
+        information, _, _, share, residual = self._system(surface, ends, pose, way)
+        found = jnp.linalg.inv(kept @ information @ kept.T + prior)
         is_finite = jnp.isfinite(pose).all() & jnp.isfinite(found).all()
         return ScanMatch(
             jnp.where(is_finite, pose, guess),
@@ -158,30 +167,57 @@ class ScanMatcher(eqx.Module):
         return offsets
 
     def _system(
-        self,
-        surface: SurfaceMap,
-        ends: EndPoints,
-        pose: Pose,
-        guess: Pose,
-        prior: Matrix,
-        way: Scalar,
-    ) -> tuple[Matrix, Pose, Scalar, Scalar]:
-        """Return the normal matrix, the gradient, the share and the residual at a pose."""
+        self, surface: SurfaceMap, ends: EndPoints, pose: Pose, way: Scalar
+    ) -> tuple[Matrix, Matrix, Pose, Scalar, Scalar]:
+        """Return the information of a scan, what of it the errors of normals add, the gradient, the
+        share and the residual at a pose."""
         points = placed(pose, ends.points)
         away, slope, is_known = jax.vmap(surface.at, (0, None))(points, way)
         # The map's own slope along a wall is noise, which would count as information.
         own = placed(pose * jnp.array([0.0, 0.0, 1.0]), ends.normals)
         slope = jnp.where(ends.is_flat[:, None], own, slope)
         arm = points - pose[:2]
-        by_yaw = slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]
-        rows = jnp.concatenate([slope, by_yaw[:, None]], axis=1)
         is_used = ends.is_point & is_known
         weight = jnp.where(is_used, (1.0 + (away / self.sigma) ** 2) ** -2, 0.0)
         variance = jnp.sum(weight * away**2) / jnp.maximum(weight.sum(), 1.0)
         least = jnp.maximum(variance, LEAST_STD**2)
-        normal = jnp.einsum("n,ni,nj->ij", weight, rows, rows) / least + prior
-        gradient = (weight * away) @ rows / least + prior @ (pose - guess)
+        rows = _rows(slope, arm)
+        information = jnp.einsum("n,ni,nj->ij", weight, rows, rows) / least
+        along = _rows(jnp.stack([-slope[:, 1], slope[:, 0]], axis=1), arm)
+        tilt = jnp.einsum("n,ni,nj->ij", weight * ends.tilt, along, along) / least
+        gradient = (weight * away) @ rows / least
         is_near = is_used & (jnp.abs(away) <= 2.0 * self.sigma)
         number = jnp.maximum(ends.is_point.sum(dtype=jnp.float32), 1.0)
         share = is_near.sum(dtype=jnp.float32) / number
-        return normal, gradient, share, jnp.sqrt(variance)
+        return information, tilt, gradient, share, jnp.sqrt(variance)
+
+
+def _rows(slope: Float[Array, "N 2"], arm: Float[Array, "N 2"]) -> Float[Array, "N 3"]:
+    """Return the derivatives (N, 3) of distances by the pose.
+
+    Args:
+        slope: (N, 2) gradients of the distances at the end points.
+        arm: (N, 2) end points relative to the sensor, in the world [m].
+    """
+    by_yaw = slope[:, 1] * arm[:, 0] - slope[:, 0] * arm[:, 1]
+    return jnp.concatenate([slope, by_yaw[:, None]], axis=1)
+
+
+def _measured(information: Matrix, tilt: Matrix) -> Matrix:
+    """Return the matrix K that keeps of an information A what errors of normals do not explain.
+
+    Along a corridor, normals with errors seem to measure the position. In the basis in which the
+    information that they add is the identity, K A K' has for each eigenvalue v of A the eigenvalue
+    `max(v - NOISY, 0)`.
+
+    Source: after Zhang, Kaess and Singh, "On degeneracy of optimization-based state estimation
+    problems", ICRA 2016, where the directions of small eigenvalues are left out.
+    """
+    # So that it can be inverted where normals have no errors, or nothing was measured.
+    least = 1e-6 * (jnp.diagonal(information) + 1.0)
+    root = jnp.linalg.cholesky(tilt + jnp.diag(least))
+    inverse = jnp.linalg.inv(root)
+    values, vectors = jnp.linalg.eigh(inverse @ information @ inverse.T)
+    share = jnp.maximum(values - NOISY, 0.0) / jnp.maximum(values, NOISY)
+    kept: Matrix = root @ (vectors * jnp.sqrt(share)) @ vectors.T @ inverse
+    return kept

@@ -24,9 +24,13 @@ LEAST_WEIGHT = 0.3
 REACH = 0.4
 """Distance of the neighbours that say how a surface lies [m]: more than the noise of ranges."""
 NEIGHBOURS = 12
-"""Greatest number of beams to either side that are taken for neighbours."""
+"""Greatest number of neighbours to either side. Where beams are denser, some are left out."""
 ROUGH = 0.03
 """Standard deviation of the neighbours from their line above which there is a corner [m]."""
+LEAST_NOISE = 0.01
+"""Least noise of a point that is taken for the error of its normal [m]."""
+GLANCING = 0.1
+"""Difference of ranges beyond which a point is behind one beside it [m]."""
 
 
 class EndPoints(eqx.Module):
@@ -36,8 +40,10 @@ class EndPoints(eqx.Module):
         points: (N, 2) positions [m].
         anchors: (N, 2) points on the line through the neighbours of each [m].
         normals: (N, 2) unit vectors across this line, towards the sensor.
-        is_point: mask (N,) of the beams that returned.
+        is_point: mask (N,) of the beams that returned, without those that touch a surface at such
+            a glancing angle that no neighbour shows how it lies.
         is_flat: mask (N,) of those with neighbours on a line.
+        tilt: (N,) variance of the direction of the normal [rad^2]; 0 where there is no line.
     """
 
     points: Float[Array, "N 2"]
@@ -45,6 +51,7 @@ class EndPoints(eqx.Module):
     normals: Float[Array, "N 2"]
     is_point: Bool[Array, " N"]
     is_flat: Bool[Array, " N"]
+    tilt: Float[Array, " N"]
 
     @classmethod
     def of(cls, sensor: Beams, scan: Scan) -> "EndPoints":
@@ -62,11 +69,13 @@ class EndPoints(eqx.Module):
         points, is_point = scan.ranges[:, None] * directions, scan.is_return
         shifts = jnp.arange(-NEIGHBOURS, NEIGHBOURS + 1)
         number = points.shape[0]
-        beside = jnp.arange(number)[:, None] + shifts
         # Beams apart by REACH on a surface that faces the sensor; on others points are rarer.
         wide = jnp.ceil(REACH / (sensor.beam_spacing * jnp.maximum(scan.ranges, 1e-3)))
-        most = jnp.clip(wide, 1, NEIGHBOURS).astype(jnp.int32)
-        is_used = jnp.abs(shifts) <= most[:, None]
+        most = jnp.clip(wide, 1, number // 2).astype(jnp.int32)
+        stride = (most + NEIGHBOURS - 1) // NEIGHBOURS
+        apart = shifts * stride[:, None]
+        beside = jnp.arange(number)[:, None] + apart
+        is_used = jnp.abs(apart) <= most[:, None]
         if not sensor.is_full_circle:
             # The first beam and the last are no neighbours.
             is_used &= (beside >= 0) & (beside < number)
@@ -89,7 +98,16 @@ class EndPoints(eqx.Module):
         sign = jnp.where((across * directions).sum(axis=1) > 0.0, -1.0, 1.0)
         normals = jnp.where(is_flat[:, None], sign[:, None] * across, -directions)
         anchors = jnp.where(is_flat[:, None], anchors, points)
-        return cls(points, anchors, normals, is_point, is_flat)
+        noise = jnp.maximum(thin * count / jnp.maximum(count - 2.0, 1.0), LEAST_NOISE**2)
+        tilt = jnp.where(is_flat, noise / (count * jnp.maximum(thick, 1e-6)), 0.0)
+        # A thin object is before what is beside it. A lone point behind its neighbour is on a wall
+        # far along it: it would pull the pose along the wall, where nothing was measured.
+        before, behind = jnp.roll(scan.ranges, 1), jnp.roll(scan.ranges, -1)
+        if not sensor.is_full_circle:
+            before, behind = before.at[0].set(jnp.inf), behind.at[-1].set(jnp.inf)
+        is_first = scan.ranges <= jnp.minimum(before, behind) + GLANCING
+        is_point = is_point & ((count >= 3.0) | is_first)
+        return cls(points, anchors, normals, is_point, is_flat & is_point, tilt)
 
     def every(self, step: int) -> "EndPoints":
         """Return every so many of the points."""

@@ -1,0 +1,135 @@
+"""`jaxplore map-log`: a map from a log of a real lidar, with drift on its motions."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxplore import _checks
+from jaxplore._limits import FINEST
+from jaxplore._text import short_repr
+from jaxplore.cli._show import free_name, reserve
+from jaxplore.cli._terminal import say
+from jaxplore.localisation.log_mapping import COARSEST, LogMap, default_drift, map_log
+from jaxplore.localisation.odometry import Odometry
+from jaxplore.maps.files.ros import write_map
+from jaxplore.report.console import progress_bar
+from jaxplore.report.drawing.figure import write_figure
+from jaxplore.report.folder import MARK, run_folder
+from jaxplore.report.log_map import log_figure, log_metrics
+from jaxplore.sensing.laser_log import read_laser_log
+
+MOST_SEED = 2**32 - 1
+"""Greatest seed of a random key."""
+
+
+class MapLogOptions(NamedTuple):
+    """Options of the command.
+
+    Args:
+        resolution: side of a cell [m].
+        max_range: range beyond which readings are not used [m].
+        field_of_view: angle between the outermost beams [rad]; by their number when absent.
+        drift_seed: seed of the drift.
+        assignments: NAME=VALUE of errors of the odometry.
+        overwrite: whether a former folder is replaced.
+    """
+
+    resolution: float
+    max_range: float
+    field_of_view: float | None
+    drift_seed: int
+    assignments: Sequence[str]
+    overwrite: bool
+
+
+def map_a_log(file: Path, out: Path | None, options: MapLogOptions) -> None:
+    """Map a log, write the folder and print the metrics.
+
+    Args:
+        file: the log.
+        out: folder to write; by the name of the log when absent.
+        options: options of the command.
+
+    Raises:
+        ValueError: a log or an option that is not accepted, a folder that exists.
+    """
+    odometry = _odometry(options.assignments)
+    seed = _checks.whole_number("--drift-seed", options.drift_seed, at_least=0, at_most=MOST_SEED)
+    resolution = _checks.number(
+        "--resolution", options.resolution, at_least=FINEST, at_most=COARSEST
+    )
+    log = read_laser_log(file, field_of_view=options.field_of_view)
+    folder = free_name(Path("runs") / f"{file.stem}-map") if out is None else out
+    reserve(folder, overwrite=options.overwrite)
+    number = len(log.times)
+    with ExitStack() as stack:
+        bars: list[Callable[[float, str], None]] = []
+
+        def show(scans: int, loops: int) -> None:
+            # The first call comes after all checks, whose messages are one line without a bar.
+            if not bars:
+                bars.append(stack.enter_context(progress_bar("mapping", enabled=True)))
+                bars[0](0.0, "compiling, about 10 s the first time")
+                return
+            bars[0](scans / number, f"{scans} of {number} scans, {loops} loops closed")
+
+        mapped = map_log(
+            log,
+            key=jax.random.key(seed),
+            odometry=odometry,
+            resolution=resolution,
+            max_range=options.max_range,
+            on_progress=show,
+        )
+    metrics = log_metrics(mapped)
+    _write(mapped, metrics, folder, overwrite=options.overwrite)
+    before, after = metrics["dead_reckoned"], metrics["estimated"]
+    say(f"{number} scans over {metrics['path_length']:.1f} m, {mapped.num_loops} loops closed")
+    say(f"ATE {after['ate']:.3f} m, by dead reckoning {before['ate']:.3f} m")
+    say(f"walls: IoU {metrics['iou']:.3f}, {100 * metrics['double_walls']:.1f} % drawn twice")
+    for name in ("map.yaml", "map.png", MARK):
+        say(str(folder / name))
+
+
+def _write(mapped: LogMap, metrics: dict[str, object], folder: Path, *, overwrite: bool) -> None:
+    """Write the folder, whole or not at all."""
+    grid = mapped.map
+    origin = np.asarray(grid.frame.origin, np.float64) + np.append(mapped.start, 0.0)
+    with run_folder(folder, overwrite=overwrite) as hidden:
+        probability = grid.cropped(grid.probability)
+        write_map(hidden / "map.yaml", probability, grid.resolution, origin.tolist())
+        write_figure(log_figure(mapped), hidden, "map", ["png"])
+        trajectories = {
+            name: getattr(mapped, name) for name in ("true", "dead_reckoned", "estimated")
+        }
+        np.savez_compressed(
+            hidden / "trajectories.npz", times=mapped.times, start=mapped.start, **trajectories
+        )
+        (hidden / MARK).write_text(json.dumps(metrics, indent=2) + "\n")
+
+
+def _odometry(assignments: Sequence[str]) -> Odometry:
+    """Return the odometry with the errors that `--set` names.
+
+    Raises:
+        ValueError: no such error, or something else than a standard deviation.
+    """
+    drift = default_drift()
+    values = {field.name: getattr(drift, field.name) for field in dataclasses.fields(drift)}
+    for assignment in assignments:
+        name, _, text = assignment.partition("=")
+        if name not in values:
+            raise ValueError(f"--set is {short_repr(assignment)}; accepted: {', '.join(values)}")
+        try:
+            values[name] = float(text)
+        except ValueError:
+            raise ValueError(
+                f"--set {name} is {short_repr(text)}; accepted: a standard deviation >= 0"
+            ) from None
+    return Odometry(**values)
