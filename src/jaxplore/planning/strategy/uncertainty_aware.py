@@ -4,6 +4,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxplore import _kinds
 from jaxplore._types import ArrayLike, ControlVector, Key, StateVector
@@ -67,7 +68,9 @@ class UncertaintyAware(Controller):
         """Return a copy of this controller that is called every `control_period` seconds."""
         return UncertaintyAware(self.controller.at_period(control_period))
 
-    def _informed(self, observation: StateVector, belief: Belief) -> tuple[MPPI, StateVector]:
+    def _informed(
+        self, observation: StateVector, belief: Belief
+    ) -> tuple[MPPI, Float[Array, " n"]]:
         """Return the controller with the belief's certainty, and the state with the variance."""
         controller: MPPI = eqx.tree_at(
             lambda each: each.dynamics.certainty, self.controller, part(belief, "certainty")
