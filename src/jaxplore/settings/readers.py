@@ -206,6 +206,12 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "localisation": Reader(
             "runs with a localisation", lambda settings: settings.localisation is not None
         ),
+        "localisation.uncertainty_weight": Reader(
+            "the explorer with a localisation",
+            lambda settings: (
+                settings.localisation is not None and settings.architecture == "explorer"
+            ),
+        ),
         "localisation.closing_rate": _CLOSING,
         "localisation.reach": _CLOSING,
         "localisation.least_share": _CLOSING,
