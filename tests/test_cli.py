@@ -550,7 +550,7 @@ def test_zones_are_picked_by_the_rule_that_is_set(given: dict, rule: type, weigh
 
 def test_a_map_that_is_no_file_is_answered_with_what_there_is(fails, tmp_path: Path) -> None:
     assert "zone is not there; accepted: the YAML file of a ROS map" in fails("run", "zone")
-    names = "perimeter, path, forest, office3d, maze3d, cave3d, warehouse3d or volume"
+    names = "perimeter, fleet, path, forest, office3d, maze3d, cave3d, warehouse3d or volume"
     assert names in fails("run", "zone")
     (tmp_path / "maps").mkdir()
     assert "is a folder; accepted: a file" in fails("run", "maps")
