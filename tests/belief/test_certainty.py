@@ -177,5 +177,8 @@ def test_impossible_numbers_are_refused(wrong: dict[str, float], message: str) -
 
 def test_a_robot_with_a_variance_gets_no_second_one() -> None:
     robot = UncertainRobot(ROBOT, constant(0.0))
-    with pytest.raises(ValueError, match="physical has a component position_variance"):
+    with pytest.raises(
+        ValueError,
+        match="state_names of PositionVariance has 'position_variance', which UncertainRobot",
+    ):
         UncertainRobot(robot, constant(0.0))

@@ -73,6 +73,6 @@ class UncertaintyAware(Controller):
     ) -> tuple[MPPI, Float[Array, " n"]]:
         """Return the controller with the belief's certainty, and the state with the variance."""
         controller: MPPI = eqx.tree_at(
-            lambda each: each.dynamics.certainty, self.controller, part(belief, "certainty")
+            lambda each: each.dynamics.virtual.certainty, self.controller, part(belief, "certainty")
         )
         return controller, jnp.append(observation, part(belief, "position_variance"))
