@@ -46,6 +46,7 @@ RECORDS = {
     "EndPoints",
     "EnvironmentState",
     "Experiment",
+    "FleetBelief",
     "InformationField",
     "LikelihoodField",
     "HeadingField",
@@ -196,6 +197,9 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
     flying = jx.informative_mppi(quadrotor, resolution=0.5)
     wide = jx.path_through([[0.0, 0.0], [2.0, 0.0], [4.0, 1.0]], half_widths=(1.0, 1.0))
     following = jx.mpcc(robot, wide, horizon=4, num_samples=8)
+    certainty = belief.CertaintyField(scenario.sensors[0], 0.5)
+    uncertain = dynamics.UncertainRobot(robot, certainty.blank())
+    aware = jx.explorer(robot, uncertain=uncertain, horizon=4, num_samples=8)
     own: dict[str, dict[str, Any]] = {
         "AdaptiveSoftmax": {"effective_sample_size": 10.0},
         "AugmentedProposal": {"physical": physical_proposal, "virtual": jx.GaussianProposal([1.0])},
@@ -248,6 +252,13 @@ def examples(folder: Path) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
             "num_nodes": 8,
             "num_headings": 4,
         },
+        "Fleet": {"robots": scenario, "starts": [(2.0, 2.0, 0.0)]},
+        "FleetController": {"controllers": [mppi], "formation": dynamics.Formation([robot])},
+        "Formation": {"robots": [robot]},
+        "CertaintyField": {"sensor": scenario.sensors[0]},
+        "UncertainRobot": {"physical": robot, "certainty": certainty.blank()},
+        "UncertaintyAware": {"controller": aware},
+        "near_starts": {"scenario": scenario, "number": 1},
         "StabilityCost": {"limit": 0.5},
         "StateBoundsCost": {"lower": {"v": 0.0}},
         "StateNoise": {"std": [0.1] * 5},

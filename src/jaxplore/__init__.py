@@ -123,8 +123,10 @@ if TYPE_CHECKING:
     from jaxplore.sensing import Sensor as Sensor
     from jaxplore.simulation import ExplorationScenario as ExplorationScenario
     from jaxplore.simulation import Faults as Faults
+    from jaxplore.simulation import Fleet as Fleet
     from jaxplore.simulation import MovingObstacles as MovingObstacles
     from jaxplore.simulation import PathScenario as PathScenario
+    from jaxplore.simulation import Radio as Radio
     from jaxplore.simulation import Run as Run
     from jaxplore.simulation import Scenario as Scenario
     from jaxplore.simulation import Traffic as Traffic
@@ -225,8 +227,10 @@ _PACKAGES = {
     "simulation": [
         "ExplorationScenario",
         "Faults",
+        "Fleet",
         "MovingObstacles",
         "PathScenario",
+        "Radio",
         "Run",
         "Scenario",
         "Traffic",

@@ -59,6 +59,8 @@ MOST_NAMES = 1_000
 """Greatest number of entries of a list or a mapping of settings."""
 MOST_MEMBERS = 100
 """Greatest number of members of a portfolio."""
+MOST_ROBOTS = 64
+"""Greatest number of robots of a fleet: its compiled program has a part for each of them."""
 MOST_STEPS = 1_000_000_000
 """Greatest number of control periods of a run, counted in 32 bits."""
 

@@ -258,7 +258,7 @@ def test_every_setting_is_described_once(kind: type[Section]) -> None:
 
 NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     # Of the robot and the world.
-    jx.explorer: {"robot", "has_moving_obstacles", "chassis"},
+    jx.explorer: {"robot", "has_moving_obstacles", "moving_obstacle_cost", "chassis", "uncertain"},
     jx.ground_portfolio: {"robot", "mission", "members", "fusion"},
     # Of the robot, the rates and the run.
     jx.Flight: {"control_period", "max_speed"},

@@ -5,6 +5,7 @@ from jaxplore.belief.anomalies import AnomalyTest as AnomalyTest
 from jaxplore.belief.belief import Belief as Belief
 from jaxplore.belief.belief import StrategicBelief as StrategicBelief
 from jaxplore.belief.car import CarMotion as CarMotion
+from jaxplore.belief.certainty import CertaintyField as CertaintyField
 from jaxplore.belief.guidance import GuidanceField as GuidanceField
 from jaxplore.belief.idleness import IdlenessMap as IdlenessMap
 from jaxplore.belief.obstacles import Obstacles as Obstacles

@@ -54,6 +54,13 @@ class Belief(eqx.Module):
             an idleness map.
         anomalies: what differs from the known map; absent without a test for it.
         objects: objects and the probabilities of their classes; absent without a detector.
+        certainty: information of a scan about the position, near the robot [1/m^2]; absent if the
+            robot knows its pose, as are the two below.
+        position_variance: variance of the position in the map [m^2].
+        revisit: worth of places that the robot knows from long before, in the unit of `worth`,
+            where it should look for its position; 0 while it knows it well enough.
+        claims: (rows, columns) additional cost of each node as the end of a path, because other
+            robots claim it [m]; absent for a robot without a fleet.
     """
 
     grid: Part[OccupancyGrid] = None  # type: ignore[assignment]
@@ -70,6 +77,10 @@ class Belief(eqx.Module):
     idleness: GridValues | None = None
     anomalies: Anomalies | None = None
     objects: ObjectClasses | None = None
+    certainty: ScalarField | None = None
+    position_variance: Scalar | None = None
+    revisit: Float[Array, "rows columns"] | None = None
+    claims: Float[Array, "rows columns"] | None = None
 
     @property
     def pull(self) -> ScalarField:
@@ -139,6 +150,9 @@ _MAP = "the belief of a Perception"
 _SOURCES = {
     "obstacles": "Belief(obstacles=...), or obstacles given to the cost",
     "to_goal": "the belief of a Perception with a goal apart",
+    **dict.fromkeys(
+        ("certainty", "position_variance"), "the belief of a scenario with a localisation"
+    ),
     **dict.fromkeys(
         ("potential", "best", "local", "reference"),
         "a StrategicBelief, in a volume a VolumeStrategicBelief",

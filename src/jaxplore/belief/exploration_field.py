@@ -29,6 +29,7 @@ def exploration_field(
     goal: Position | None,
     is_explored: Flag,
     start: Position | None = None,
+    claims: Float[Array, "rows columns"] | None = None,
 ) -> GuidanceField:
     """Return the cost-to-go to remaining information [m] and the direction of its descent.
 
@@ -48,6 +49,10 @@ def exploration_field(
     `min_information`, mostly cells near walls that noise changes back and forth, get an additional
     cost of a kilometre: they come last.
 
+    In a fleet, the cost of a place at the end of a path is greater by what the claims of the other
+    robots to it cost (`jaxplore.belief.claims`). It is a cost and no discount of W: a place that is
+    claimed by another robot keeps its rank before the places with little information.
+
     A goal is one more source of the field. It comes after all places with enough information and
     before the places with little, and it is the only source once the map is explored.
 
@@ -62,9 +67,12 @@ def exploration_field(
         goal: goal position (x, y) that is one more source [m]; None without one.
         is_explored: whether the goal is the only source; without a goal it has no effect.
         start: position (x, y) of the robot [m], see `Roadmap.field`.
+        claims: additional cost of each node as the end of a path [m]; none when absent.
     """
     roads = locomotion.roadmap(clearance, required, stride)
     source = information_sources(worth, decay_length, min_information)
+    if claims is not None:
+        source = source + claims
     if goal is not None:
         source = _with_goal(source, roads, goal, is_explored)
     return roads.field(source, start)

@@ -11,6 +11,7 @@ from jaxtyping import Array, Bool, Float
 from jaxplore import _kinds
 from jaxplore._checks import array, covariances, one_each, scalar
 from jaxplore._types import ArrayLike, Key, Rows, Scalar, Vector
+from jaxplore.belief.plans import Plans
 from jaxplore.geometry.outlines import Outlines
 
 FAR = 1e9
@@ -38,6 +39,8 @@ class Obstacles(eqx.Module):
     An unknown obstacle, one that was never seen or is forgotten, is predicted far away (`FAR`),
     without uncertainty or extent. So it costs nothing, whatever its numbers are.
 
+    One that has told its plan moves along it instead, as long as the plan is fresh (`Plans`).
+
     A tracker starts with `unseen` and calls `update`.
 
     All fields are array leaves: other obstacles of the same number do not recompile.
@@ -58,6 +61,7 @@ class Obstacles(eqx.Module):
         is_known: (N,) whether each obstacle is known: false if never seen, or forgotten; all are
             known when absent.
         memory: time without a measurement after which `update` forgets an obstacle [s].
+        plans: plans that the obstacles have told; none when absent.
 
     Raises:
         ValueError: shapes that do not fit, numbers that are not finite, a negative deviation or
@@ -75,6 +79,7 @@ class Obstacles(eqx.Module):
     age: Float[Array, " N"] | None
     is_known: Bool[Array, " N"] | None
     memory: Scalar
+    plans: Plans | None
 
     def __init__(
         self,
@@ -90,8 +95,10 @@ class Obstacles(eqx.Module):
         age: Vector | None = None,
         is_known: ArrayLike | None = None,
         memory: ArrayLike = 3.0,
+        plans: Plans | None = None,
     ) -> None:
         _kinds.instance("outlines", outlines, Outlines)
+        _kinds.instance("plans", plans, Plans, may_be_none=True)
         number = outlines.number
         rows: dict[str, Any] = {"may_be_empty": number == 0}
         self.outlines = outlines
@@ -120,7 +127,7 @@ class Obstacles(eqx.Module):
         self.is_known = None if is_known is None else jnp.array(is_known, bool)
         if self.is_known is not None and self.is_known.shape != (number,):
             raise ValueError(f"is_known has shape {self.is_known.shape}; accepted: ({number},)")
-        self.memory = scalar("memory", memory, above=0.0)
+        self.memory, self.plans = scalar("memory", memory, above=0.0), plans
 
     @classmethod
     def unseen(cls, radii: Vector, growth: Vector = 0.2, memory: ArrayLike = 3.0) -> "Obstacles":
@@ -152,7 +159,7 @@ class Obstacles(eqx.Module):
         """Concatenate two sets of obstacles; `memory` is that of `self`."""
         both = (self, other)
         names = ("velocities", "centres", "covariance", "growth")
-        merged: dict[str, Array] = {
+        merged: dict[str, Any] = {
             name: jnp.concatenate([getattr(each, name) for each in both]) for name in names
         }
         if self.turn_rates is not None or other.turn_rates is not None:
@@ -224,6 +231,7 @@ class Obstacles(eqx.Module):
             centres=centres,
             velocities=velocities,
             age=age,
+            plans=None if self.plans is None else self.plans.after(elapsed),
             is_known=None if self.is_known is None else self.is_known & (age <= self.memory),
         )
 
@@ -264,6 +272,7 @@ class Obstacles(eqx.Module):
             covariance=jnp.where(takes[:, None], exactness, self.covariance),
             age=age,
             is_known=(self._known | is_measured) & (age <= self.memory),
+            plans=later.plans,
         )
 
     def drawn(self, key: Key) -> "Obstacles":
@@ -323,6 +332,11 @@ class Obstacles(eqx.Module):
 
     def _centres_at(self, t: Scalar) -> Float[Array, "N 2"]:
         """Predict the centres (N, 2), those of unknown obstacles included [m]."""
+        if self.plans is not None:
+            shift = jnp.where(
+                self.plans.is_fresh[:, None], self.plans.shift(t), t * self.velocities
+            )
+            return self.centres + shift
         if self.turn_rates is None:
             return self.centres + t * self.velocities
         # The chord of the arc has the length v t sinc(w t / 2), which has no pole at w = 0, and is

@@ -231,9 +231,8 @@ class Perception(eqx.Module):
         """
         _kinds.instance("grid", grid, OccupancyGrid)
         pose = _checks.pose("pose", pose)
-        grid = freed_below(grid, pose, self.required_clearance, self.sensor_model)
-        closed = closed_cells(grid, self.ground)
-        clearance = clearance_field(closed, grid.frame, self.max_clearance)
+        grid = self.standing(grid, pose)
+        clearance = self._clearance(grid)
         anomalies = None if self.anomalies is None else self.anomalies.init(grid)
         idleness = None if self.watch is None else self.watch.init(grid.shape)
         information = self._information(grid, idleness, None)
@@ -254,6 +253,30 @@ class Perception(eqx.Module):
             idleness,
             anomalies,
         )
+
+    def standing(self, grid: OccupancyGrid, pose: Pose) -> OccupancyGrid:
+        """Return a map with the cells under the robot free.
+
+        Args:
+            grid: the map.
+            pose: pose (x, y, yaw) of the robot [m, m, rad].
+        """
+        return freed_below(grid, pose, self.required_clearance, self.sensor_model)
+
+    def remapped(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+        """Return the belief with another map, all of whose fields are made anew.
+
+        The time that the robot spent at each place and the idleness stay as they are.
+
+        Args:
+            belief: belief with the former map.
+            grid: the map, with the cells of the former one.
+            pose: present pose (x, y, yaw) of the robot [m, m, rad].
+        """
+        clearance = self._clearance(grid)
+        changed = dataclasses.replace(belief, grid=grid, clearance=clearance)
+        information = self._information(grid, belief.idleness, None)
+        return self._derived(changed, information, belief.dwell, pose)
 
     def observe(
         self,
@@ -337,15 +360,31 @@ class Perception(eqx.Module):
         # What objects add is in the last field, and an update would keep it.
         before = belief.information if belief.objects is None else None
         information = self._information(belief.grid, belief.idleness, before)
+        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
+        return self._derived(belief, information, dwell, pose)
+
+    def _clearance(self, grid: OccupancyGrid) -> ScalarField:
+        closed = closed_cells(grid, self.ground)
+        return clearance_field(closed, grid.frame, self.max_clearance)
+
+    def _derived(
+        self, belief: Belief, information: InformationField, dwell: GridValues, pose: Pose
+    ) -> Belief:
+        """Return the belief with the fields that follow from its map and the information."""
         if self.anomalies is not None and belief.anomalies is not None:
             information = self.anomalies.attended(belief.anomalies, information, belief.grid)
         if self.recognition is not None and belief.objects is not None:
             information = self.recognition.informed(
                 belief.objects, information, belief.grid, self.sensors[0].max_range
             )
-        dwell = add_dwell(belief.dwell, information.frame, pose, elapsed, self.memory)
         guidance, is_explored = self._guided(
-            belief.grid, belief.clearance, information, dwell, pose
+            belief.grid,
+            belief.clearance,
+            information,
+            dwell,
+            pose,
+            belief.claims,
+            belief.revisit,
         )
         return dataclasses.replace(
             belief,
@@ -393,14 +432,22 @@ class Perception(eqx.Module):
         information: InformationField,
         dwell: GridValues,
         pose: Pose,
+        claims: GridValues | None = None,
+        revisit: GridValues | None = None,
     ) -> tuple[GuidanceField, Flag]:
         """Return the guidance, and whether the map counts as explored; never without a goal."""
+        worth = information.total
+        if revisit is not None:
+            # A robot that is about to lose itself looks for its position first.
+            worth = jnp.where((revisit > 0.0).any(), revisit, worth)
+        # It gives up what it waits for in vain, information or a place that it does not recognise.
+        worth = worth * dwell_discount(dwell, self.patience)
         is_known = is_goal_next = jnp.array(False)
         if self.goal is not None:
             is_known = unknown_fraction(grid) < self.max_unknown
         guidance = exploration_field(
             clearance,
-            information.total * dwell_discount(dwell, self.patience),
+            worth,
             self.required_clearance,
             self.locomotion,
             decay_length=self.decay_length,
@@ -409,6 +456,7 @@ class Perception(eqx.Module):
             goal=None if self.is_goal_apart else self.goal,
             is_explored=is_known,
             start=pose[:2],
+            claims=claims,
         ).from_pose(pose)
         if self.goal is not None and not self.is_goal_apart:
             is_goal_next = leads_to_goal(guidance, pose[:2])

@@ -1,9 +1,12 @@
 """Controllers of exploration runs, from settings."""
 
 import math
+from typing import Any
 
 from jaxplore.belief.perception import Perception
 from jaxplore.belief.zones import Zones
+from jaxplore.build.fleet import cost_of_others, has_others
+from jaxplore.build.localisation import uncertain_robot
 from jaxplore.build.own import own_controller, own_rule
 from jaxplore.build.parts import build_robot
 from jaxplore.build.world import RunWorld
@@ -27,6 +30,7 @@ from jaxplore.planning.presets.quadrotor import (
 )
 from jaxplore.planning.presets.target_explorer import target_explorer
 from jaxplore.planning.strategy.targets import TargetChoice
+from jaxplore.planning.strategy.uncertainty_aware import UncertaintyAware
 from jaxplore.sensing.lidar import Lidar
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import BASELINES, Settings
@@ -49,13 +53,22 @@ def build_controller(
             an architecture of the user's own that is none.
     """
     robot, perception = scenario.robot, scenario.perception
+    moving: dict[str, Any] = {
+        "has_moving_obstacles": bool(world.movers) or has_others(settings),
+        "moving_obstacle_cost": cost_of_others(settings),
+    }
     if settings.architecture == "explorer":
-        return explorer(
+        uncertain = uncertain_robot(scenario, settings.rates.sensing)
+        given = settings.localisation
+        controller = explorer(
             robot,
-            has_moving_obstacles=bool(world.movers),
             chassis=scenario.chassis,
+            uncertain=uncertain,
+            **({} if given is None else arguments(given, explorer)),
+            **moving,
             **arguments(settings.controller, explorer),
         )
+        return controller if uncertain is None else UncertaintyAware(controller)
     if settings.architecture == "portfolio":
         return _portfolio(settings, world, scenario.chassis)
     own = own_rule(settings.architecture) if is_own(settings.architecture) else None
@@ -67,8 +80,8 @@ def build_controller(
             world.grid,
             # A choice is due when the fields that it reads are new.
             every=max(1, round(settings.rates.control / settings.rates.fields)),
-            has_moving_obstacles=bool(world.movers),
             chassis=scenario.chassis,
+            **moving,
             **arguments(settings.controller, explorer),
         )
     if is_own(settings.architecture):
@@ -142,7 +155,7 @@ def _portfolio(settings: Settings, world: RunWorld, chassis: Chassis | None) -> 
         Mission(
             goal,
             has_terrain=world.ground is not None,
-            has_moving_obstacles=bool(world.movers),
+            has_moving_obstacles=bool(world.movers) or has_others(settings),
             chassis=chassis,
         ),
         members=given.members if given.weights is None else given.weights,

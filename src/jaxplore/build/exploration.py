@@ -9,6 +9,8 @@ from jaxplore.belief.car import car_motion
 from jaxplore.belief.idleness import IdlenessMap
 from jaxplore.belief.perception import Perception
 from jaxplore.build.controllers import build_controller
+from jaxplore.build.fleet import build_fleet
+from jaxplore.build.localisation import build_localisation
 from jaxplore.build.parts import (
     build_chassis,
     build_faults,
@@ -21,6 +23,7 @@ from jaxplore.build.parts import (
     with_latency,
 )
 from jaxplore.build.world import RunWorld, build_world, is_ros_map
+from jaxplore.control.base import Controller
 from jaxplore.control.guard import MotionGuard
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.maps.terrain import TerrainMap
@@ -31,6 +34,7 @@ from jaxplore.settings.exploration import Settings, make_exploration_settings
 from jaxplore.simulation.experiment import Experiment
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.scenario import Scenario
 
 
 def build_exploration(settings: Settings, map_shape: tuple[int, int] | None = None) -> Experiment:
@@ -68,9 +72,12 @@ def build_in(settings: Settings, robot: Dynamics, world: RunWorld) -> Experiment
     controller = build_controller(settings, world, scenario)
     controller = set_parameters(controller, settings.parameters)
     controller = with_adaptive_horizon(controller, settings.adaptive_horizon)
+    controller = with_latency(controller, settings, scenario)
+    both: tuple[Controller, Scenario] = (controller, scenario)
+    if settings.fleet is not None:
+        both = build_fleet(settings.fleet, settings, scenario, controller, world.datum)
     return Experiment(
-        with_latency(controller, settings, scenario),
-        scenario,
+        *both,
         max(1, round(settings.time_limit * settings.rates.control)),
         jax.random.key(settings.seed),
     )
@@ -96,12 +103,14 @@ def build_scenario(settings: Settings, robot: Dynamics, world: RunWorld) -> Expl
         moving_obstacles=MovingObstacles(world.movers) if world.movers else None,
         faults=build_faults(settings.faults),
         chassis=build_chassis(settings.chassis, settings.robot, float(robot.radius)),
+        localisation=build_localisation(settings, sensors[0], world.grid.resolution),
         planted=None if settings.anomalies is None else world.planted,
         datum=world.datum,
         **arguments(settings, ExplorationScenario),
         **arguments(settings.rates, ExplorationScenario),
     ).varied(build_variation(settings.variation))
-    return scenario.guarded(MotionGuard() if settings.guard else None)
+    has_guard = settings.guard and settings.fleet is None
+    return scenario.guarded(MotionGuard() if has_guard else None)
 
 
 def _perception(

@@ -15,10 +15,12 @@ control periods and F frames, in bytes:
     volume      60 D H W + 60 d h w                   the voxels of the world, and those of the map
                                                       in its window
     views       64 A N + 24 R                         fields of A headings at N nodes, R rays
+    heard       12 M^2 H W                            maps of M robots that M robots have heard
     record      300 S                                 every step, in the file that it is read from
     frames      2 min(F (H W + 4 N), 1e9)             maps for the animation
 
-The factors were measured, see `docs/limits.md`: a run takes between half and twice the estimate.
+A fleet needs all parts but the programs once per robot. The factors were measured, see
+`docs/limits.md`: a run takes between half and twice the estimate.
 """
 
 import math
@@ -114,7 +116,14 @@ def needs(settings: RunSettings, node: NodeSettings | None = None) -> tuple[Part
         ValueError: a map or a world that cannot be read.
     """
     if isinstance(settings, Settings):
-        return (_programs(), *_exploration(settings, node))
+        parts = _exploration(settings, node)
+        number = 1 if settings.fleet is None else settings.fleet.robots
+        # Each robot has all of it, and a map of what it has heard of each other one.
+        return (
+            _programs(),
+            *(part._replace(size=number * part.size) for part in parts),
+            *_heard(settings, number),
+        )
     if isinstance(settings, VolumeSettings):
         return (_programs(), *_volume(settings))
     assert isinstance(settings, PathSettings)
@@ -158,6 +167,14 @@ def in_gigabytes(size: float) -> str:
 
 def _programs() -> Part:
     return Part(_PROGRAMS, "every run", PROGRAMS)
+
+
+def _heard(settings: Settings, number: int) -> Iterator[Part]:
+    """Yield what the robots of a fleet have heard of one another."""
+    if number > 1:
+        size = _map_size(settings)
+        cells = _padded(size.rows) * _padded(size.columns)
+        yield Part("maps that robots have heard", "fleet.robots", 12.0 * number**2 * cells)
 
 
 def _exploration(settings: Settings, node: NodeSettings | None) -> Iterator[Part]:

@@ -67,10 +67,11 @@ def cli() -> None:
 @picture_options("Draw an animation.", video=True)
 @view_options
 def run(out: Path | None, overwrite: bool, **options: Any) -> None:
-    """Simulate a robot that explores a map or follows a path.
+    """Simulate a robot that explores a map or follows a path, or a fleet of robots.
 
     The argument is a ROS map, a world or scenario file, or a name: office (a generated map), zones
-    (for a quadrotor), warehouse, search-rescue or perimeter (for ground vehicles), or path.
+    (for a quadrotor), warehouse, search-rescue or perimeter (for ground vehicles), path, or fleet
+    (several robots in the office; on another map with --robots).
 
     Writes a run folder with metrics, arrays, figures, an animation and the settings:
 
@@ -82,6 +83,8 @@ def run(out: Path | None, overwrite: bool, **options: Any) -> None:
       jaxplore run --settings runs/depot/settings.yaml --out runs/again
       jaxplore run path --laps 3 --obstacles 5
       jaxplore run path --path centerline.csv --max-speed 8
+      jaxplore run fleet --robots 4
+      jaxplore run maps/depot.yaml --robots 3 --radio-range 10
       jaxplore run office --fps 30 --film-scale 2 --video office.mp4 --figures pdf,svg
       jaxplore run office --record office.mcap
       jaxplore run --resume runs/office --time-limit 1200 --overwrite

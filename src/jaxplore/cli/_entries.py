@@ -14,6 +14,7 @@ from jaxplore.settings.exploration import (
     is_scenario_file,
     read_settings,
 )
+from jaxplore.settings.fleet import FLEET
 from jaxplore.settings.node import part_node
 from jaxplore.settings.path import PATH, TRACK
 from jaxplore.settings.volume import GENERATED, VOLUME, names_volume
@@ -97,6 +98,9 @@ def _with_map(
         return {PATH: TRACK, **entries}
     if map_ is None:
         return entries
+    if map_ == FLEET:
+        # The word stands for the default map, unless the settings file names one.
+        return {"map": OFFICE, FLEET: {}, **entries}
     if names_volume(map_):
         # The word `volume` stands for what the settings file names, or the default.
         if map_ == VOLUME:
@@ -118,7 +122,8 @@ def folder_name(entries: Mapping[str, Any]) -> str:
     if entries.get(PATH) == TRACK:
         return PATH
     file = Path(str(entries.get(PATH, entries.get(VOLUME, entries.get("map")))))
-    return file.parent.name if file.stem == "map" and file.parent.name else file.stem
+    name = file.parent.name if file.stem == "map" and file.parent.name else file.stem
+    return name if entries.get(FLEET) is None else f"{name}-{FLEET}"
 
 
 def map_entries(name: str, *, is_trusted: bool = False) -> dict[str, Any]:
@@ -140,7 +145,7 @@ def _check_file(path: Path) -> None:
     """Raise a `ValueError` that names what there is, if a map is not a file."""
     accepted = (
         "the YAML file of a ROS map, of a world or of a scenario, a mesh or another file of a "
-        f"volume, or {', '.join((OFFICE, ZONES, *SCENARIOS, PATH, *GENERATED))} or {VOLUME}"
+        f"volume, or {', '.join((OFFICE, ZONES, *SCENARIOS, FLEET, PATH, *GENERATED))} or {VOLUME}"
     )
     if path.is_dir():
         inside = sorted(path.glob("*.yaml"))

@@ -62,12 +62,19 @@ def from_settings() -> Known:
     from jaxplore.report.drawing.figure import FORMATS
     from jaxplore.report.drawing.film import FPS, SCALE
     from jaxplore.settings.exploration import BASELINES, OFFICE, make_exploration_settings
+    from jaxplore.settings.fleet import FLEET
     from jaxplore.settings.reference import PLACES, rows, section_names, setting_names
     from jaxplore.study.tuning.optimizers import NAMES
     from jaxplore.study.tuning.search import POPULATION
 
     ground, flying = (
-        dict(_flat(make_exploration_settings({"map": OFFICE, **kind}).model_dump(mode="json")))
+        dict(
+            _flat(
+                make_exploration_settings({"map": OFFICE, FLEET: {}, **kind}).model_dump(
+                    mode="json"
+                )
+            )
+        )
         for kind in ({}, {"architecture": "two-layer"})
     )
     words: dict[str, list[str]] = {}

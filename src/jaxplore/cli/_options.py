@@ -32,6 +32,14 @@ _OPTIONS: tuple[tuple[str, str, Any, str], ...] = (
     ("--max-speed", "robot.max_speed", float, "Speed of the robot [m/s]."),
     ("--beams", "lidar.num_beams", int, "Number of lidar beams."),
     ("--range", "lidar.max_range", float, "Range of the lidar [m]."),
+    ("--robots", "fleet.robots", int, "Number of robots of a fleet."),
+    ("--radio-range", "fleet.radio_range", float, "Range of the radio of a fleet's robots [m]."),
+    (
+        "--coordination",
+        "fleet.coordination",
+        str,
+        "How the robots of a fleet divide the places: claims, assignment or none.",
+    ),
     ("--samples", "controller.num_samples", int, "Number of MPPI rollouts."),
 )
 """Options of single settings: option, dotted setting, type, help."""

@@ -71,7 +71,7 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     num_trajectories = NUM_TRAJECTORIES if pictures.animation or pictures.video else 0
     if former is not None:
         # All frames of a run have as many rollouts.
-        num_trajectories = sum(len(each.samples) for each in former.recording.frames[:1])
+        num_trajectories = sum(_rollouts(each) for each in former.recording.frames[:1])
     elif recorder is not None:
         num_trajectories = NUM_TRAJECTORIES
     with warnings.catch_warnings():
@@ -90,6 +90,16 @@ def run_one(options: dict[str, Any], out: Path | None, *, overwrite: bool) -> No
     finally:
         if recorder is not None and recorder.failure is not None:
             raise ValueError(recorder.failure)
+
+
+def _rollouts(frame: Any) -> int:
+    """Return the number of rollouts of which a frame was made."""
+    if hasattr(frame, "samples"):
+        return len(frame.samples)
+    # Frames of other tasks show the plan alone.
+    plans = getattr(frame, "plans", None)
+    plan = frame.plan if plans is None else plans[0]
+    return NUM_TRAJECTORIES if len(plan) else 0
 
 
 def _take_settings(options: dict[str, Any], folder: Path) -> None:

@@ -20,6 +20,8 @@ from jaxplore.costs.exploration import PotentialCost as PotentialCost
 from jaxplore.costs.exploration import StrategyReferenceCost as StrategyReferenceCost
 from jaxplore.costs.heading_for import RegionCost as RegionCost
 from jaxplore.costs.heading_for import ToGoalCost as ToGoalCost
+from jaxplore.costs.localisation import CertainInformationCost as CertainInformationCost
+from jaxplore.costs.localisation import UncertaintyCost as UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost as MovingObstacleCost
 from jaxplore.costs.obstacles import DiscObstacleCost as DiscObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost as ObstacleCost

@@ -4,6 +4,7 @@ import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -115,7 +116,21 @@ class MovingObstacleCost(Cost):
 
     def stage(self, state: State, control: ControlVector, t: Scalar, belief: Any) -> Scalar:
         """Return the cost of a state that is reached `t` seconds from now."""
-        obstacles = part(belief, "obstacles") if self.obstacles is None else self.obstacles
+        obstacles: Obstacles = (
+            part(belief, "obstacles") if self.obstacles is None else self.obstacles
+        )
+        if obstacles.is_known is None:
+            return self._paid(state, t, obstacles)
+        # All samples share the obstacles, so under `jax.vmap` this stays a branch: while none is
+        # known, as of robots that are far apart, nothing is computed.
+        zero = jnp.zeros_like(state.position[0])
+        paid: Scalar = jax.lax.cond(
+            jnp.any(obstacles.is_known), lambda: self._paid(state, t, obstacles), lambda: zero
+        )
+        return paid
+
+    def _paid(self, state: State, t: Scalar, obstacles: Obstacles) -> Scalar:
+        """Return the cost of a state; obstacles that are not known cost nothing."""
         has_distance = self.clearance is not None or self.collision is not None
         sums_distances = has_distance and not self.nearest_only
         things = self._expected(state, t, obstacles, has_distance)

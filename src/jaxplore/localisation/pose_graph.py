@@ -84,6 +84,9 @@ def optimised(graph: Graph) -> Optimum:
         factors.add(_factor(library, i, j, motion, noise))
     found = library.LevenbergMarquardtOptimizer(factors, start).optimize()
     poses = np.array([_numbers(found.atPose2(node)) for node in range(len(graph.poses))])
+    # The library returns yaws within a turn. Those of the robot count its turns.
+    change = poses[:, 2] - graph.poses[:, 2]
+    poses[:, 2] -= 2.0 * np.pi * np.round(change / (2.0 * np.pi))
     covariance = np.zeros((3, 3))
     if len(poses) > 1:
         local = library.Marginals(factors, found).marginalCovariance(len(poses) - 1)

@@ -147,7 +147,8 @@ class ScanMatcher(eqx.Module):
             # Unknown cells are a band away, and count nothing.
             near = jnp.where(away < surface.band, jnp.exp(-0.5 * (away / self.sigma) ** 2), 0.0)
             fit = jnp.sum(jnp.where(few.is_point, near, 0.0)) / number
-            return fit - TIE * (offset @ prior @ offset)
+            unlikely: Scalar = offset @ prior @ offset
+            return fit - TIE * unlikely
 
         scores: Array = jax.lax.map(score, offsets, batch_size=CHUNK)
         return guess + offsets[jnp.argmax(scores)]

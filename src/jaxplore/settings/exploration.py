@@ -25,6 +25,8 @@ from jaxplore.planning.presets.ground_vehicle import ground_portfolio
 from jaxplore.planning.presets.quadrotor import informative_mppi, zone_choice
 from jaxplore.sensing.detector import Detector
 from jaxplore.settings.defaults import difference_entries, setting
+from jaxplore.settings.fleet import FleetSettings
+from jaxplore.settings.localisation import LocalisationSettings
 from jaxplore.settings.own import WordsOrOwn
 from jaxplore.settings.parameter_names import under_their_settings
 from jaxplore.settings.robot import (
@@ -325,6 +327,8 @@ class Settings(RunSettings):
             absent.
         lidar: the lidar of the robot.
         camera: the camera, which becomes the primary sensor; no camera when absent.
+        localisation: odometry with errors and how the robot finds its pose; it knows its pose when
+            absent.
         watch: settings of the idleness map, for search and patrol; none when absent.
         anomalies: the test for what differs from the known map; none when absent. It needs a watch.
         detector: the detector of objects by the first sensor; none when absent.
@@ -336,7 +340,8 @@ class Settings(RunSettings):
         informative: settings of informative MPPI and of its baselines.
         rates: rates of control, sensing and fields.
         guard: whether the robot brakes while its pose, its scan or its motion cannot be true: see
-            `jaxplore.MotionGuard`.
+            `jaxplore.MotionGuard`. A fleet has none.
+        fleet: several robots that share what they know; one robot when absent.
     """
 
     map: str
@@ -356,6 +361,7 @@ class Settings(RunSettings):
     chassis: ChassisSettings | None = None
     lidar: LidarSettings = LidarSettings()
     camera: CameraSettings | None = None
+    localisation: LocalisationSettings | None = None
     watch: WatchSettings | None = None
     anomalies: AnomalySettings | None = None
     detector: DetectorSettings | None = None
@@ -367,6 +373,7 @@ class Settings(RunSettings):
     informative: InformativeSettings = InformativeSettings()
     rates: RatesSettings = RatesSettings()
     guard: bool = True
+    fleet: FleetSettings | None = None
 
 
 def scenario_path(name: str) -> Path:

@@ -147,6 +147,10 @@ _FLYING = _architectures(*QUADROTOR)
 _LOG_ODDS = Reader(
     "sensor_model.kind log_odds", lambda settings: settings.sensor_model.kind == "log_odds"
 )
+_CLOSING = Reader(
+    "runs with a localisation that closes loops",
+    lambda settings: settings.localisation is not None and settings.localisation.loops,
+)
 _FROM_A_FILE = Reader("paths from a file", lambda settings: settings.path != TRACK)
 _AMONG_OBSTACLES = Reader("runs with obstacles", _has_obstacles)
 _IN_TRAFFIC = Reader("runs with moving obstacles", lambda settings: settings.obstacles.number > 0)
@@ -196,8 +200,16 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
                 _IN_ROBOT["robot.max_speed"].reads(settings) or _FLYING.reads(settings)
             ),
         ),
+        "fleet": Reader("runs with a fleet", lambda settings: settings.fleet is not None),
         "chassis": Reader("runs with a chassis", lambda settings: settings.chassis is not None),
         "camera": Reader("runs with a camera", lambda settings: settings.camera is not None),
+        "localisation": Reader(
+            "runs with a localisation", lambda settings: settings.localisation is not None
+        ),
+        "localisation.closing_rate": _CLOSING,
+        "localisation.reach": _CLOSING,
+        "localisation.least_share": _CLOSING,
+        "localisation.tolerance": _CLOSING,
         "watch": Reader("runs with a watch", lambda settings: settings.watch is not None),
         "anomalies": Reader(
             "runs that test for anomalies", lambda settings: settings.anomalies is not None

@@ -9,12 +9,16 @@ from jaxplore.simulation.environment.environment import Environment as Environme
 from jaxplore.simulation.environment.environment import EnvironmentState as EnvironmentState
 from jaxplore.simulation.environment.environment import StepResult as StepResult
 from jaxplore.simulation.experiment import Experiment as Experiment
+from jaxplore.simulation.exploration.located import Localisation as Localisation
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles as MovingObstacles
 from jaxplore.simulation.exploration.moving_obstacles import (
     MovingObstacleState as MovingObstacleState,
 )
 from jaxplore.simulation.exploration.scenario import ExplorationScenario as ExplorationScenario
 from jaxplore.simulation.faults import Faults as Faults
+from jaxplore.simulation.fleet.radio import Radio as Radio
+from jaxplore.simulation.fleet.scenario import Fleet as Fleet
+from jaxplore.simulation.fleet.starts import near_starts as near_starts
 from jaxplore.simulation.following.scenario import PathScenario as PathScenario
 from jaxplore.simulation.following.traffic import Traffic as Traffic
 from jaxplore.simulation.run import Run as Run

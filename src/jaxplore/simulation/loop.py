@@ -39,7 +39,7 @@ def moment_at(scenario: Scenario, state: LoopState, key: Key) -> Moment:
     period, faults = scenario.control_period, scenario.faults
     # Time is a multiple of the period and not a sum of periods, so rounding does not accumulate.
     time = period * state.step.astype(jnp.float32)
-    truth = state.task.robot
+    truth = scenario.measured(state.task)
     if scenario.variation is not None and state.drawn is not None:
         step_key = jax.random.fold_in(key, state.step)
         truth = scenario.variation.observe(scenario.robot, truth, state.drawn, step_key)

@@ -152,6 +152,15 @@ class Scenario(eqx.Module):
         object.__setattr__(guarded, "guard", guard)
         return guarded
 
+    def measured(self, state: Any) -> StateVector:
+        """Return the state (nx,) that the robot's base measures: by default the true one.
+
+        Args:
+            state: the task's state.
+        """
+        robot: StateVector = state.robot
+        return robot
+
     def scan_points(self, state: Any) -> ScanPoints:
         """Return the newest scan for the guard, by which a stopped robot brakes; by default none.
 

@@ -12,10 +12,12 @@ from jaxplore.costs.base import Cost
 from jaxplore.costs.effort import ControlCost
 from jaxplore.costs.exploration import GuidanceCost, InformationCost
 from jaxplore.costs.heading_for import ToGoalCost
+from jaxplore.costs.localisation import CertainInformationCost, UncertaintyCost
 from jaxplore.costs.moving import MovingObstacleCost
 from jaxplore.costs.obstacles import ObstacleCost
 from jaxplore.costs.terrain import StabilityCost
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.dynamics.uncertain import UncertainRobot
 from jaxplore.geometry.chassis import Chassis
 from jaxplore.planning.presets.sampling import sampling
 
@@ -42,7 +44,10 @@ def explorer(
     guidance_weight: ArrayLike = 1.0,
     control_weight: ArrayLike = 0.01,
     has_moving_obstacles: bool = False,
+    moving_obstacle_cost: MovingObstacleCost | None = None,
     chassis: Chassis | None = None,
+    uncertain: UncertainRobot | None = None,
+    uncertainty_weight: ArrayLike = 0.0,
 ) -> MPPI:
     """Build MPPI that explores, with weights that work on any map.
 
@@ -82,24 +87,40 @@ def explorer(
         has_moving_obstacles: whether the belief holds moving obstacles, to which `obstacle_weight`
             times a `MovingObstacleCost` applies; without it the robot sees them as parts of the map
             only, where they were.
+        moving_obstacle_cost: that cost; `MovingObstacleCost()` when absent.
         chassis: chassis of a vehicle that can tip over, to which 100 times `obstacle_weight` a
             `StabilityCost` applies: tipping over costs as much per step as being 5 cm too close to
             an obstacle.
+        uncertain: the robot with the variance of its position, for a robot that localises itself:
+            its rollouts then pay `uncertainty_weight` times an `UncertaintyCost`, and information
+            counts less where the position will be uncertain (`CertainInformationCost`). The
+            controller needs an `UncertaintyAware` around it. None for neither.
+        uncertainty_weight: weight of `UncertaintyCost`, the trade-off between exploring and knowing
+            the position; 0 for plans that do not know it.
 
     Raises:
         ValueError: a value that a part does not accept.
     """
     _kinds.instance("robot", robot, Dynamics)
+    _kinds.instance("uncertain", uncertain, UncertainRobot, may_be_none=True)
+    informed: Cost = InformationCost() if uncertain is None else CertainInformationCost()
+    _kinds.instance(
+        "moving_obstacle_cost", moving_obstacle_cost, MovingObstacleCost, may_be_none=True
+    )
     weight = _checks.scalar("obstacle_weight", obstacle_weight)
     obstacles: Cost = weight * ObstacleCost(clearance)
     if _kinds.flag("has_moving_obstacles", has_moving_obstacles):
-        obstacles = obstacles + weight * MovingObstacleCost()
+        moving = MovingObstacleCost() if moving_obstacle_cost is None else moving_obstacle_cost
+        obstacles = obstacles + weight * moving
     if chassis is not None:
         obstacles = obstacles + (TIPPING * weight) * StabilityCost(chassis)
+    uncertainty = _checks.scalar("uncertainty_weight", uncertainty_weight, at_least=0.0)
+    if uncertain is not None:
+        obstacles = obstacles + uncertainty * UncertaintyCost()
     return _ground_mppi(
-        robot,
+        robot if uncertain is None else uncertain,
         obstacles
-        + _checks.scalar("information_weight", information_weight) * InformationCost()
+        + _checks.scalar("information_weight", information_weight) * informed
         + _checks.scalar("guidance_weight", guidance_weight) * GuidanceCost()
         + _checks.scalar("control_weight", control_weight) * ControlCost(),
         horizon=horizon,

@@ -52,6 +52,9 @@ class ExplorationRecord(NamedTuple):
         wheel_travel: how far the ground moves each wheel from the plane of the four, as a share of
             the travel of the suspension; above 1 a wheel hangs in the air.
         is_tipped: whether the vehicle has tipped over.
+        pose_error: distance of the estimated position from the true one [m]; None for a robot that
+            knows its pose, as is the one below.
+        uncertainty: standard deviation of the position, as the robot estimates it [m].
     """
 
     state: StateVector
@@ -74,6 +77,8 @@ class ExplorationRecord(NamedTuple):
     load_transfer: Scalar | None = None
     wheel_travel: Scalar | None = None
     is_tipped: Flag | None = None
+    pose_error: Scalar | None = None
+    uncertainty: Scalar | None = None
 
 
 class AnomalyData(NamedTuple):
@@ -96,6 +101,34 @@ class AnomalyData(NamedTuple):
     suspected: np.ndarray
     reported: np.ndarray
     num_cleared: int
+
+
+class LocalisationData(NamedTuple):
+    """Where a robot was and took itself to be, and the map of the same scans at the true poses.
+
+    Args:
+        true_poses: (N, 3) true poses at the stored scans [m, m, rad].
+        poses: (N, 3) poses that the robot estimated for them at the end of the run.
+        reckoned: (N, 3) poses by the odometry alone.
+        way: (N,) length of its way by its odometry [m].
+        reference: (H, W) map that the same scans give at the true poses.
+        num_loops: number of loops that were closed.
+    """
+
+    true_poses: np.ndarray
+    poses: np.ndarray
+    reckoned: np.ndarray
+    way: np.ndarray
+    reference: np.ndarray
+    num_loops: int
+
+    def moved(self, offset: np.ndarray) -> "LocalisationData":
+        """Return the data with an offset (2,) [m] added to positions."""
+        return self._replace(
+            true_poses=moved(self.true_poses, offset),
+            poses=moved(self.poses, offset),
+            reckoned=moved(self.reckoned, offset),
+        )
 
 
 class ObjectData(NamedTuple):
@@ -200,6 +233,7 @@ class ExplorationData(RunData):
         member_names: names of the members of a controller that holds several.
         anomalies: what differs from the known map, and what was found of it; None without a test.
         objects: objects and their classes; None without a detector.
+        localisation: where the robot took itself to be; None if it knew its pose.
     """
 
     records: ExplorationRecord
@@ -231,10 +265,11 @@ class ExplorationData(RunData):
     anomalies: AnomalyData | None = None
     objects: ObjectData | None = None
     given_up_step: int | None = None
+    localisation: LocalisationData | None = None
 
     def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
         """Return the fields that are or have positions, with an offset (2,) [m] added."""
-        found, objects = self.anomalies, self.objects
+        found, objects, place = self.anomalies, self.objects, self.localisation
         if found is not None:
             boxes = moved(moved(found.boxes, offset), offset, (2, 3))
             found = found._replace(boxes=boxes, place=moved(found.place, offset))
@@ -246,6 +281,7 @@ class ExplorationData(RunData):
             "goal": None if self.goal is None else moved(self.goal, offset),
             "anomalies": found,
             "objects": objects,
+            "localisation": None if place is None else place.moved(offset),
             **{
                 name: moved(getattr(self, name), offset)
                 for name in ("origin", "field_origin", "targets")

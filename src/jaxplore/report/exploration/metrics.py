@@ -10,6 +10,7 @@ from jaxplore.control.guard import REASONS
 from jaxplore.report._numbers import finite, numbers, percent, text
 from jaxplore.report.exploration.anomalies import anomaly_metrics, report_texts
 from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
+from jaxplore.report.exploration.localisation import localisation_metrics
 from jaxplore.report.exploration.missions import (
     fusion_means,
     idleness,
@@ -91,6 +92,15 @@ class ExplorationMetrics(Metrics):
             detector.
         labels: the reports by time: `label`, `place` [m], `reported_at` [s], `probability`,
             `true_label` and `is_true`; None without a detector.
+        ate: absolute trajectory error of a robot that localised itself, root mean square after the
+            alignment [m]; None if it knew its pose, as are the ones below.
+        odometry_ate: the same error of the odometry alone [m].
+        rpe: relative pose error over 5 m, root mean square of the position [m].
+        map_iou: intersection over union of the occupied cells of the aligned map and of the map of
+            the same scans at the true poses, to within a cell.
+        double_walls: share of the occupied cells that draw a wall a second time.
+        aligned_coverage: coverage of the aligned map.
+        num_loops: number of loops that were closed.
         reachable_area: area of the reachable cells [m^2].
         longest_stall: longest time without a rise of the coverage in which the positions fit into a
             square of side `2 * STALL_RADIUS` along the world's axes [s].
@@ -145,6 +155,13 @@ class ExplorationMetrics(Metrics):
     mislabelled: int
     class_entropy: float | None
     labels: list[dict[str, Any]] | None
+    ate: float | None = None
+    odometry_ate: float | None = None
+    rpe: float | None = None
+    map_iou: float | None = None
+    double_walls: float | None = None
+    aligned_coverage: float | None = None
+    num_loops: int | None = None
     reachable_area: float
     longest_stall: float
     coverage_curve: dict[str, list[float | None]] = dataclasses.field(repr=False)
@@ -264,6 +281,7 @@ class ExplorationMetrics(Metrics):
                 else []
             ),
             *self._wheel_rows(),
+            *self._localisation_rows(),
             *numbers("clearance", "{:.3f} m at least", self.minimum_clearance),
             ("longest stall", f"{self.longest_stall:.2f} s"),
             *numbers("sample size", "{:.1f} effective, {:.1f} at least", *sizes),
@@ -341,6 +359,18 @@ class ExplorationMetrics(Metrics):
         if self.tipped_at is not None:
             rows.append(("tipped over", f"after {self.tipped_at:.2f} s"))
         return rows
+
+    def _localisation_rows(self) -> list[tuple[str, str]]:
+        if self.ate is None:
+            return []
+        shares = percent(self.map_iou), percent(self.double_walls)
+        return [
+            ("trajectory error", f"{self.ate:.3f} m, {text(self.rpe, 3)} m over 5 m"),
+            ("  of odometry", f"{text(self.odometry_ate, 2)} m"),
+            ("walls", f"{shares[0]} in place, {shares[1]} double"),
+            ("aligned coverage", f"{percent(self.aligned_coverage)}"),
+            ("loops", f"{self.num_loops} closed"),
+        ]
 
     def _member_rows(self) -> list[tuple[str, str]]:
         if self.members is None:
@@ -425,6 +455,7 @@ def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> E
         replaced=replaced,
         **anomaly_metrics(recording.anomalies),
         **object_metrics(recording.objects),
+        **localisation_metrics(recording),
         reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
         longest_stall=longest_stall(recording.positions, coverage) * period,
         coverage_curve=sampled_series(curve, period),

@@ -19,6 +19,7 @@ from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import style_count
 from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.localisation import add_estimate
 from jaxplore.report.exploration.metrics import compute_metrics
 from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import (
@@ -29,7 +30,7 @@ from jaxplore.report.exploration.overlays import (
     closed_cells,
 )
 from jaxplore.report.exploration.progress import LEVELS, at_instants, is_known_map, progress
-from jaxplore.report.exploration.window import Window
+from jaxplore.report.exploration.window import MapData, Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,7 @@ MAX_SEGMENTS = 2000
 
 
 def true_outline(
-    recording: ExplorationData, window: Window, beside: np.ndarray | None = None
+    recording: MapData, window: Window, beside: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
 
@@ -149,6 +150,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     add_moving_obstacles(axes, recording, window)
     add_anomalies(axes, recording.anomalies, window)
     add_footprint(axes, recording, window)
+    add_estimate(axes, recording, window)
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
     prefix = "grid " if window.is_turned else ""
     axes.set_xlabel(f"{prefix}x [m]")

@@ -91,7 +91,9 @@ class ExplorationRecording(ExplorationData, Recording):
         (H, W) [s], infinite where nothing was seen; `elevation` (H, W) [m] and `traversable` (H, W)
         of the ground; `mover_radii` (M,) [m]; `footprint` (4, 2) corners of a rectangular robot
         [m]; `objects` (N, 2) [m] with their true `object_labels` (N,), `class_names` (C,), and at
-        the end `object_classes` (N, C), the probability of each class.
+        the end `object_classes` (N, C), the probability of each class; of a robot that localised
+        itself, `true_poses` and `estimated_poses` (N, 3) of its stored scans and the map
+        `reference` (H, W) of the same scans at the true poses.
         """
         time, *_ = progress(self)
         steps = {name: rows for name, rows in self.records._asdict().items() if rows is not None}
@@ -113,6 +115,12 @@ class ExplorationRecording(ExplorationData, Recording):
                 "object_labels": self.objects.label,
                 "object_classes": self.objects.probability,
                 "class_names": np.asarray(self.objects.classes, np.str_),
+            }
+        if self.localisation is not None:
+            optional |= {
+                "true_poses": self.localisation.true_poses,
+                "estimated_poses": self.localisation.poses,
+                "reference": self.localisation.reference,
             }
         return {
             **{name: np.asarray(rows) for name, rows in steps.items()},

@@ -1,14 +1,35 @@
 """The part of a map that figures show, and its coordinates."""
 
 import dataclasses
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from jaxplore.report.drawing.picture import to_frame
-from jaxplore.report.exploration.data import ExplorationData
 
 MARGIN = 1.0
 """Margin around the reachable cells [m]."""
+
+
+@runtime_checkable
+class MapData(Protocol):
+    """A run on a map of which a part is drawn, of any task."""
+
+    @property
+    def world(self) -> np.ndarray:
+        """Probability (H, W) of the true map."""
+
+    @property
+    def reachable(self) -> np.ndarray:
+        """Cells (H, W) that count for coverage."""
+
+    @property
+    def origin(self) -> np.ndarray:
+        """Pose of the grid [m, m, rad]."""
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,7 +49,7 @@ class Window:
     resolution: float
 
     @classmethod
-    def around_reachable(cls, recording: ExplorationData) -> "Window":
+    def around_reachable(cls, recording: MapData) -> "Window":
         """Return the bounding box of the reachable cells and a margin; the whole grid without
         any."""
         cells = recording.reachable

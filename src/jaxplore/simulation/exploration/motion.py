@@ -64,5 +64,6 @@ def move(
         targets_seen=jnp.sum(state.is_seen, dtype=jnp.int32),
         stop=stop,
         **({} if wheels is None else wheels.recorded()),
+        **({} if state.located is None else state.located.recorded(robot.pose(state.robot))),
     )
     return record, wheels

@@ -108,6 +108,39 @@ class MovingObstacles(eqx.Module):
         return jnp.concatenate([self.at(time).positions, self.radius[:, None]], axis=-1)
 
 
+class MovingDiscs(NamedTuple):
+    """Discs at a moment, for what moves without a path of its own, such as other robots.
+
+    Args:
+        positions: (M, 2) positions [m].
+        velocities: (M, 2) velocities [m/s].
+        radius: (M,) radii [m].
+    """
+
+    positions: Float[Array, "M 2"]
+    velocities: Float[Array, "M 2"]
+    radius: Float[Array, " M"]
+
+    def at(self, time: Scalar) -> MovingObstacleState:
+        """Return the positions and velocities, which are those of one moment."""
+        return MovingObstacleState(self.positions, self.velocities)
+
+    def discs(self, time: Scalar) -> Float[Array, "M 3"]:
+        """Return (x, y, radius) of each disc [m]."""
+        return jnp.concatenate([self.positions, self.radius[:, None]], axis=-1)
+
+    def beside(self, moving: MovingObstacles | None, time: Scalar) -> "MovingDiscs":
+        """Return these discs after the moving obstacles of a world at a time [s]."""
+        if moving is None:
+            return self
+        now = moving.at(time)
+        return MovingDiscs(
+            jnp.concatenate([now.positions, self.positions]),
+            jnp.concatenate([now.velocities, self.velocities]),
+            jnp.concatenate([moving.radius, self.radius]),
+        )
+
+
 def _place(
     corners: Float[Array, "P 2"], arc: Float[Array, " P+1"], travelled: Scalar
 ) -> tuple[Position, Position]:

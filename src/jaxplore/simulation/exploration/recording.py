@@ -13,6 +13,7 @@ from jaxplore.report.exploration.data import (
     AnomalyData,
     ExplorationFrame,
     ExplorationRecord,
+    LocalisationData,
     ObjectData,
 )
 from jaxplore.report.exploration.recording import ExplorationRecording
@@ -39,6 +40,7 @@ def make_recording(
     planted: PlantedAnomalies | None = None,
     objects: TrueObjects | None = None,
     recognition: Recognition | None = None,
+    localisation: LocalisationData | None = None,
     *,
     is_given_up: bool = False,
 ) -> ExplorationRecording:
@@ -58,6 +60,7 @@ def make_recording(
         planted: what differs from the prior map; none when absent.
         objects: the true objects; none when absent.
         recognition: how the robot recognises them.
+        localisation: where the robot took itself to be; None if it knew its pose.
         is_given_up: whether the exploration was given up at the end.
     """
     after: ExplorationState = run.state.task
@@ -88,6 +91,7 @@ def make_recording(
         idleness=None if belief.idleness is None else cropped(belief.idleness),
         anomalies=_anomalies(belief.anomalies, planted),
         objects=_objects(belief.objects, objects, recognition),
+        localisation=localisation,
         mover_radii=np.zeros(0) if moving is None else np.asarray(moving.radius),
     )
 

@@ -1,6 +1,7 @@
 """The exploration scenario: a robot with sensors in an unknown world."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -56,6 +57,11 @@ from jaxplore.simulation.exploration.finish import (
     is_finished,
 )
 from jaxplore.simulation.exploration.frames import cropped_frame, frame_arrays
+from jaxplore.simulation.exploration.located import (
+    Localisation,
+    corrected_state,
+    observed_state,
+)
 from jaxplore.simulation.exploration.map_arrays import MapArrays
 from jaxplore.simulation.exploration.motion import move
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
@@ -67,7 +73,7 @@ from jaxplore.simulation.exploration.state import ExplorationState, initial_stat
 from jaxplore.simulation.exploration.true_objects import TrueObjects, true_objects
 from jaxplore.simulation.exploration.true_world import TrueWorld
 from jaxplore.simulation.faults import Faults
-from jaxplore.simulation.scenario import Inspect, Moment, Scenario
+from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
 
 
 class ExplorationScenario(Scenario):
@@ -129,6 +135,9 @@ class ExplorationScenario(Scenario):
         tracking_noise: standard deviations of the tracker's positions [m] and velocities [m/s].
         planted: what differs from the prior map, to judge reports of anomalies; none when absent.
         chassis: wheels and centre of mass of the robot; without it the robot cannot tip over.
+        localisation: how the robot finds its pose, from an odometry with errors and its scans; it
+            knows its pose when absent. Coverage is then that of the map that its scans give at
+            their true poses.
         datum: point of a map's coordinates to which all positions here are relative; frames and
             recordings are in the map's coordinates.
 
@@ -165,6 +174,7 @@ class ExplorationScenario(Scenario):
     tracking_noise: Float[Array, "2"]
     planted: PlantedAnomalies | None
     chassis: Chassis | None
+    localisation: Localisation | None
     clearance_reach: int = eqx.field(static=True)
 
     def __init__(
@@ -193,6 +203,7 @@ class ExplorationScenario(Scenario):
         tracking_noise: Vector = (0.05, 0.1),
         planted: PlantedAnomalies | None = None,
         chassis: Chassis | None = None,
+        localisation: Localisation | None = None,
         datum: Datum = ORIGIN,
     ) -> None:
         all_sensors = as_sensors(sensors)
@@ -204,12 +215,14 @@ class ExplorationScenario(Scenario):
         _kinds.instance("moving_obstacles", moving_obstacles, MovingObstacles, may_be_none=True)
         _kinds.instance("planted", planted, PlantedAnomalies, may_be_none=True)
         _kinds.instance("chassis", chassis, Chassis, may_be_none=True)
+        _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
         _kinds.instance("datum", datum, Datum)
         pose = np.asarray(_checks.vector("start", start, 3), np.float64)
         _checks.warn_above("yaw of start", pose[2], math.tau, "a yaw is in radians, not in degrees")
         self.placed = HostOnly(datum)
         world, ground = checks.grid_and_ground(world)
         self.robot, self.sensors, self.chassis = robot, all_sensors, chassis
+        self.localisation = localisation
         self.clearance_reach = clearance_reach(robot.footprint, world.resolution)
         is_still = moving_obstacles is None or moving_obstacles.radius.shape[0] == 0
         self.moving_obstacles = None if is_still else moving_obstacles
@@ -304,6 +317,10 @@ class ExplorationScenario(Scenario):
         if moving is not None and key is not None:
             moving = moving.at_random_phase(key)
         reachable, number = self.map_arrays.reachable, self.num_targets
+        located, start = None, self.robot.pose(self.start)
+        if self.localisation is not None:
+            located = self.localisation.init(start, belief.grid, self.sensors, key)
+            belief = self.localisation.informed(located, belief)
         state = initial_state(
             self.start,
             belief,
@@ -313,14 +330,52 @@ class ExplorationScenario(Scenario):
             self.sensors,
             is_guarded=self.guard is not None,
             can_tip=self.chassis is not None,
+            located=located,
         )
         return state, state.belief
+
+    def measured(self, state: ExplorationState) -> StateVector:
+        """Return the state (nx,) with the pose that the robot takes to be its own."""
+        if state.located is None:
+            return state.robot
+        return observed_state(self.robot, state.robot, state.located.known.pose)
+
+    @property
+    def steps_per_revision(self) -> int | None:
+        """Control periods between two searches for loops; None without any."""
+        if self.localisation is None or self.localisation.closer is None:
+            return None
+        return max(1, round(1.0 / (self.localisation.closing_rate * self.period)))
+
+    def revised(self, state: LoopState) -> LoopState:
+        """Return the state with the map moved where a loop was closed."""
+        task: ExplorationState = state.task
+        if self.localisation is None or task.located is None:
+            return state
+        start, before = self.robot.pose(self.start), task.located.known.pose
+        located, belief = self.localisation.revised(
+            task.located, task.belief, self.perception, self.map_arrays.prior, start
+        )
+        after = located.known.pose
+        moved = functools.partial(corrected_state, self.robot, before=before, after=after)
+        guard = state.guard
+        if guard is not None:
+            # The correction is no jump of the robot.
+            guard = guard._replace(expected=moved(guard.expected))
+        task = task._replace(located=located, belief=belief)
+        return state._replace(task=task, observed=moved(state.observed), guard=guard)
 
     def perceive(
         self, state: ExplorationState, moment: Moment, key: Key
     ) -> tuple[ExplorationState, Belief]:
         """Scan and update the map at the sensing rate, derive the fields at the field rate."""
-        senses = Senses(
+        known = self.senses.perceive(state, self.true_world(state, moment), moment, key)
+        return known, known.belief
+
+    @property
+    def senses(self) -> Senses:
+        """Sensors of the robot, and what updates its belief."""
+        return Senses(
             self.robot,
             self.sensors,
             self.perception,
@@ -331,9 +386,8 @@ class ExplorationScenario(Scenario):
             self.control_period,
             self.steps_per_scan,
             self.steps_per_field,
+            self.localisation,
         )
-        known = senses.perceive(state, self.true_world(state, moment), moment, key)
-        return known, known.belief
 
     def scan_points(self, state: ExplorationState) -> ScanPoints:
         """Return the newest scan for the guard."""
@@ -361,7 +415,11 @@ class ExplorationScenario(Scenario):
             stop=moment.stop,
             chassis=self.chassis,
         )
-        state = state._replace(robot=record.state, wheels=wheels)
+        located = state.located
+        if self.localisation is not None and located is not None:
+            poses = self.robot.pose(state.robot), self.robot.pose(record.state)
+            located = self.localisation.moved(located, *poses, moment.step, self.control_period)
+        state = state._replace(robot=record.state, wheels=wheels, located=located)
         is_over = self.is_finished(state) | (state.finished > 0)
         return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
 
@@ -449,9 +507,12 @@ class ExplorationScenario(Scenario):
         parts = (self.map_arrays.cropped(), self.robot, self.start, self.period)
         end = (self.goal, self.target_coverage, self.targets)
         planted, how = self.planted, self.perception.recognition
-        is_given_up = bool(self.is_given_up(run.state.task))
+        after: ExplorationState = run.state.task
+        is_given_up, place = bool(self.is_given_up(after)), None
+        if self.localisation is not None and after.located is not None:
+            place = self.localisation.data(after.located, after.belief.grid)
         local = make_recording(
-            *(before, run, *parts, *end, names, planted, self.objects, how),
+            *(before, run, *parts, *end, names, planted, self.objects, how, place),
             is_given_up=is_given_up,
         )
         return local.moved(self.datum.offset)

@@ -17,6 +17,7 @@ from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.clock import when_due
+from jaxplore.simulation.exploration.located import Localisation, Located
 from jaxplore.simulation.exploration.progress import MapSums, map_progress, observed
 from jaxplore.simulation.exploration.scan_points import scan_points
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -40,6 +41,7 @@ class Senses(NamedTuple):
         period: control period [s].
         steps_per_scan: control periods between two scans.
         steps_per_field: control periods between two updates of the fields.
+        localisation: how the robot finds its pose; None if it knows it.
     """
 
     robot: Dynamics
@@ -52,6 +54,7 @@ class Senses(NamedTuple):
     period: Scalar
     steps_per_scan: Count
     steps_per_field: Count
+    localisation: Localisation | None = None
 
     def perceive(
         self, state: ExplorationState, truth: TrueWorld, moment: Moment, key: Key
@@ -73,19 +76,35 @@ class Senses(NamedTuple):
         at = self.robot.pose(state.robot)
 
         def sense(
-            belief: Belief, sums: MapSums, _: MapProgress, is_seen: Array, __: Array
-        ) -> tuple[Belief, MapSums, MapProgress, Array, Array]:
+            belief: Belief,
+            sums: MapSums,
+            _: MapProgress,
+            is_seen: Array,
+            __: Array,
+            located: Located | None,
+        ) -> tuple[Belief, MapSums, MapProgress, Array, Array, Located | None]:
             scans = truth.scans(self.sensors, at, key) if guard is None else taken()
             since = period * self.steps_per_scan.astype(jnp.float32)
-            belief, sums = observed(
-                *(perception, belief, sums, scans, pose, self.reachable, since, moment.time)
-            )
+            known_at = None
+            if located is None or self.localisation is None:
+                belief, sums = observed(
+                    *(perception, belief, sums, scans, pose, self.reachable, since, moment.time)
+                )
+            else:
+                located = self.localisation.scanned(located, scans, self.sensors, at)
+                known_at = located.known.pose
+                belief = perception.observe(belief, scans, known_at, since, moment.time)
+                located, sums = self.localisation.judged(
+                    *(located, sums, perception, scans, at, self.reachable, belief.grid)
+                )
             belief, is_seen = self._looked(belief, is_seen, truth, at, moment.time, key)
-            known = truth.tracked(belief.obstacles, self.sensors, at, self.tracking_noise, key)
+            known = truth.tracked(
+                belief.obstacles, self.sensors, at, self.tracking_noise, key, known_at
+            )
             belief = dataclasses.replace(belief, obstacles=known)
             ranges = jnp.concatenate([scan.ranges for scan in scans])
             progress = map_progress(sums, belief, self.reachable, moment.time)
-            return belief, sums, progress, is_seen, ranges
+            return belief, sums, progress, is_seen, ranges, located
 
         def examine(
             _: ScanPoints, __: Array, ___: Array
@@ -127,19 +146,23 @@ class Senses(NamedTuple):
         # The tracker predicts the obstacles at every control period, also between scans.
         if belief.obstacles is not None:
             belief = dataclasses.replace(belief, obstacles=belief.obstacles.after(period))
-        belief, sums, progress, is_seen, mapped = when_due(
+        belief, sums, progress, is_seen, mapped, located = when_due(
             is_due,
             ~moment.is_blind & is_placed & is_fit,
             sense,
-            (belief, state.sums, state.progress, state.is_seen, state.ranges),
+            (belief, state.sums, state.progress, state.is_seen, state.ranges, state.located),
         )
         # The fields are derived one step before a strategic layer of the same rate runs: it reads
         # fresh fields, and no single step has the cost of both.
         every = self.steps_per_field
         elapsed = period * every.astype(jnp.float32)
 
+        here = pose if located is None else located.known.pose
+
         def derive(current: Belief) -> tuple[Belief]:
-            return (perception.update_fields(current, pose, elapsed),)
+            if located is not None and self.localisation is not None:
+                current = self.localisation.informed(located, current)
+            return (perception.update_fields(current, here, elapsed),)
 
         is_due = (step % every == every - 1) | (step == 0)
         (belief,) = when_due(is_due, is_placed, derive, (belief,))
@@ -151,6 +174,7 @@ class Senses(NamedTuple):
             is_seen=is_seen,
             ranges=mapped if guard is None else ranges,
             points=points,
+            located=located,
         )
 
     def _looked(

@@ -15,6 +15,7 @@ from jaxplore.control.guard import ScanPoints
 from jaxplore.report.exploration.data import MapProgress
 from jaxplore.sensing.base import Sensor
 from jaxplore.simulation.exploration.finish import Gain
+from jaxplore.simulation.exploration.located import Located
 from jaxplore.simulation.exploration.moving_obstacles import MovingObstacles
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 from jaxplore.simulation.exploration.wheels import Wheels
@@ -35,6 +36,7 @@ class ExplorationState(NamedTuple):
         ranges: (B,) ranges of the last scan, sensor by sensor [m].
         points: end points of the last scan, for the guard; None without one.
         wheels: the vehicle on its wheels; None for a robot that cannot tip over.
+        located: localisation of the robot; None if it knows its pose.
     """
 
     robot: StateVector
@@ -48,6 +50,7 @@ class ExplorationState(NamedTuple):
     ranges: Float[Array, " B"]
     points: ScanPoints | None = None
     wheels: Wheels | None = None
+    located: Located | None = None
 
 
 def max_ranges(sensors: Sequence[Sensor]) -> np.ndarray:
@@ -67,6 +70,7 @@ def initial_state(
     *,
     is_guarded: bool = False,
     can_tip: bool = False,
+    located: Located | None = None,
 ) -> ExplorationState:
     """Return the state at the start.
 
@@ -79,6 +83,7 @@ def initial_state(
         sensors: the sensors.
         is_guarded: whether a guard needs the end points of scans.
         can_tip: whether the robot has a chassis that can tip over.
+        located: localisation at the start; None if the robot knows its pose.
     """
     number = sum(sensor.num_beams for sensor in sensors)
     if moving is not None:
@@ -97,4 +102,5 @@ def initial_state(
         ranges=jnp.asarray(max_ranges(sensors)),
         points=ScanPoints.blank(number) if is_guarded else None,
         wheels=Wheels.at_rest() if can_tip else None,
+        located=located,
     )

@@ -11,12 +11,17 @@ from jaxtyping import Array, Float
 from jaxplore._types import Flag, GridMask, Key, Pose, Scalar, StateVector
 from jaxplore.belief.obstacles import Obstacles
 from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.motion import between, compose, placed
 from jaxplore.maps.collision import discs_clearance, footprint_clearance
 from jaxplore.maps.ground import Ground
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.sensing.base import Sensor
 from jaxplore.sensing.beams import Scan
-from jaxplore.simulation.exploration.moving_obstacles import START_OF_MOVING, MovingObstacles
+from jaxplore.simulation.exploration.moving_obstacles import (
+    START_OF_MOVING,
+    MovingDiscs,
+    MovingObstacles,
+)
 
 
 class TrueWorld(eqx.Module):
@@ -31,7 +36,7 @@ class TrueWorld(eqx.Module):
 
     grid: OccupancyGrid
     ground: Ground | None
-    moving: MovingObstacles | None
+    moving: MovingObstacles | MovingDiscs | None
     time: Scalar
 
     @property
@@ -62,6 +67,7 @@ class TrueWorld(eqx.Module):
         pose: Pose,
         noise: Float[Array, "2"],
         key: Key,
+        known_pose: Pose | None = None,
     ) -> Obstacles | None:
         """Update the known obstacles by noisy measurements of those in sight of any sensor.
 
@@ -71,6 +77,8 @@ class TrueWorld(eqx.Module):
             pose: true pose (x, y, yaw) of the robot [m, m, rad].
             noise: standard deviations of measured positions [m] and velocities [m/s].
             key: random key of the step's measurements.
+            known_pose: pose at which the robot takes itself to be, from which it places them; the
+                true one when absent.
         """
         if known is None or self.moving is None:
             return known
@@ -78,9 +86,15 @@ class TrueWorld(eqx.Module):
         position_std, velocity_std = noise
         keys = jax.random.split(jax.random.fold_in(key, START_OF_MOVING), 2)
         in_sight = [sensor.sees(self.grid, pose, now.positions, self.ground) for sensor in sensors]
+        positions, velocities = now.positions, now.velocities
+        if known_pose is not None:
+            # What brings the true pose to the known one moves the obstacles as well.
+            moving = compose(known_pose, between(pose, jnp.zeros(3)))
+            positions = placed(moving, positions)
+            velocities = placed(moving * jnp.array([0.0, 0.0, 1.0]), velocities)
         return known.update(
-            now.positions + position_std * jax.random.normal(keys[0], now.positions.shape),
-            now.velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
+            positions + position_std * jax.random.normal(keys[0], now.positions.shape),
+            velocities + velocity_std * jax.random.normal(keys[1], now.velocities.shape),
             functools.reduce(jnp.logical_or, in_sight),
             position_std,
             # The scenario predicts the obstacles at every step, so none of the time is left here.

@@ -1,0 +1,78 @@
+"""Merge the maps of several robots in log-odds, without counting a measurement twice.
+
+Each robot keeps, for each robot of its fleet, the newest sum of log-odds changes by that robot's
+own scans that it has heard of: a contribution. A contribution replaces an older one of the same
+robot, so it does not matter how often, over which robots or in which order it arrives: the
+contributions are a state-based replicated data type (Shapiro et al., "Conflict-free replicated data
+types", SSS 2011). The map is a function of them alone:
+
+    l = clip(l_prior + sum_k c_k, minimum, maximum)
+
+The sum itself is not clamped. What a robot has seen often, and another one as well, takes more
+contrary scans to change than on the map of one robot.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxplore._types import GridMask, GridValues
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.perception import Perception
+from jaxplore.maps.clearance import clearance_field, closed_cells
+from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
+
+
+def own_change(model: InverseSensorModel, before: GridValues, now: GridValues) -> GridValues:
+    """Return the change of the log-odds (H, W) between two maps of one robot.
+
+    It is exactly 0 in cells that have not changed.
+
+    Args:
+        model: inverse sensor model of the robot.
+        before: probabilities (H, W) after the last merge.
+        now: probabilities (H, W) after scans of its own since then.
+    """
+    return jnp.where(now == before, 0.0, model.log_odds(now) - model.log_odds(before))
+
+
+def merged_map(
+    model: InverseSensorModel,
+    prior: GridValues,
+    contributions: Float[Array, "K H W"],
+    now: GridValues,
+    is_new: GridMask,
+) -> GridValues:
+    """Return the map of the prior and of all contributions.
+
+    Args:
+        model: inverse sensor model, whose clamp applies to the sum.
+        prior: probabilities (H, W) that were known in advance.
+        contributions: (K, H, W) sums of log-odds changes.
+        now: probabilities (H, W) of the map before.
+        is_new: (H, W) cells with a contribution that may not be in the map. All others keep their
+            probability to the bit.
+    """
+    total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
+    merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))
+    return jnp.where(is_new, merged, now)
+
+
+def with_map(perception: Perception, belief: Belief, probability: GridValues) -> Belief:
+    """Return a belief with another map, and with the clearance of all of it.
+
+    The information and guidance fields follow at their next update, which finds the cells that have
+    changed by itself. A scan updates the clearance around the robot only, so here it is computed
+    anew.
+
+    Args:
+        perception: perception of the robot.
+        belief: its belief.
+        probability: (H, W) probabilities of the cells.
+    """
+    grid = belief.grid.with_probability(probability)
+    closed = closed_cells(grid, belief.ground)
+    clearance = clearance_field(closed, grid.frame, perception.max_clearance)
+    return dataclasses.replace(belief, grid=grid, clearance=clearance)

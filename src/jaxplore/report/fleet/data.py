@@ -1,0 +1,172 @@
+"""Data of an exploration by a fleet: the record of each step, the frames, the world."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxplore._types import ControlVector, Count, Flag, Scalar, StateVector
+from jaxplore.maps.datum import moved
+from jaxplore.report.recording import Frame, RunData
+
+
+class FleetRecord(NamedTuple):
+    """The record of a step; in a recording every field has a leading axis of steps.
+
+    Args:
+        state: (nx,) states of all N robots after the step, one after the other.
+        control: (nu,) controls that took effect during the step.
+        coverage: share of the reachable cells that some robot knew to be free.
+        coverages: (N,) share of them that each robot knew to be free.
+        clearance: (N,) distance from each robot's edge to the nearest solid cell or other robot
+            [m], up to half a metre.
+        is_collision: (N,) whether each robot would have collided with something solid; it stopped
+            instead.
+        is_contact: (N,) whether each robot would have touched another one; it stopped instead.
+        effective_sample_size: mean over the robots of the effective sample size.
+        is_finite: whether every robot had a rollout of finite cost.
+        sent: size of all messages with maps and ways in the step [bytes].
+        links: number of pairs of robots that heard each other.
+    """
+
+    state: StateVector
+    control: ControlVector
+    coverage: Scalar
+    coverages: Float[Array, " N"]
+    clearance: Float[Array, " N"]
+    is_collision: Bool[Array, " N"]
+    is_contact: Bool[Array, " N"]
+    effective_sample_size: Scalar
+    is_finite: Flag
+    sent: Scalar
+    links: Count
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FleetFrame(Frame):
+    """A snapshot of an exploration by a fleet.
+
+    Args:
+        positions: (N, 2) positions of the robots [m].
+        headings: (N,) headings [rad].
+        probability: (H, W) what the robots know together, in 256 levels: of each cell the
+            probability that is the farthest from 1/2.
+        plans: (N, T, 2) positions of the nominal trajectories [m]; T = 0 without a plan.
+        links: (N, N) which robots hear each other.
+    """
+
+    positions: np.ndarray
+    headings: np.ndarray
+    probability: np.ndarray
+    plans: np.ndarray
+    links: np.ndarray
+
+    places = ("positions", "plans")
+
+
+def axes_of_robots(names: Sequence[str]) -> tuple[tuple[int, int], ...]:
+    """Return the places of x and y of each robot among the names of a formation's state."""
+    x = [index for index, name in enumerate(names) if name.startswith("x_")]
+    y = [index for index, name in enumerate(names) if name.startswith("y_")]
+    return tuple(zip(x, y, strict=True))
+
+
+def moved_states(states: np.ndarray, offset: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Return states (..., nx) of a fleet with an offset (2,) [m] added to all positions."""
+    for columns in axes_of_robots(names):
+        states = moved(states, offset, columns)
+    return states
+
+
+def moved_records(records: Any, offset: np.ndarray, names: Sequence[str]) -> Any:
+    """Return records of steps with an offset (2,) [m] added to the positions of all robots."""
+    return records._replace(state=moved_states(records.state, offset, names))
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class FleetData(RunData):
+    """Data of an exploration by a fleet: every step, frames, and the true world.
+
+    Args:
+        world: (H, W) probability of the true map.
+        belief: (H, W) what the robots know together at the end, see `FleetFrame`.
+        beliefs: (N, H, W) map of each robot at the end, in 256 levels.
+        reachable: (H, W) cells that count for coverage.
+        origin: pose of the grid [m, m, rad].
+        resolution: side of a cell [m].
+        start: (nx,) states at the start.
+        state_names: names of the components of the state.
+        initial_coverage: coverage before the first step.
+        target_coverage: coverage at which the exploration is finished.
+        finished_step: number of steps until it was finished; None if it was not.
+        given_up_step: number of steps until it was given up; None if it was not.
+        radii: (N,) radii of the robots [m].
+        coordination: how the robots divided the places among themselves.
+    """
+
+    records: FleetRecord
+    frames: tuple[FleetFrame, ...]
+    world: np.ndarray
+    belief: np.ndarray
+    beliefs: np.ndarray
+    reachable: np.ndarray
+    origin: np.ndarray
+    resolution: float
+    start: np.ndarray
+    state_names: tuple[str, ...]
+    initial_coverage: float
+    target_coverage: float
+    finished_step: int | None
+    given_up_step: int | None
+    radii: np.ndarray
+    coordination: str
+
+    def moved_fields(self, offset: np.ndarray) -> dict[str, Any]:
+        """Return the fields that have positions, with an offset (2,) [m] added."""
+        return {
+            "records": moved_records(self.records, offset, self.state_names),
+            "start": moved_states(self.start, offset, self.state_names),
+            "origin": moved(self.origin, offset),
+        }
+
+    @property
+    def num_robots(self) -> int:
+        """Number of robots, N."""
+        return len(self.radii)
+
+    @property
+    def trails(self) -> np.ndarray:
+        """Positions (N, steps + 1, 2) of each robot, the start included [m]."""
+        states = np.concatenate([self.start[None], self.records.state])
+        return np.stack([states[:, list(each)] for each in axes_of_robots(self.state_names)])
+
+    @property
+    def positions(self) -> np.ndarray:
+        """Positions (steps + 1, 2) of the first robot, the start included [m]."""
+        return np.asarray(self.trails[0])
+
+    @property
+    def lengths(self) -> np.ndarray:
+        """Distance that each robot has driven (N, steps + 1) [m]."""
+        steps = np.linalg.norm(np.diff(self.trails, axis=1), axis=-1)
+        return np.concatenate([np.zeros((self.num_robots, 1)), np.cumsum(steps, axis=1)], axis=1)
+
+    @property
+    def coverage(self) -> np.ndarray:
+        """Coverage (steps + 1,) at each instant.
+
+        The record of step k holds what was known at its beginning, so the last instant has the
+        value of the last step.
+        """
+        rows = np.asarray(self.records.coverage, np.float64)
+        return np.append(rows, rows[-1]) if len(rows) else np.array([self.initial_coverage])
+
+    @property
+    def coverages(self) -> np.ndarray:
+        """Coverage (N, steps + 1) of each robot's own map, likewise."""
+        rows = np.asarray(self.records.coverages, np.float64)
+        if not len(rows):
+            return np.full((self.num_robots, 1), self.initial_coverage)
+        return np.concatenate([rows, rows[-1:]]).T

@@ -1,0 +1,144 @@
+"""Metrics of an exploration by a fleet."""
+
+import dataclasses
+
+import numpy as np
+
+from jaxplore.report._numbers import finite, percent, text
+from jaxplore.report.fleet.data import FleetData
+from jaxplore.report.metrics import Column, Curve, Metrics, sampled_series
+from jaxplore.report.motion import episodes
+
+LEVELS = (50, 90, 95, 99)
+"""Levels of coverage whose times are metrics [%]."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class FleetMetrics(Metrics):
+    """Metrics of an exploration by a fleet.
+
+    Args:
+        num_robots: number of robots, N.
+        coordination: how the robots divided the places among themselves.
+        coverage: share of the reachable cells that some robot knows to be free at the end.
+        target_coverage: coverage at which the exploration is finished.
+        given_up_at: time at which it was given up [s]; None if it was not.
+        time_to: time at which each level of coverage ("50", "90", "95", "99" percent) was first
+            reached [s]; None if never.
+        path_to: distance that all robots together had driven by then [m].
+        path_lengths: distance that each robot drove (N,) [m].
+        path_length: distance that all robots drove together [m].
+        collisions: collisions with something solid, of all robots; successive steps are one.
+        contacts: contacts between robots: successive steps in which some robot was stopped because
+            it would have touched another one are one.
+        minimum_clearance: least distance from a robot's edge to a solid cell or another robot [m].
+        exchanged: size of all messages with maps and ways [bytes].
+        linked: share of the pairs of robots that heard each other, mean over the steps.
+        least_coverage: coverage of the map of the robot that knows the least at the end.
+        mean_effective_sample_size: mean effective sample size.
+        coverage_curve: "time" [s], "coverage", "path" [m] of all robots, and the coverage of each
+            robot's map, "robot 1" and so on, every half second.
+    """
+
+    num_robots: int
+    coordination: str
+    coverage: float
+    target_coverage: float
+    given_up_at: float | None
+    time_to: dict[str, float | None]
+    path_to: dict[str, float | None]
+    path_lengths: tuple[float, ...]
+    path_length: float
+    collisions: int
+    contacts: int
+    minimum_clearance: float | None
+    exchanged: float
+    linked: float | None
+    least_coverage: float
+    mean_effective_sample_size: float | None
+    coverage_curve: dict[str, list[float | None]]
+
+    columns = (
+        Column.finished(),
+        Column.quartiles("to_90", "90 % [s]", number=lambda each: each.time_to["90"]),
+        Column.quartiles("to_95", "95 % [s]", number=lambda each: each.time_to["95"]),
+        Column.quartiles("path_length", "path [m]"),
+        Column.total("collisions", "collisions"),
+        Column.total("contacts", "contacts"),
+        Column.least("minimum_clearance", "clearance [m]"),
+        Column.quartiles("exchanged", "exchanged [MB]", digits=2, scale=1e-6),
+        Column.quartiles("step_ms", "step [ms]", number=lambda each: each.compute.step_ms_p50),
+    )
+    plotted = (Curve("coverage", "coverage [%]", 100.0, 100.0), Curve("path", "path of all [m]"))
+    levels = LEVELS
+
+    def series(self) -> dict[str, list[float | None]]:
+        """Return `coverage_curve`."""
+        return self.coverage_curve
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return the main metrics as (name, text)."""
+        if self.finished_at is not None:
+            end = f"finished after {self.finished_at:.2f} s"
+        elif self.given_up_at is not None:
+            end = f"given up after {self.given_up_at:.2f} s"
+        else:
+            end = "not finished"
+        times = [
+            f"{level} % after {seconds:.1f} s"
+            for level, seconds in self.time_to.items()
+            if seconds is not None
+        ]
+        each = ", ".join(f"{metres:.1f}" for metres in self.path_lengths)
+        return [
+            ("duration", f"{self.duration:.2f} s, {self.num_steps} steps, {end}"),
+            ("robots", f"{self.num_robots}, coordination: {self.coordination}"),
+            ("coverage", f"{percent(self.coverage)}, {', '.join(times) or 'less than 50 %'}"),
+            ("least known", f"{percent(self.least_coverage)} by one robot"),
+            ("path", f"{self.path_length:.1f} m: {each}"),
+            ("contacts", f"{self.contacts} between robots, {self.collisions} with walls"),
+            ("clearance", f"{text(self.minimum_clearance, 3)} m at least"),
+            ("exchanged", f"{1e-6 * self.exchanged:.2f} MB"),
+            *self.closing_rows(),
+        ]
+
+
+def compute_metrics(data: FleetData, *, seed: int | None = None) -> FleetMetrics:
+    """Compute the metrics of an exploration by a fleet.
+
+    Args:
+        data: the run; one without a step has the metrics of its start.
+        seed: seed of the run.
+    """
+    records, period = data.records, data.control_period
+    coverage, path = data.coverage, data.lengths.sum(axis=0)
+    # The last entry repeats the one before: nothing was measured after the last step.
+    known = coverage[: max(1, data.num_steps)]
+    reached = {str(level): np.flatnonzero(known >= level / 100) for level in LEVELS}
+    pairs = data.num_robots * (data.num_robots - 1) // 2
+    sizes = np.asarray(records.effective_sample_size, np.float64)
+    collisions = np.asarray(records.is_collision, bool).reshape(-1, data.num_robots)
+    ended = {"finished": data.finished_step, "given_up": data.given_up_step}
+    at = {name: None if step is None else step * period for name, step in ended.items()}
+    curve = {"time": data.time, "coverage": coverage, "path": path}
+    robots = {f"robot {i}": rows for i, rows in enumerate(data.coverages, start=1)}
+    return FleetMetrics(
+        **data.common_metrics(finished_at=at["finished"], seed=seed),
+        num_robots=data.num_robots,
+        coordination=data.coordination,
+        coverage=float(coverage[-1]),
+        target_coverage=data.target_coverage,
+        given_up_at=at["given_up"],
+        time_to={name: float(k[0] * period) if len(k) else None for name, k in reached.items()},
+        path_to={name: float(path[k[0]]) if len(k) else None for name, k in reached.items()},
+        path_lengths=tuple(float(each) for each in data.lengths[:, -1]),
+        path_length=float(path[-1]),
+        collisions=sum(episodes(each) for each in collisions.T),
+        contacts=episodes(np.asarray(records.is_contact, bool).any(axis=-1)),
+        minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
+        exchanged=float(np.sum(records.sent, dtype=np.float64)),
+        linked=float(np.mean(records.links) / pairs) if pairs and data.num_steps else None,
+        least_coverage=float(data.coverages[:, -1].min()),
+        mean_effective_sample_size=finite(sizes.mean()) if sizes.size else None,
+        coverage_curve=sampled_series({**curve, **robots}, period),
+    )

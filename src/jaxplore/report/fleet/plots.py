@@ -1,0 +1,101 @@
+"""Figures of an exploration by a fleet: the map with all trails, and the coverage."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from jaxplore.report.drawing.colours import OUTLINE, belief_colours
+from jaxplore.report.drawing.palette import INK
+from jaxplore.report.drawing.scale_bar import add_scale_bar
+from jaxplore.report.drawing.series import line_style, style_time
+from jaxplore.report.exploration.plots import true_outline
+from jaxplore.report.exploration.window import Window
+from jaxplore.report.fleet.data import FleetData
+from jaxplore.report.fleet.metrics import LEVELS, compute_metrics
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MOST_POINTS = 2000
+"""Greatest number of points of a trail in the figure."""
+
+
+def map_figure(data: FleetData) -> "Figure":
+    """Draw what the robots know together at the end, with the trail of each in its colour.
+
+    A rotated map is drawn along its own axes.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
+
+    window = Window.around_reachable(data)
+    size = np.asarray(window.size)
+    left, bottom = window.corner
+    right, top = window.corner + size
+    inches = np.clip(9.0 * size / size.max(), [3.2, 2.0], 9.0)
+    figure = Figure(figsize=(inches[0] + 0.8, inches[1] + 1.2), layout="compressed")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    levels = np.round(255.0 * window.crop(data.belief, 0.5)).astype(np.uint8)
+    extent = (left, right, bottom, top)
+    axes.imshow(belief_colours()[levels], extent=extent, origin="lower", interpolation="nearest")
+    outline = true_outline(data, window) + window.corner
+    axes.add_collection(
+        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7), autolim=False
+    )
+    stride = max(1, -(-data.trails.shape[1] // MOST_POINTS))
+    marks: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5.0}
+    for number, (trail, length) in enumerate(zip(data.trails, data.lengths[:, -1], strict=True)):
+        placed = window.place(np.concatenate([trail[::stride], trail[-1:]])) + window.corner
+        style = line_style(number)
+        name = f"robot {number + 1}: {length:.1f} m"
+        axes.plot(*placed.T, linewidth=1.6, label=name, zorder=4.0, **style)
+        axes.plot(*placed[0], marker="o", markersize=7.0, color=style["color"], **marks)
+        axes.plot(*placed[-1], marker="s", markersize=8.0, color=style["color"], **marks)
+    for marker, name in (("o", "start"), ("s", "end")):
+        axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
+    axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
+    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
+    prefix = "grid " if window.is_turned else ""
+    axes.set_xlabel(f"{prefix}x [m]")
+    axes.set_ylabel(f"{prefix}y [m]")
+    add_scale_bar(axes)
+    columns = 4 if inches[0] > 5.0 else 2
+    figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
+    driven = data.lengths[:, -1].sum()
+    title = f"{100.0 * data.coverage[-1]:.1f} % covered, {data.time[-1]:.1f} s, {driven:.1f} m"
+    figure.suptitle(title, fontsize=11)
+    return figure
+
+
+def coverage_figure(data: FleetData) -> "Figure":
+    """Draw the coverage by all robots together and by the map of each, and the distances driven."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 6.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2.4, 1.0])
+    duration, metrics = max(float(data.time[-1]), data.control_period), compute_metrics(data)
+    ink = np.asarray(INK) / 255.0
+    # Wide and pale, below the curves of the robots that it is the upper bound of.
+    above.plot(data.time, 100.0 * data.coverage, color="0.78", linewidth=5.0, label="together")
+    for number, (rows, length) in enumerate(zip(data.coverages, data.lengths, strict=True)):
+        style = line_style(number)
+        above.plot(data.time, 100.0 * rows, linewidth=1.2, label=f"robot {number + 1}", **style)
+        below.plot(data.time, length, linewidth=1.4, **style)
+    level = 100.0 * data.target_coverage
+    above.axhline(level, color="0.6", linewidth=0.8, linestyle="--", label=f"target: {level:.3g} %")
+    for share in LEVELS:
+        seconds = metrics.time_to[str(share)]
+        if seconds is not None:
+            label = f"{share} %: {seconds:.1f} s"
+            above.plot([seconds], [share], "o", color=ink, markersize=5.0 + share / 50, label=label)
+    above.set(ylim=(0.0, 104.0), ylabel="coverage [%]")
+    below.set(ylabel="driven [m]", ylim=(0.0, None))
+    for axes in (above, below):
+        style_time(axes, duration)
+    above.set_xlabel("")
+    figure.legend(loc="outside lower center", ncols=5, frameon=False, fontsize=9)
+    return figure

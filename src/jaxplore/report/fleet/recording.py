@@ -1,0 +1,84 @@
+"""The recording of an exploration by a fleet."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PIL import Image
+
+from jaxplore.maps.files.ros import write_map
+from jaxplore.report.fleet.animation import frame_image, painter, shared_palette
+from jaxplore.report.fleet.data import FleetData, FleetFrame
+from jaxplore.report.fleet.metrics import FleetMetrics, compute_metrics
+from jaxplore.report.fleet.plots import coverage_figure, map_figure
+from jaxplore.report.recording import Recording
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+EXPLORED = "explored.yaml"
+"""File of the explored map in a run folder."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, repr=False)
+class FleetRecording(FleetData, Recording):
+    """A finished exploration by a fleet.
+
+    Its folder has `map.png`, `coverage.png`, `fleet.gif`, and what the robots know together for
+    ROS's `map_server` (`explored.yaml` and `explored.pgm`).
+    """
+
+    animation = "fleet.gif"
+
+    def metrics(self, *, seed: int | None = None) -> FleetMetrics:
+        """Compute the metrics of the run."""
+        return compute_metrics(self, seed=seed)
+
+    def frame_image(self, frame: FleetFrame, *, scale: float = 1.0) -> Image.Image:
+        """Draw a frame as in the animation."""
+        return frame_image(self, frame, scale)
+
+    def painter(self, scale: float = 1.0) -> Callable[[FleetFrame], Image.Image]:
+        """Return a function that draws frames."""
+        return painter(self, scale)
+
+    def palette(self, pictures: Sequence[Image.Image]) -> Image.Image:
+        """Compute the palette that all frames share."""
+        return shared_palette(self, pictures)
+
+    def figures(self) -> dict[str, Callable[[], "Figure"]]:
+        """Return functions that draw the figures, by file name without suffix."""
+        return {"map": partial(map_figure, self), "coverage": partial(coverage_figure, self)}
+
+    def files(self) -> dict[str, Callable[[Path], None]]:
+        """Return a function that writes the explored map as a ROS map of three values."""
+        return {EXPLORED: self._write_explored}
+
+    def _write_explored(self, path: Path) -> None:
+        origin = np.asarray(self.origin, np.float64).tolist()
+        write_map(path, self.belief, self.resolution, origin)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the content of `arrays.npz`: plain arrays, no pickles.
+
+        Each field of `FleetRecord` under its name, one row per step; `time` (steps + 1,) [s],
+        `positions` (N, steps + 1, 2) [m] of each robot, `world` and `belief` (H, W) probabilities,
+        `beliefs` (N, H, W) in 256 levels, `reachable` (H, W), `origin`, `resolution`,
+        `control_period`, `start`, `state_names` and `radii` (N,) [m].
+        """
+        return {
+            **super().arrays(),
+            "positions": self.trails,
+            "world": self.world,
+            "belief": self.belief,
+            "beliefs": self.beliefs,
+            "reachable": self.reachable,
+            "origin": self.origin,
+            "resolution": np.asarray(self.resolution),
+            "start": self.start,
+            "state_names": np.asarray(self.state_names, np.str_),
+            "radii": self.radii,
+        }

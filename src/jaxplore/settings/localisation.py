@@ -1,0 +1,37 @@
+"""Settings of a robot that does not know its pose."""
+
+from jaxplore.localisation.closing import LoopCloser
+from jaxplore.localisation.localiser import Localiser
+from jaxplore.localisation.odometry import Odometry
+from jaxplore.planning.presets.explorer import explorer
+from jaxplore.settings.defaults import in_degrees, setting
+from jaxplore.settings.sections import Length, NonNegative, Positive, Rate, Section, Share
+from jaxplore.simulation.exploration.located import Localisation
+
+
+class LocalisationSettings(Section):
+    """Odometry with errors, and how the robot finds its pose: see
+    `jaxplore.localisation.Odometry`, `jaxplore.localisation.Localiser` and
+    `jaxplore.localisation.LoopCloser`.
+
+    Args:
+        loops: whether loops are closed.
+    """
+
+    distance_noise: NonNegative = setting(Odometry, "distance_noise")
+    turn_per_distance_degrees: NonNegative = setting(Odometry, "turn_per_distance", in_degrees)
+    turn_noise_degrees: NonNegative = setting(Odometry, "turn_noise", in_degrees)
+    slip_in_turns: NonNegative = setting(Odometry, "slip_in_turns")
+    scale: NonNegative = setting(Odometry, "scale")
+    turn_scale: NonNegative = setting(Odometry, "turn_scale")
+    turn_per_metre: NonNegative = setting(Odometry, "turn_per_metre")
+    gyro: NonNegative = setting(Odometry, "gyro")
+    spacing: Length = setting(Localiser, "spacing")
+    memory: Length = setting(Localiser, "memory")
+    loops: bool = True
+    uncertainty_weight: NonNegative = setting(explorer, "uncertainty_weight")
+    most_uncertainty: Length | None = setting(Localisation, "most_uncertainty")
+    closing_rate: Rate = setting(Localisation, "closing_rate")
+    reach: Length = setting(LoopCloser, "reach")
+    least_share: Share = setting(LoopCloser, "least_share")
+    tolerance: Positive = setting(LoopCloser, "tolerance")

@@ -1,0 +1,362 @@
+"""A robot that does not know its pose: odometry with errors, localisation, and what judges it."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Key, Pose, Scalar, StateVector
+from jaxplore.belief.belief import Belief
+from jaxplore.belief.certainty import CertaintyField
+from jaxplore.belief.perception import Perception
+from jaxplore.dynamics.base import Dynamics
+from jaxplore.geometry.motion import between, compose
+from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
+from jaxplore.localisation.localiser import Localiser, LocaliserState
+from jaxplore.localisation.odometry import Odometry, OdometryBias
+from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.report.exploration.data import LocalisationData
+from jaxplore.sensing.base import Sensor, update_grid
+from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.progress import MapSums
+
+PLACE_WORTH = 100.0
+"""Worth of an old place, more than any information that still counts [nat]."""
+_ODOMETRY = 2**31 + 4
+"""What is folded into the key of a run for its odometry; no step has such a number."""
+
+
+class Located(NamedTuple):
+    """State of the localisation, and what only the judge knows.
+
+    Args:
+        known: what the robot knows.
+        bias: errors of the odometry in this run.
+        key: random key of its noise.
+        true_poses: (K, 3) true poses of the stored scans.
+        reckoned: pose by the odometry alone.
+        reckoned_poses: (K, 3) poses of the stored scans by the odometry alone.
+        reference: (H, W) map that the same scans give at the true poses.
+    """
+
+    known: LocaliserState
+    bias: OdometryBias
+    key: Key
+    true_poses: Float[Array, "K 3"]
+    reckoned: Pose
+    reckoned_poses: Float[Array, "K 3"]
+    reference: GridValues
+
+    def recorded(self, pose: Pose) -> dict[str, Scalar]:
+        """Return the fields of a record.
+
+        Args:
+            pose: true pose of the robot [m, m, rad].
+        """
+        away = self.known.pose - pose
+        return {
+            "pose_error": jnp.hypot(away[0], away[1]),
+            "uncertainty": self.known.uncertainty,
+        }
+
+
+class Localisation(eqx.Module):
+    """How a robot of an exploration scenario finds its pose.
+
+    The robot starts at a known pose and then knows only its odometry and its scans. The true pose
+    moves it and is for the judge: coverage is that of the map that its scans give at their true
+    poses.
+
+    Args:
+        odometry: the true odometry; its errors are what the localiser expects when absent.
+        localiser: estimates the pose.
+        closer: closes loops; none when absent.
+        closing_rate: rate at which loops are looked for [Hz].
+        most_uncertainty: standard deviation of the position beyond which the robot goes to a place
+            that it knows from long before, to close a loop [m]; None for never.
+        certainty: how well scans tell the position, for controllers that plan with it; None for
+            others.
+
+    Raises:
+        ValueError: a part of another class, a rate that is not positive.
+    """
+
+    odometry: Odometry
+    localiser: Localiser
+    closer: LoopCloser | None
+    most_uncertainty: Scalar | None
+    certainty: CertaintyField | None
+    closing_rate: float = eqx.field(static=True)
+
+    def __init__(
+        self,
+        odometry: Odometry | None = None,
+        localiser: Localiser | None = None,
+        closer: LoopCloser | None = None,
+        *,
+        closing_rate: float = 1.0,
+        most_uncertainty: ArrayLike | None = None,
+        certainty: CertaintyField | None = None,
+    ) -> None:
+        _kinds.instance("odometry", odometry, Odometry, may_be_none=True)
+        _kinds.instance("localiser", localiser, Localiser, may_be_none=True)
+        _kinds.instance("closer", closer, LoopCloser, may_be_none=True)
+        if localiser is None:
+            localiser = Localiser(odometry)
+        self.localiser = localiser
+        self.odometry = localiser.odometry if odometry is None else odometry
+        self.closer = closer
+        self.closing_rate = _checks.number("closing_rate", closing_rate, above=0.0)
+        _kinds.instance("certainty", certainty, CertaintyField, may_be_none=True)
+        self.most_uncertainty, self.certainty = None, certainty
+        if most_uncertainty is not None:
+            self.most_uncertainty = _checks.scalar("most_uncertainty", most_uncertainty, above=0.0)
+
+    def init(
+        self, pose: Pose, grid: OccupancyGrid, sensors: Sequence[Sensor], key: Key | None
+    ) -> Located:
+        """Return the state at the start.
+
+        Args:
+            pose: pose (x, y, yaw) at the start [m, m, rad].
+            grid: map of the belief at the start.
+            sensors: the sensors.
+            key: random key of the run; the odometry has no constant errors when absent.
+        """
+        known = self.localiser.init(pose, grid.frame, grid.shape, sensors)
+        drawn = None if key is None else jax.random.fold_in(key, _ODOMETRY)
+        return Located(
+            known,
+            self.odometry.draw(drawn),
+            jax.random.key(0) if drawn is None else jax.random.fold_in(drawn, 1),
+            known.scans.poses,
+            pose,
+            known.scans.poses,
+            grid.probability,
+        )
+
+    def moved(
+        self, located: Located, before: Pose, after: Pose, step: Count, period: Scalar
+    ) -> Located:
+        """Return the state after a control period, in which only the odometry is measured.
+
+        Args:
+            located: state before it.
+            before: true pose before it.
+            after: true pose after it.
+            step: number of steps before it.
+            period: control period [s].
+        """
+        key = jax.random.fold_in(located.key, step)
+        motion = self.odometry.measure(between(before, after), period, located.bias, key)
+        return located._replace(
+            known=self.localiser.predicted(located.known, motion, period),
+            reckoned=compose(located.reckoned, motion),
+        )
+
+    def scanned(
+        self, located: Located, scans: Sequence[Scan], sensors: Sequence[Sensor], pose: Pose
+    ) -> Located:
+        """Return the state after scans.
+
+        Args:
+            located: state before them.
+            scans: a scan of each sensor.
+            sensors: the sensors.
+            pose: true pose of the robot.
+        """
+        known = self.localiser.corrected(located.known, scans, sensors)
+        is_new = known.scans.number > located.known.scans.number
+        at = jnp.where(is_new, known.scans.last, known.scans.capacity)
+        return located._replace(
+            known=known,
+            true_poses=located.true_poses.at[at].set(pose, mode="drop"),
+            reckoned_poses=located.reckoned_poses.at[at].set(located.reckoned, mode="drop"),
+        )
+
+    def judged(
+        self,
+        located: Located,
+        sums: MapSums,
+        perception: Perception,
+        scans: Sequence[Scan],
+        pose: Pose,
+        reachable: GridMask,
+        grid: OccupancyGrid,
+    ) -> tuple[Located, MapSums]:
+        """Return the state with the scans in the reference map, and the sums over that map.
+
+        Args:
+            located: state before.
+            sums: sums over the reference map.
+            perception: updates the belief.
+            scans: a scan of each sensor.
+            pose: true pose of the robot.
+            reachable: (H, W) cells that count for the progress.
+            grid: the belief's map, whose frame is used.
+        """
+        reference = grid.with_probability(located.reference)
+        window = perception.window(reference, pose)
+        counted = window.read(reachable)
+        before = MapSums.of(window.read(reference.probability), counted)
+        for sensor, scan in zip(perception.sensors, scans, strict=True):
+            sighting = sensor.sight(reference, scan, pose, perception.ground)
+            reference = update_grid(reference, sighting, perception.sensor_model)
+        after = MapSums.of(window.read(reference.probability), counted)
+        changed = located._replace(reference=reference.probability)
+        return changed, sums.changed(before, after)
+
+    def informed(self, located: Located, belief: Belief) -> Belief:
+        """Return the belief with what planning needs of the localisation, for the next fields.
+
+        Args:
+            located: state of the localisation.
+            belief: the belief.
+        """
+        known = located.known
+        if self.certainty is not None:
+            belief = dataclasses.replace(
+                belief,
+                certainty=self.certainty(belief.grid, belief.clearance, known.pose[:2]),
+                position_variance=known.uncertainty**2,
+            )
+        if self.most_uncertainty is not None:
+            is_lost = known.uncertainty > self.most_uncertainty
+            worth = jnp.where(is_lost, old_places(known, belief, self.localiser.memory), 0.0)
+            belief = dataclasses.replace(belief, revisit=worth)
+        return belief
+
+    def revised(
+        self,
+        located: Located,
+        belief: Belief,
+        perception: Perception,
+        prior: OccupancyGrid,
+        start: Pose,
+    ) -> tuple[Located, Belief]:
+        """Close loops, on the host; return the state and the belief.
+
+        Args:
+            located: state before.
+            belief: the belief before.
+            perception: makes its fields anew where the map has moved.
+            prior: map that the robot knew in advance.
+            start: pose at the start.
+        """
+        if self.closer is None:
+            return located, belief
+        sensors = perception.sensors
+        if is_nearly_full(located.known):
+            located = _thinned(located)
+        known = self.closer.examined(self.localiser, located.known, sensors)
+        settled = self.closer.settled(self.localiser, known, sensors)
+        if settled is None:
+            return located._replace(known=known), belief
+        grid = _mapped((self.localiser, perception), settled, prior, start)
+        belief = _remapped(perception, belief, grid, settled.pose)
+        return located._replace(known=settled), belief
+
+    def data(self, located: Located, grid: OccupancyGrid) -> LocalisationData:
+        """Return what the report shows of the localisation.
+
+        Args:
+            located: state at the end.
+            grid: map of the belief, with its frame.
+        """
+        scans = located.known.scans
+        number = int(scans.number)
+        return LocalisationData(
+            true_poses=np.asarray(located.true_poses, np.float64)[:number],
+            poses=np.asarray(scans.poses, np.float64)[:number],
+            reckoned=np.asarray(located.reckoned_poses, np.float64)[:number],
+            way=np.asarray(scans.way, np.float64)[:number],
+            reference=grid.cropped(located.reference),
+            num_loops=int(located.known.closures.number),
+        )
+
+
+def old_places(
+    known: LocaliserState, belief: Belief, memory: Scalar
+) -> Float[Array, "rows columns"]:
+    """Return the worth of the nodes at which the robot was long before; 0 elsewhere.
+
+    Args:
+        known: what the robot knows of its way.
+        belief: its belief.
+        memory: way after which a place is old [m].
+    """
+    scans, frame = known.scans, belief.information.frame
+    rows, columns = belief.information.total.shape
+    index = jnp.arange(scans.capacity)
+    is_old = (index < scans.number) & (known.way - scans.way > memory)
+    row, column = jnp.unstack(jax.vmap(frame.to_cell)(scans.poses[:, :2]), axis=1)
+    is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    at = jnp.where(is_old & is_inside, row * columns + column, rows * columns)
+    worth = jnp.zeros(rows * columns).at[at].set(PLACE_WORTH, mode="drop")
+    return worth.reshape(rows, columns)
+
+
+def observed_state(robot: Dynamics, state: StateVector, pose: Pose) -> StateVector:
+    """Return a state (nx,) with another pose; speeds and the like are measured as they are."""
+    for name, value in zip(("x", "y", "yaw"), jnp.unstack(pose), strict=True):
+        if name in robot.state_names:
+            state = robot.with_component(state, name, value)
+    return state
+
+
+def corrected_state(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
+    """Return a state (nx,) moved by the correction of the robot's pose.
+
+    Args:
+        robot: model of the robot.
+        state: the state.
+        before: pose of the robot before the correction.
+        after: its pose after it.
+    """
+    return observed_state(robot, state, compose(after, between(before, robot.pose(state))))
+
+
+@eqx.filter_jit
+def _thinned(located: Located) -> Located:
+    """Return the state with every second stored scan left out."""
+
+    def halved(rows: Float[Array, "K 3"]) -> Float[Array, "K 3"]:
+        kept = rows[::2]
+        return jnp.zeros_like(rows).at[: len(kept)].set(kept)
+
+    return located._replace(
+        known=thinned(located.known),
+        true_poses=halved(located.true_poses),
+        reckoned_poses=halved(located.reckoned_poses),
+    )
+
+
+@eqx.filter_jit
+def _mapped(
+    given: tuple[Localiser, Perception], known: LocaliserState, prior: OccupancyGrid, start: Pose
+) -> OccupancyGrid:
+    """Return the map of all stored scans at their poses."""
+    _, perception = given
+    scans = known.scans
+
+    def add(index: Count, grid: OccupancyGrid) -> OccupancyGrid:
+        pose = scans.poses[index]
+        stored = scans.scan(index, perception.sensors)
+        for sensor, scan in zip(perception.sensors, stored, strict=True):
+            sighting = sensor.sight(grid, scan, pose, perception.ground)
+            grid = update_grid(grid, sighting, perception.sensor_model)
+        return grid
+
+    grid: OccupancyGrid = jax.lax.fori_loop(0, scans.number, add, perception.standing(prior, start))
+    return grid
+
+
+@eqx.filter_jit
+def _remapped(perception: Perception, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
+    return perception.remapped(belief, grid, pose)

@@ -1,0 +1,1 @@
+"""Exploration by several robots that share what they know."""

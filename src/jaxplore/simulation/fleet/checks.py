@@ -1,0 +1,89 @@
+"""Checks of the explorations of a fleet."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jaxplore import _kinds
+from jaxplore._limits import MOST_ROBOTS
+from jaxplore._types import Rows
+from jaxplore.simulation.exploration.finish import has_coverage_target
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+
+
+def checked_members(
+    robots: ExplorationScenario | Sequence[ExplorationScenario], starts: Rows | None
+) -> tuple[ExplorationScenario, ...]:
+    """Return the exploration of each robot of a fleet.
+
+    Args:
+        robots: exploration of each robot, or that of one for as many equal ones as there are
+            starts.
+        starts: (N, 3) start poses of the robots; those of the explorations when absent.
+
+    Raises:
+        ValueError: no robots or too many, explorations that a fleet does not support, different
+            worlds or rates.
+    """
+    if isinstance(robots, ExplorationScenario):
+        number = 1 if starts is None else len(np.atleast_1d(np.asarray(starts, object)))
+        # The same arrays stand for all equal robots, so N robots need no more memory for them.
+        members = (robots,) * number
+    else:
+        _kinds.instances("robots", robots, ExplorationScenario)
+        members = tuple(robots)
+    if not 1 <= len(members) <= MOST_ROBOTS:
+        raise ValueError(f"robots is {len(members)}; accepted: from 1 to {MOST_ROBOTS} robots")
+    for index, each in enumerate(members):
+        _check_supported(index, each)
+    first = members[0]
+    for index, each in enumerate(members[1:], start=1):
+        is_same = each.map_arrays.world.shape == first.map_arrays.world.shape and np.array_equal(
+            each.map_arrays.world.probability, first.map_arrays.world.probability
+        )
+        if each is not first and not is_same:
+            raise ValueError(f"robots[{index}] is in another world; accepted: that of robots[0]")
+        for name in ("control_period", "steps_per_scan", "steps_per_field"):
+            here, there = (np.asarray(getattr(one, name)).item() for one in (each, first))
+            if here != there:
+                raise ValueError(
+                    f"{name} of robots[{index}] is {here:g}; accepted: {there:g}, that of robots[0]"
+                )
+    return members
+
+
+def _check_supported(index: int, one: ExplorationScenario) -> None:
+    """Raise a `ValueError` if a fleet does not support what an exploration has."""
+    perception = one.perception
+    parts = {
+        "goal": one.goal,
+        "watch": perception.watch,
+        "anomalies": perception.anomalies,
+        "recognition": perception.recognition,
+        "chassis": one.chassis,
+        "guard": one.guard,
+        "variation": one.variation,
+        "localisation": one.localisation,
+        "targets": one.targets if one.num_targets else None,
+    }
+    for name, part in parts.items():
+        if part is not None:
+            raise ValueError(
+                f"{name} of robots[{index}] is given; accepted in a fleet: none, which explores "
+                "until a target coverage"
+            )
+    if not bool(has_coverage_target(one.target_coverage)):
+        raise ValueError(
+            f"target_coverage of robots[{index}] is None; accepted in a fleet: a number in (0, 1]"
+        )
+
+
+def identities(starts: np.ndarray) -> np.ndarray:
+    """Return the number of each robot (N,) by the order of the starts (N, 3) by x, y and yaw.
+
+    It moves with the robot when the robots are given in another order.
+    """
+    order = np.lexsort(starts.T[::-1])
+    numbers = np.empty(len(starts), np.int32)
+    numbers[order] = np.arange(len(starts), dtype=np.int32)
+    return numbers

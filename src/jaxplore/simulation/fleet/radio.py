@@ -1,0 +1,241 @@
+"""What the robots of a fleet tell one another: maps, ways and plans."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from jaxplore import _checks, _kinds
+from jaxplore._types import ArrayLike, Count, Flag, Pose, Scalar
+from jaxplore.belief.claims import claim_cost, trust_in
+from jaxplore.belief.merging import merged_map, own_change, with_map
+from jaxplore.simulation.exploration.progress import MapSums, map_progress
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+
+NEVER = -1
+"""Version of what was never heard."""
+CELL_BYTES, NODE_BYTES = 8, 4
+"""Size of a message: index and log-odds of each cell that is new to the receiver, and the length of
+the path to each node that can be reached [bytes]."""
+
+
+class Heard(NamedTuple):
+    """What each robot (first axis) has last heard of each robot (second axis), itself included.
+
+    Args:
+        log_odds: (N, N, H, W) changes of the log-odds by that robot's own scans.
+        lengths: (N, N, rows, columns) lengths of that robot's paths to the nodes [m]; infinite if
+            never heard.
+        version: (N, N) step in which that robot made them; `NEVER` if never heard.
+    """
+
+    log_odds: Float[Array, "N N H W"]
+    lengths: Float[Array, "N N rows columns"]
+    version: Int[Array, "N N"]
+
+    @classmethod
+    def nothing(cls, number: int, cells: tuple[int, int], nodes: tuple[int, int]) -> "Heard":
+        """Return what robots know of one another before the first exchange."""
+        return cls(
+            jnp.zeros((number, number, *cells)),
+            jnp.full((number, number, *nodes), jnp.inf, jnp.float32),
+            jnp.full((number, number), NEVER, jnp.int32),
+        )
+
+
+class Radio(eqx.Module):
+    """Who hears whom, and what claims follow from it.
+
+    All fields are array leaves: no change of a number recompiles.
+
+    Args:
+        radio_range: greatest distance of two robots that hear each other [m].
+        uses_sight: whether two robots of which one sees the other hear each other at any distance.
+        is_central: whether all robots hear each other at any distance, as over a base station.
+        claim_sharpness: difference of the lengths of two robots' paths for a factor e between their
+            shares of a place [m], see `jaxplore.belief.claims`.
+        claim_memory: age at which a claim counts 1/e [s].
+
+    Raises:
+        ValueError: a range, a sharpness or a memory that is not a positive number.
+    """
+
+    radio_range: Scalar
+    uses_sight: Flag
+    is_central: Flag
+    claim_sharpness: Scalar
+    claim_memory: Scalar
+
+    def __init__(
+        self,
+        radio_range: ArrayLike = 15.0,
+        *,
+        uses_sight: bool = True,
+        is_central: bool = False,
+        claim_sharpness: ArrayLike = 1.0,
+        claim_memory: ArrayLike = 60.0,
+    ) -> None:
+        self.radio_range = _checks.scalar("radio_range", radio_range, above=0.0)
+        self.uses_sight = jnp.asarray(_kinds.flag("uses_sight", uses_sight))
+        self.is_central = jnp.asarray(_kinds.flag("is_central", is_central))
+        self.claim_sharpness = _checks.scalar("claim_sharpness", claim_sharpness, above=0.0)
+        self.claim_memory = _checks.scalar("claim_memory", claim_memory, above=0.0)
+
+    def links(self, positions: Float[Array, "N 2"], sees: Bool[Array, "N N"]) -> Bool[Array, "N N"]:
+        """Return which robots hear each other; none hears itself.
+
+        Args:
+            positions: (N, 2) true positions [m].
+            sees: (N, N) whether each robot (first axis) sees each other one.
+        """
+        offset = positions[:, None] - positions[None, :]
+        is_near = jnp.sqrt(jnp.sum(offset * offset, axis=-1)) <= self.radio_range
+        linked = is_near | (self.uses_sight & (sees | sees.T)) | self.is_central
+        return linked & ~jnp.eye(positions.shape[0], dtype=bool)
+
+
+def newest(version: Int[Array, "N N"], links: Bool[Array, "N N"]) -> Int[Array, "N N"]:
+    """Return from which robot each robot takes what is known of each robot: from itself, or from
+    the one that it hears and that knows a newer version.
+
+    Args:
+        version: (N, N) version that each robot (first axis) knows of each robot.
+        links: (N, N) which robots hear each other.
+    """
+    number = version.shape[0]
+    own = jnp.eye(number, dtype=bool)
+    # (holder, from, of); twice the version leaves room to prefer what is known already.
+    offers = jnp.where((links | own)[:, :, None], 2 * version[None], 2 * NEVER - 1)
+    return jnp.argmax(offers + own[:, :, None].astype(jnp.int32), axis=1)
+
+
+def taken(values: Float[Array, "N N *A"], source: Int[Array, "N N"]) -> Float[Array, "N N *A"]:
+    """Return `values[source[i, k], k]` for each robot i and each robot k that is known.
+
+    Whole maps are copied one by one, and those that a robot has already are not: a gather of all of
+    them at once would move them cell by cell.
+    """
+    number, shape = source.shape[0], values.shape[2:]
+    zeros = (0,) * len(shape)
+
+    def take(pair: Count, rows: Array) -> Array:
+        holder, of = jnp.divmod(pair, number)
+        origin = source[holder, of]
+
+        def copy(rows: Array) -> Array:
+            row = jax.lax.dynamic_slice(values, (origin, of, *zeros), (1, 1, *shape))
+            return jax.lax.dynamic_update_slice(rows, row, (holder, of, *zeros))
+
+        result: Array = jax.lax.cond(origin == holder, lambda same: same, copy, rows)
+        return result
+
+    found: Array = jax.lax.fori_loop(0, number * number, take, values)
+    return found
+
+
+class Exchanged(NamedTuple):
+    """Result of an exchange.
+
+    Args:
+        members: state of each robot, with the merged map and the claims in its belief.
+        heard: what the robots have heard.
+        merged: (H, W) map of each robot after it.
+        sent: size of all messages [bytes].
+    """
+
+    members: tuple[ExplorationState, ...]
+    heard: Heard
+    merged: tuple[Float[Array, "H W"], ...]
+    sent: Scalar
+
+
+def exchange(
+    radio: Radio,
+    scenarios: Sequence[ExplorationScenario],
+    members: Sequence[ExplorationState],
+    heard: Heard,
+    merged: Sequence[Float[Array, "H W"]],
+    links: Bool[Array, "N N"],
+    poses: Sequence[Pose],
+    step: Count,
+    time: Scalar,
+    *,
+    with_lengths: bool,
+    with_claims: bool,
+) -> Exchanged:
+    """Let the robots that hear each other pass on all that they have heard, and merge their maps.
+
+    News travel by one robot per exchange.
+
+    Args:
+        radio: who hears whom.
+        scenarios: exploration of each robot.
+        members: state of each robot.
+        heard: what the robots have heard before.
+        merged: (H, W) map of each robot after the last exchange.
+        links: (N, N) which robots hear each other.
+        poses: observed pose of each robot [m, m, rad].
+        step: number of steps before.
+        time: time since the start [s].
+        with_lengths: whether the lengths of paths are told; static.
+        with_claims: whether claims follow from them; static.
+    """
+    number = len(members)
+    every = jnp.arange(number)
+    grids = [each.belief.grid.probability for each in members]
+    own = jnp.stack(
+        [
+            own_change(one.perception.sensor_model, old, now)
+            for one, old, now in zip(scenarios, merged, grids, strict=True)
+        ]
+    )
+    log_odds = heard.log_odds.at[every, every].add(own)
+    version = heard.version.at[every, every].set(step)
+    source = newest(version, links)
+    received = taken(log_odds, source)
+    version = version[source, every[None, :]]
+    is_new = received != log_odds
+    sent = CELL_BYTES * jnp.sum(is_new, dtype=jnp.float32)
+    after, maps, lengths = [], [], []
+    for i, (one, state, now, pose) in enumerate(zip(scenarios, members, grids, poses, strict=True)):
+        perception, reachable = one.perception, one.map_arrays.reachable
+        prior, model = one.map_arrays.prior.probability, perception.sensor_model
+        # Beyond the clamp, what a robot adds to its map is not what it adds to the sum. So cells of
+        # its own scans follow the sum as well, and robots that have heard the same agree.
+        is_changed = is_new[i].any(axis=0) | (links[i].any() & (own[i] != 0.0))
+        probability = merged_map(model, prior, received[i], now, is_changed)
+        belief = with_map(perception, state.belief, probability)
+        sums = MapSums.of(probability, reachable)
+        progress = map_progress(sums, belief, reachable, time)
+        after.append(state._replace(belief=belief, sums=sums, progress=progress))
+        maps.append(probability)
+        if with_lengths:
+            stride = perception.field_sensor.stride
+            roads = perception.locomotion.roadmap(
+                belief.clearance, perception.required_clearance, stride
+            )
+            lengths.append(roads.lengths_from(pose))
+    told = heard.lengths
+    if with_lengths:
+        told = taken(told.at[every, every].set(jnp.stack(lengths)), source)
+        is_told = (source != every[:, None])[:, :, None, None] & jnp.isfinite(told)
+        sent = sent + NODE_BYTES * jnp.sum(is_told, dtype=jnp.float32)
+    if with_claims:
+        age = (step - version).astype(jnp.float32) * scenarios[0].control_period
+        age = jnp.where((version == NEVER) | jnp.eye(number, dtype=bool), jnp.inf, age)
+        for i, one in enumerate(scenarios):
+            cost = claim_cost(
+                lengths[i],
+                told[i],
+                trust_in(age[i], radio.claim_memory),
+                sharpness=radio.claim_sharpness,
+                decay_length=one.perception.decay_length,
+            )
+            belief = dataclasses.replace(after[i].belief, claims=cost)
+            after[i] = after[i]._replace(belief=belief)
+    return Exchanged(tuple(after), Heard(received, told, version), tuple(maps), sent)

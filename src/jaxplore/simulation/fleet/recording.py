@@ -1,0 +1,103 @@
+"""Frames and the recording of a run of a fleet, from the arrays on the device."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool
+
+from jaxplore._types import GridValues
+from jaxplore.control.base import SampledPlan
+from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord
+from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.fleet.state import FleetState
+
+
+def known_together(members: Sequence[ExplorationState]) -> GridValues:
+    """Return of each cell the probability (H, W) that is the farthest from 1/2 on any map."""
+    known = members[0].belief.grid.probability
+    for each in members[1:]:
+        other = each.belief.grid.probability
+        known = jnp.where(jnp.abs(other - 0.5) > jnp.abs(known - 0.5), other, known)
+    return known
+
+
+def fleet_frame(
+    robot: Formation,
+    state: FleetState,
+    plan: SampledPlan | None,
+    links: Bool[Array, "N N"] | None,
+) -> dict[str, Any]:
+    """Return the arrays of a `FleetFrame`, by field.
+
+    Args:
+        robot: model of all robots.
+        state: state of the fleet.
+        plan: sampled plan of the controller; None to show none.
+        links: which robots hear each other; None of a robot alone.
+    """
+    number, states = len(robot.robots), robot.split_state(state.robot)
+    headings = [one.heading(each) for one, each in zip(robot.robots, states, strict=True)]
+    plans = jnp.zeros((number, 0, 2))
+    if plan is not None:
+        plans = jnp.swapaxes(jax.vmap(robot.positions)(plan.nominal.states), 0, 1)
+    return {
+        "positions": robot.positions(state.robot),
+        "headings": jnp.stack(headings),
+        "probability": jnp.round(255.0 * known_together(state.members)).astype(jnp.uint8),
+        "plans": plans,
+        "links": jnp.zeros((number, number), bool) if links is None else links,
+    }
+
+
+def make_recording(
+    scenarios: Sequence[ExplorationScenario],
+    robot: Formation,
+    start: np.ndarray,
+    before: FleetState,
+    run: ChunkedRun[Any, FleetRecord, FleetFrame],
+    period: float,
+    coordination: str,
+    *,
+    is_given_up: bool,
+) -> FleetRecording:
+    """Make the recording of a run.
+
+    Args:
+        scenarios: exploration of each robot.
+        robot: model of all robots.
+        start: (nx,) states at the start.
+        before: state before the first step.
+        run: the run, with the state at the end.
+        period: control period [s].
+        coordination: how the robots divided the places among themselves.
+        is_given_up: whether the exploration was given up at the end.
+    """
+    after: FleetState = run.state.task
+    arrays = scenarios[0].map_arrays.cropped()
+    grid = after.members[0].belief.grid
+    maps = [grid.cropped(each.belief.grid.probability) for each in after.members]
+    return FleetRecording(
+        **run.common(period),
+        world=np.asarray(arrays.world.probability),
+        belief=grid.cropped(known_together(after.members)),
+        beliefs=np.round(255.0 * np.stack(maps)).astype(np.uint8),
+        reachable=np.asarray(arrays.reachable),
+        origin=np.asarray(arrays.world.frame.origin),
+        resolution=arrays.world.resolution,
+        start=start,
+        state_names=robot.state_names,
+        initial_coverage=float(before.coverage),
+        target_coverage=float(scenarios[0].target_coverage),
+        # `finished` counts from the step that ended the task, that step included.
+        finished_step=run.num_steps - int(after.finished) + 1 if after.finished > 0 else None,
+        given_up_step=run.num_steps if is_given_up else None,
+        radii=np.array([extent(each.robot.footprint) for each in scenarios]),
+        coordination=coordination,
+    )

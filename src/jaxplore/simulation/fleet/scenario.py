@@ -1,0 +1,384 @@
+"""The exploration of an unknown world by a fleet of robots."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxplore import _checks, _kinds
+from jaxplore._describe import describe_fields
+from jaxplore._trees import HostOnly
+from jaxplore._types import ArrayLike, ControlVector, Count, Flag, Key, Rows, Scalar, StateVector
+from jaxplore._xla import on_device
+from jaxplore.control.base import Controller, Info
+from jaxplore.control.fleet_controller import FleetBelief, robot_keys
+from jaxplore.dynamics.formation import Formation, extent
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord, moved_records
+from jaxplore.report.fleet.metrics import FleetMetrics
+from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.clock import whole_steps
+from jaxplore.simulation.exploration.finish import Gain, has_coverage_target
+from jaxplore.simulation.exploration.motion import move
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.faults import Faults
+from jaxplore.simulation.fleet.assignment import with_assignments
+from jaxplore.simulation.fleet.checks import checked_members, identities
+from jaxplore.simulation.fleet.contact import parted
+from jaxplore.simulation.fleet.radio import Radio
+from jaxplore.simulation.fleet.recording import fleet_frame, make_recording
+from jaxplore.simulation.fleet.starts import checked_starts
+from jaxplore.simulation.fleet.state import FleetState
+from jaxplore.simulation.fleet.talk import Talk, without
+from jaxplore.simulation.scenario import Inspect, LoopState, Moment, Scenario
+
+COORDINATIONS = ("claims", "assignment", "none")
+"""Ways in which the robots of a fleet divide the places among themselves."""
+
+
+class Fleet(Scenario):
+    """Exploration of an unknown world by N robots, each with sensors and a belief of its own.
+
+    - **Maps.** At the exchange rate, robots within the radio range of each other, or in sight, pass
+      on all that they have heard, and merge it (`jaxplore.belief.merging`): nothing is counted
+      twice, in whatever order and over whichever robots it arrives.
+    - **Motion.** The others are moving obstacles. They hide what is behind them from a sensor, and
+      are no part of the map. A robot knows those in sight by its tracker, and those that it hears
+      by their own word, with the plan of their last command, at every scan. A robot that would
+      touch another one stops, and the step counts as a contact.
+    - **Coordination.** With `claims`, a place to which another robot has a shorter path is worth
+      less (`jaxplore.belief.claims`). With `assignment`, every robot assigns clusters of frontier
+      cells to itself and to those that it has heard by the shortest sum of paths. With `none`, the
+      robots only share maps. All rest on what was heard by radio; with `is_central` in the radio
+      everybody hears everybody.
+
+    The exploration is finished when the share of the reachable cells that some robot knows to be
+    free is the target coverage, and given up as that of one robot is. Numbers that concern all, the
+    rates, the target coverage, the faults, are those of the first robot's exploration.
+
+    A fleet of one robot runs as that robot alone does, to the bit. The order of the robots does not
+    matter: keys are derived from the order of the starts by x, y and yaw.
+
+    Args:
+        robots: exploration of each robot, in one world; or that of one robot, for a fleet of equal
+            ones. They have a target coverage, and no goal, targets, idleness map, anomalies,
+            detector, chassis or guard.
+        starts: (N, 3) start pose (x, y, yaw) of each robot [m, m, rad], at rest; those of the
+            explorations when absent.
+        radio: who hears whom; `Radio()` when absent.
+        exchange_rate: rate of exchanges of maps [Hz]; a whole fraction of the control rate.
+        coordination: `claims`, `assignment` or `none`; static.
+        plan_step: time between the planned controls of the robots' controllers [s].
+        plan_length: number of planned controls that robots tell; static.
+
+    Raises:
+        ValueError: a part of another class, explorations that a fleet does not support, robots in
+            different worlds or with different rates, starts that are off the map, in a wall, or so
+            close that robots touch; an exchange rate that is no whole fraction.
+    """
+
+    frame_type = FleetFrame
+    metrics_type = FleetMetrics
+
+    members: tuple[ExplorationScenario, ...]
+    robot: Formation
+    start: StateVector
+    control_period: Scalar
+    faults: Faults | None
+    radio: Radio
+    steps_per_exchange: Count
+    identity: Int[Array, " N"]
+    radii: Float[Array, " N"]
+    plan_step: Scalar
+    plan_length: int = eqx.field(static=True)
+    coordination: str = eqx.field(static=True)
+
+    def __init__(
+        self,
+        robots: ExplorationScenario | Sequence[ExplorationScenario],
+        starts: Rows | None = None,
+        *,
+        radio: Radio | None = None,
+        exchange_rate: float = 1.0,
+        coordination: str = "claims",
+        plan_step: ArrayLike = 0.05,
+        plan_length: int = 40,
+    ) -> None:
+        _kinds.instance("radio", radio, Radio, may_be_none=True)
+        self.members = checked_members(robots, starts)
+        first = self.members[0]
+        poses = checked_starts(self.members, starts)
+        self.robot = Formation([each.robot for each in self.members])
+        states = [
+            # A start that is not given stays the exploration's own, with its altitude.
+            np.asarray(one.start if starts is None else one.robot.at_pose(*pose.tolist()))
+            for one, pose in zip(self.members, poses, strict=True)
+        ]
+        self.start = on_device(np.concatenate(states))
+        self.control_period, self.faults = first.control_period, first.faults
+        self.placed = HostOnly(first.datum)
+        self.radio = Radio() if radio is None else radio
+        rate = 1.0 / first.period
+        self.steps_per_exchange = whole_steps("exchange_rate", exchange_rate, rate)
+        if coordination not in COORDINATIONS:
+            raise ValueError(
+                f"coordination is {coordination!r}; accepted: {', '.join(COORDINATIONS)}"
+            )
+        self.coordination = coordination
+        self.identity = on_device(identities(poses))
+        radii = [extent(each.robot.footprint) for each in self.members]
+        self.radii = on_device(np.asarray(radii, np.float32))
+        self.plan_step = _checks.scalar("plan_step", plan_step, above=0.0)
+        self.plan_length = _checks.positive_int("plan_length", plan_length)
+
+    def __repr__(self) -> str:
+        return describe_fields(self, "members", "coordination", "period")
+
+    @property
+    def num_robots(self) -> int:
+        """Number of robots, N."""
+        return len(self.members)
+
+    @property
+    def steps_per_measurement(self) -> int:
+        """Control periods between two scans."""
+        return self.members[0].steps_per_measurement
+
+    @property
+    def cell_size(self) -> float:
+        """Side of a cell of the map [m]."""
+        return self.members[0].cell_size
+
+    @property
+    def objective(self) -> str:
+        """Default objective: time to the end, plus collisions and contacts."""
+        return "finished_at + 100*collisions + 100*contacts"
+
+    @property
+    def steps_per_revision(self) -> int | None:
+        """Control periods between two assignments; None without assignments."""
+        if self.coordination != "assignment" or self.num_robots == 1:
+            return None
+        return int(self.steps_per_exchange)
+
+    def revised(self, state: LoopState) -> LoopState:
+        """Return the state with the clusters of frontier cells assigned anew, on the host."""
+        task: FleetState = state.task
+        assert task.team is not None
+        members = with_assignments(self.members, task.members, task.team.heard)
+        return state._replace(task=task._replace(members=members))
+
+    def init(self, key: Key | None) -> tuple[FleetState, FleetBelief]:
+        """Return the initial state, and the beliefs with the prior map."""
+        members = []
+        for index, (one, start) in enumerate(
+            zip(self.members, self.robot.split_state(self.start), strict=True)
+        ):
+            here = eqx.tree_at(lambda each: each.start, one, start)
+            alone = here.init(key)[0]
+            members.append(alone if self.num_robots == 1 else self._talk.with_others(alone, index))
+        coverage, team = members[0].progress.coverage, None
+        if self.num_robots > 1:
+            coverage, team = self._talk.coverage(members), self._talk.begin(members)
+        state = FleetState(
+            self.start,
+            tuple(members),
+            coverage,
+            Gain(coverage, jnp.zeros(())),
+            jnp.zeros((), jnp.int32),
+            team,
+        )
+        return state, self._belief(state)
+
+    def perceive(
+        self, state: FleetState, moment: Moment, key: Key
+    ) -> tuple[FleetState, FleetBelief]:
+        """Let each robot scan and derive its fields, and let the robots tell what they know."""
+        state, members = self._talk.exchange_when_due(state, moment), []
+        observed = self.robot.split_state(moment.observed)
+        discs = self._talk.discs(state)
+        keys = robot_keys(key, self.identity)
+        for index, (one, each) in enumerate(zip(self.members, state.members, strict=True)):
+            own = moment._replace(observed=observed[index])
+            truth = one.true_world(each, own)
+            if discs is not None:
+                others = jax.tree.map(lambda rows, i=index: without(rows, i), discs)
+                truth = eqx.tree_at(
+                    lambda at: at.moving,
+                    truth,
+                    others.beside(truth.moving, moment.time),
+                    is_leaf=lambda leaf: leaf is None,
+                )
+            members.append(one.senses.perceive(each, truth, own, keys[index]))
+        known = state._replace(members=tuple(members))
+        if known.team is None:
+            known = known._replace(coverage=members[0].progress.coverage)
+        else:
+            known = self._talk.tell_when_due(known, known.team, moment)
+        known = known._replace(gain=state.gain.after(known.coverage, self.control_period))
+        return known, self._belief(known)
+
+    def advance(
+        self, state: FleetState, control: ControlVector, moment: Moment, info: Info
+    ) -> tuple[FleetState, FleetRecord]:
+        """Move the robots and record the step.
+
+        A robot that would touch something solid or another robot stops instead, and the step counts
+        as a collision or as a contact.
+        """
+        period, later = self.control_period, moment.time + self.control_period
+        before = self.robot.split_state(state.robot)
+        records = []
+        controls = self.robot.split_control(control)
+        for one, each, own in zip(self.members, state.members, controls, strict=True):
+            truth = one.true_world(each, moment._replace(time=later))
+            each_record, _ = move(
+                one.robot,
+                each,
+                own,
+                truth,
+                period=period,
+                reach=one.clearance_reach,
+                info=info,
+                is_faulty=moment.is_faulty,
+                stop=None,
+                chassis=None,
+            )
+            records.append(each_record)
+        moved = [each.state for each in records]
+        clearance = jnp.stack([each.clearance for each in records])
+        contact, team = jnp.zeros(self.num_robots, bool), state.team
+        sent, links = jnp.zeros(()), jnp.zeros((), jnp.int32)
+        if team is not None:
+            apart = parted(self.robot, self.radii, before, moved)
+            moved, contact = list(apart.states), apart.is_contact
+            clearance = jnp.minimum(clearance, apart.gap)
+            sent, links = team.sent, team.links
+            team = self._talk.planned(team, state.robot, moved, moment.step, info)
+        members = tuple(
+            each._replace(robot=robot) for each, robot in zip(state.members, moved, strict=True)
+        )
+        joint = jnp.concatenate(moved)
+        state = state._replace(robot=joint, members=members, team=team)
+        is_over = self.is_finished(state) | (state.finished > 0)
+        record = FleetRecord(
+            state=joint,
+            control=control,
+            coverage=state.coverage,
+            coverages=jnp.stack([each.progress.coverage for each in members]),
+            clearance=clearance,
+            is_collision=jnp.stack([each.is_collision for each in records]),
+            is_contact=contact,
+            effective_sample_size=info.effective_sample_size,
+            is_finite=info.is_finite,
+            sent=sent,
+            links=links,
+        )
+        return state._replace(finished=state.finished + is_over.astype(jnp.int32)), record
+
+    def is_unfinished(self, state: FleetState) -> Flag:
+        """Check whether the exploration is neither finished nor given up."""
+        hover = self.members[0].hover_steps
+        is_over = (state.finished > hover) | self.is_given_up(state)
+        return ~(is_over | (self.is_finished(state) & (hover == 0)))
+
+    def is_finished(self, state: FleetState) -> Flag:
+        """Check whether the robots together know the target coverage."""
+        return state.coverage >= self.members[0].target_coverage
+
+    def is_given_up(self, state: FleetState) -> Flag:
+        """Check whether the coverage has not risen for long, see `ExplorationScenario`."""
+        first = self.members[0]
+        is_judged = has_coverage_target(first.target_coverage) & (state.finished == 0)
+        return is_judged & (state.gain.since >= first.give_up_after)
+
+    def progress(self, state: FleetState) -> tuple[float, str]:
+        """Return a share of 0, because the time left is unknown, and the coverage in words."""
+        return 0.0, f"coverage {float(state.coverage):6.1%}"
+
+    def for_batches(self) -> "Fleet":
+        """Return the scenario with perceptions that are efficient under `jax.vmap`."""
+        members = tuple(each.for_batches() for each in self.members)
+        same: Fleet = eqx.tree_at(lambda at: at.members, self, members)
+        return same
+
+    def varied(self, variation: Any) -> "Fleet":
+        """Return the scenario itself: the robots of a fleet do not vary.
+
+        Raises:
+            ValueError: a variation.
+        """
+        return self._without_part("variation", variation)
+
+    def guarded(self, guard: Any) -> "Fleet":
+        """Return the scenario itself: the robots of a fleet have no guard.
+
+        Raises:
+            ValueError: a guard.
+        """
+        return self._without_part("guard", guard)
+
+    def _without_part(self, name: str, part: Any) -> "Fleet":
+        if part is not None:
+            raise ValueError(f"{name} is a {type(part).__name__}; accepted for a fleet: None")
+        return self
+
+    def frame(
+        self, state: FleetState, moment: Moment, inspect: Inspect | None, key: Key
+    ) -> dict[str, Any]:
+        """Return what the robots know together, their poses, plans and links."""
+        plan = None if inspect is None else inspect(moment.observed, self._belief(state))
+        links = None if state.team is None else self._talk.links(state, moment)
+        return fleet_frame(self.robot, state, plan, links)
+
+    def make_frame(self, step: int, arrays: Any) -> FleetFrame:
+        """Make a frame on the host, with the cells that are on the map."""
+        rows, columns = self.members[0].world.shape
+        cropped = {**arrays, "probability": arrays["probability"][:rows, :columns]}
+        made = super().make_frame(step, cropped)
+        assert isinstance(made, FleetFrame)
+        return made
+
+    def recording(
+        self,
+        controller: Controller | None,
+        before: FleetState,
+        run: ChunkedRun[Any, FleetRecord, FleetFrame],
+    ) -> FleetRecording:
+        """Make the recording of a run."""
+        local = make_recording(
+            self.members,
+            self.robot,
+            np.asarray(self.start),
+            before,
+            run,
+            self.period,
+            self.coordination,
+            is_given_up=bool(self.is_given_up(run.state.task)),
+        )
+        return local.moved(self.datum.offset)
+
+    def records_on_map(self, records: Any) -> Any:
+        """Return records in NumPy, with the states of all robots in the map's coordinates."""
+        return moved_records(records, self.datum.offset, self.robot.state_names)
+
+    @property
+    def _talk(self) -> Talk:
+        """How the robots tell one another what they know."""
+        return Talk(
+            self.robot,
+            self.members,
+            self.radii,
+            self.radio,
+            self.steps_per_exchange,
+            self.plan_step,
+            self.plan_length,
+            self.coordination,
+        )
+
+    def _belief(self, state: FleetState) -> FleetBelief:
+        return FleetBelief(tuple(each.belief for each in state.members), self.identity)

@@ -1,0 +1,228 @@
+"""How the robots of a fleet tell one another what they know, at the rates of scans and of maps."""
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from jaxplore._types import Count, Scalar, StateVector
+from jaxplore.belief.obstacles import Obstacles
+from jaxplore.belief.plans import Plans
+from jaxplore.control.base import Info
+from jaxplore.dynamics.formation import Formation
+from jaxplore.simulation.exploration.moving_obstacles import MovingDiscs
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+from jaxplore.simulation.fleet.contact import planned_positions
+from jaxplore.simulation.fleet.radio import Exchanged, Heard, Radio, exchange
+from jaxplore.simulation.fleet.state import FleetState, Team
+from jaxplore.simulation.scenario import Moment
+
+BESIDE = 1.0
+"""Distance that robots keep in view beyond the reach of their plans [m]."""
+
+
+class Talk(NamedTuple):
+    """How the robots of a fleet tell one another what they know.
+
+    Args:
+        robot: model of all robots.
+        members: exploration of each robot.
+        radii: (N,) radii of the circles that hold the robots [m].
+        radio: who hears whom.
+        steps_per_exchange: control periods between two exchanges of maps.
+        plan_step: time between planned controls [s].
+        plan_length: number of planned controls that robots tell.
+        coordination: how the robots divide the places among themselves.
+    """
+
+    robot: Formation
+    members: tuple[ExplorationScenario, ...]
+    radii: Float[Array, " N"]
+    radio: Radio
+    steps_per_exchange: Count
+    plan_step: Scalar
+    plan_length: int
+    coordination: str
+
+    def with_others(self, state: ExplorationState, index: int) -> ExplorationState:
+        """Return the state of a robot whose belief has the other robots and a map of claims."""
+        belief, others = state.belief, Obstacles.unseen(without(self.radii, index))
+        known = belief.obstacles
+        every = others if known is None else known + others
+        number = every.outlines.number
+        plans = Plans.unknown(number, self.plan_length + 1, self.plan_step)
+        every = dataclasses.replace(every, plans=plans)
+        claims = None
+        if self.coordination != "none":
+            claims = jnp.zeros(belief.information.total.shape)
+        belief = dataclasses.replace(belief, obstacles=every, claims=claims)
+        return state._replace(belief=belief)
+
+    def begin(self, members: Sequence[ExplorationState]) -> Team:
+        """Return what the robots have told one another at the start: nothing."""
+        number = len(members)
+        belief = members[0].belief
+        rows, columns = belief.information.total.shape
+        nodes = (rows, columns) if self.coordination != "none" else (1, 1)
+        # The cells below a robot, which it knows to be free from the start, are news to the others.
+        priors = tuple(each.map_arrays.prior.probability for each in self.members)
+        return Team(
+            Heard.nothing(number, belief.grid.shape, nodes),
+            priors,
+            jnp.zeros((number, self.plan_length + 1, 2)),
+            jnp.zeros((number, 2)),
+            jnp.zeros(()),
+            jnp.zeros((), jnp.int32),
+        )
+
+    def coverage(self, members: Sequence[ExplorationState]) -> Scalar:
+        """Return the share of the reachable cells that some robot knows to be free."""
+        known = members[0].belief.grid.is_free
+        for each in members[1:]:
+            known = known | each.belief.grid.is_free
+        reachable = self.members[0].map_arrays.reachable
+        found = jnp.sum(known & reachable, dtype=jnp.int32).astype(jnp.float32)
+        return found / self.members[0].num_reachable
+
+    def discs(self, state: FleetState) -> MovingDiscs | None:
+        """Return all robots as discs that move; None for a robot alone."""
+        if state.team is None:
+            return None
+        positions = self.robot.positions(state.robot)
+        return MovingDiscs(positions, state.team.velocities, self.radii)
+
+    def links(self, state: FleetState, moment: Moment) -> Bool[Array, "N N"]:
+        """Return which robots hear each other."""
+        positions = self.robot.positions(state.robot)
+        sees = []
+        for one, each in zip(self.members, state.members, strict=True):
+            truth, pose = one.true_world(each, moment), one.robot.pose(each.robot)
+            views = [
+                sensor.sees(truth.grid, pose, positions, truth.ground) for sensor in one.sensors
+            ]
+            sees.append(jnp.stack(views).any(axis=0))
+        return self.radio.links(positions, jnp.stack(sees))
+
+    def exchange_when_due(self, state: FleetState, moment: Moment) -> FleetState:
+        """Let the robots exchange and merge their maps, if it is time for it."""
+        if state.team is None:
+            return state
+        every = self.steps_per_exchange
+        # Two steps before the end of a period: at the usual rates no scan and no update of fields
+        # is due then, and the next update of fields reads the merged map.
+        is_due = moment.step % every == jnp.maximum(every - 2, 0)
+        team = state.team
+        observed = self.robot.split_state(moment.observed)
+        poses = [one.robot.pose(each) for one, each in zip(self.members, observed, strict=True)]
+
+        def meet(given: Any) -> Any:
+            members, heard, merged, _ = given
+            has_ways = self.coordination != "none"
+            return tuple(
+                exchange(
+                    self.radio,
+                    self.members,
+                    members,
+                    heard,
+                    merged,
+                    self.links(state._replace(members=members), moment),
+                    poses,
+                    moment.step,
+                    moment.time,
+                    with_lengths=has_ways,
+                    with_claims=self.coordination == "claims",
+                )
+            )
+
+        before = (state.members, team.heard, team.merged, jnp.zeros(()))
+        found = Exchanged(*jax.lax.cond(is_due, meet, lambda same: same, before))
+        team = team._replace(heard=found.heard, merged=found.merged, sent=found.sent)
+        return state._replace(members=found.members, team=team)
+
+    def tell_when_due(self, state: FleetState, team: Team, moment: Moment) -> FleetState:
+        """Let the robots tell their positions, velocities and plans after each scan, and count what
+        they know together."""
+        observed = self.robot.split_state(moment.observed)
+        places = jnp.stack(
+            [one.robot.position(each) for one, each in zip(self.members, observed, strict=True)]
+        )
+
+        def tell(known: tuple[Obstacles, ...], _: Scalar, __: Count) -> Any:
+            links = self.links(state, moment)
+            near = self._may_meet(places, team.plans)
+            after = []
+            for index, obstacles in enumerate(known):
+                is_heard = without((links & near)[index], index)
+                rest = obstacles.outlines.number - is_heard.shape[0]
+
+                def rows(values: Array, i: int = index, first: int = rest) -> Array:
+                    """Return the rows of the others, after those of the world's obstacles."""
+                    others = without(values, i)
+                    return jnp.concatenate([jnp.zeros((first, *others.shape[1:])), others])
+
+                heard = jnp.concatenate([jnp.zeros(rest, bool), is_heard])
+                zero = jnp.zeros(())
+                told = obstacles.update(rows(places), rows(team.velocities), heard, zero, zero)
+                assert told.plans is not None
+                plans = told.plans.told(rows(team.plans), heard)
+                after.append(dataclasses.replace(told, plans=plans))
+            number = jnp.sum(links, dtype=jnp.int32) // 2
+            return tuple(after), self.coverage(state.members), number
+
+        obstacles = tuple(each.belief.obstacles for each in state.members)
+        known, coverage, links = jax.lax.cond(
+            moment.step % self.members[0].steps_per_scan == 0,
+            tell,
+            lambda *same: same,
+            *(obstacles, state.coverage, team.links),
+        )
+        members = tuple(
+            each._replace(belief=dataclasses.replace(each.belief, obstacles=one))
+            for each, one in zip(state.members, known, strict=True)
+        )
+        team = team._replace(links=links)
+        return state._replace(members=members, coverage=coverage, team=team)
+
+    def _may_meet(
+        self, places: Float[Array, "N 2"], plans: Float[Array, "N S 2"]
+    ) -> Bool[Array, "N N"]:
+        """Return which robots may come close while they carry out their plans.
+
+        The others need no obstacle in a belief, and while a belief has none, its controller
+        computes no cost of obstacles.
+        """
+
+        def distance(offset: Array) -> Array:
+            return jnp.sqrt(jnp.sum(offset * offset, axis=-1))
+
+        reach = distance(plans - places[:, None]).max(axis=-1) + self.radii + BESIDE
+        return distance(places[:, None] - places[None, :]) < reach[:, None] + reach[None, :]
+
+    def planned(
+        self,
+        team: Team,
+        before: StateVector,
+        moved: Sequence[Array],
+        step: Count,
+        info: Info,
+    ) -> Team:
+        """Return the velocities of the step, and before a scan the plans that will be told."""
+        joint = jnp.concatenate(list(moved))
+        change = self.robot.positions(joint) - self.robot.positions(before)
+        is_due = (step + 1) % self.members[0].steps_per_scan == 0
+
+        def plan(_: Array) -> Array:
+            size = self.plan_length + 1
+            return planned_positions(self.robot, moved, info.controls, size, self.plan_step)
+
+        plans = jax.lax.cond(is_due, plan, lambda same: same, team.plans)
+        return team._replace(plans=plans, velocities=change / self.members[0].control_period)
+
+
+def without(rows: Array, index: int) -> Array:
+    """Return the rows of an array without that of one robot."""
+    return jnp.concatenate([rows[:index], rows[index + 1 :]])

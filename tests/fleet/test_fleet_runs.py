@@ -1,0 +1,249 @@
+"""Fleets of one and of two robots: equality with a robot alone, order, radio, and reports."""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxplore.control.fleet_controller import FleetController, same_for_all
+from jaxplore.control.guard import MotionGuard
+from jaxplore.maps.clearance import clearance_field
+from jaxplore.report.compute import Timing
+from jaxplore.report.fleet.recording import FleetRecording
+from jaxplore.simulation.chunks import ChunkedRun
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.fleet.radio import NEVER, Radio
+from jaxplore.simulation.fleet.scenario import Fleet
+from jaxplore.simulation.fleet.starts import near_starts
+from jaxplore.simulation.loop import run_chunk
+from jaxplore.simulation.run import Run
+
+STARTS = ((1.0, 1.0, 0.3), (1.0, 2.0, -0.4))
+FAR, NEAR = 100.0, 0.5
+
+
+def test_a_fleet_of_one_runs_as_the_robot_alone_to_the_bit(alone, drive, fleet, run) -> None:
+    _, single = run(drive(has_others=False), alone, 75)
+    _, together = run(*fleet(STARTS[:1]), 75)
+    assert np.ptp(single.state[:, 0]) > 0.3
+    for name in ("state", "control", "coverage", "effective_sample_size"):
+        np.testing.assert_array_equal(getattr(single, name), getattr(together, name))
+    np.testing.assert_array_equal(single.clearance, together.clearance[:, 0])
+    assert not together.is_contact.any()
+    assert not together.sent.any()
+
+
+def test_the_order_of_the_robots_does_not_matter(paired) -> None:
+    """Keys, maps and paths move with the robots."""
+    (one, records), (other, swapped) = paired(FAR), paired(FAR, (1, 0))
+    half = records.state.shape[1] // 2
+    np.testing.assert_array_equal(records.state, np.roll(swapped.state, half, axis=1))
+    np.testing.assert_array_equal(records.coverages, swapped.coverages[:, ::-1])
+    for i in (0, 1):
+        mine, theirs = (task.members[k].belief for task, k in ((one.task, i), (other.task, 1 - i)))
+        np.testing.assert_array_equal(mine.grid.probability, theirs.grid.probability)
+
+
+def test_robots_in_range_know_the_same_and_those_out_of_range_do_not(paired) -> None:
+    (heard, records), (deaf, apart) = paired(FAR), paired(NEAR)
+    team = heard.task.team
+    np.testing.assert_array_equal(team.heard.version >= 0, np.ones((2, 2), bool))
+    assert records.sent.sum() > 1000.0
+    assert (records.links[5:] == 1).all()
+    maps = [each.belief.grid.probability for each in heard.task.members]
+    merged = [np.asarray(each) for each in team.merged]
+    np.testing.assert_allclose(merged[0], merged[1], atol=1e-5)
+    # What one has seen since is all in which the maps differ.
+    assert (np.abs(maps[0] - maps[1]) > 1e-3).mean() < 0.1
+    gap = apart.state[:, :2] - apart.state[:, 5:7]
+    distance = np.hypot(*gap.T)
+    scans = np.arange(2, len(distance), 2)
+    np.testing.assert_array_equal(apart.links[scans], distance[scans - 1] <= NEAR)
+    is_out = distance[:-1] > NEAR
+    assert is_out.mean() > 0.5
+    assert apart.sent[1:][is_out].sum() == 0.0
+    # What was never in range has never been heard, and what was heard may be old.
+    others = np.asarray(deaf.task.team.heard.version)[[0, 1], [1, 0]]
+    exchanged = np.flatnonzero(apart.sent)
+    assert (others == (exchanged[-1] if len(exchanged) else NEVER)).all()
+
+
+def test_together_they_know_more_than_each_and_everything_derived_fits_the_map(paired) -> None:
+    state, records = paired(FAR)
+    assert (records.coverage[:, None] >= records.coverages - 1e-6)[10:].all()
+    for each in state.task.members:
+        belief = each.belief
+        exact = clearance_field(~belief.grid.is_free, belief.grid.frame, 1.0)
+        np.testing.assert_allclose(belief.clearance.values, exact.values, atol=1e-6)
+
+
+def test_a_robot_is_no_part_of_the_map_of_another(paired) -> None:
+    """They start 1 m apart in sight of each other: no cell between the walls is occupied."""
+    state, _ = paired(NEAR)
+    for each in state.task.members:
+        occupied = np.asarray(each.belief.grid.is_occupied)[3:27, 3:27]
+        assert not occupied.any()
+        assert np.asarray(each.belief.obstacles.is_known).shape == (1,)
+
+
+def test_numbers_of_the_radio_do_not_recompile(paired) -> None:
+    paired(FAR)
+    before = run_chunk._cached._cache_size()
+    paired(3.0)
+    paired(NEAR)
+    assert run_chunk._cached._cache_size() == before
+
+
+@pytest.fixture(scope="module")
+def recording(fleet, paired) -> FleetRecording:
+    """Return the recording of two robots, made of the run of another test."""
+    controller, scenario = fleet(STARTS, Radio(FAR, uses_sight=False))
+    state, records = paired(FAR)
+    arrays = functools.partial(scenario.frame, inspect=None, key=jax.random.key(0))
+    moment = jax.eval_shape(lambda: state.task.robot)
+    del moment
+    first = scenario.make_frame(
+        0, arrays(scenario.init(None)[0], _moment(scenario, state._replace(step=jnp.int32(0))))
+    )
+    last = scenario.make_frame(100, arrays(state.task, _moment(scenario, state)))
+    done = ChunkedRun(state, records, (first, last), Timing(0.0, 0.0, 0, np.zeros(0)), 100, False)
+    return scenario.recording(controller, scenario.init(None)[0], done)
+
+
+def _moment(scenario, state):
+    from jaxplore.simulation.loop import moment_at
+
+    return moment_at(scenario, state, jax.random.key(0))
+
+
+def test_metrics_are_those_of_all_robots(recording) -> None:
+    metrics = recording.metrics()
+    assert metrics.num_robots == 2
+    assert metrics.coverage == pytest.approx(recording.records.coverage[-1])
+    trails = recording.trails
+    assert trails.shape == (2, 101, 2)
+    np.testing.assert_allclose(trails[:, 0], [each[:2] for each in STARTS], atol=1e-6)
+    paths = [np.hypot(*np.diff(trail, axis=0).T).sum() for trail in trails]
+    np.testing.assert_allclose(metrics.path_lengths, paths, rtol=1e-5)
+    assert metrics.path_length == pytest.approx(sum(paths), rel=1e-5)
+    assert metrics.exchanged == pytest.approx(recording.records.sent.sum(), rel=1e-6)
+    assert metrics.contacts == metrics.collisions == 0
+    first = np.flatnonzero(recording.records.coverage >= 0.5)
+    expected = None if not len(first) else first[0] * recording.control_period
+    assert metrics.time_to["50"] == pytest.approx(expected)
+    assert set(metrics.series()) >= {"time", "coverage", "robot 1", "robot 2"}
+    assert "2, coordination: claims" in str(metrics)
+
+
+def test_contacts_count_once_while_they_last(recording) -> None:
+    touched = np.array(recording.records.is_contact)
+    touched[10:20], touched[40, 1] = True, True
+    records = recording.records._replace(is_contact=touched)
+    assert dataclasses.replace(recording, records=records).metrics().contacts == 2
+
+
+def test_pictures_and_files_are_drawn(recording, tmp_path) -> None:
+    for name, draw in recording.figures().items():
+        draw().savefig(tmp_path / f"{name}.png")
+    image = np.asarray(recording.frame_image(recording.frames[-1]).convert("RGB")).reshape(-1, 3)
+    # Each robot has its colour.
+    for colour in ((28, 100, 190), (209, 73, 91)):
+        assert (image == colour).all(axis=1).sum() > 20
+    recording.write_animation(tmp_path / "fleet.gif")
+
+
+def test_a_run_folder_holds_the_whole_run(recording, tmp_path) -> None:
+    Run(recording, recording.metrics()).save(tmp_path / "run", animation=False)
+    loaded = Run.load(tmp_path / "run").recording
+    assert isinstance(loaded, FleetRecording)
+    np.testing.assert_array_equal(loaded.trails, recording.trails)
+    np.testing.assert_array_equal(loaded.frames[-1].probability, recording.frames[-1].probability)
+    arrays = np.load(tmp_path / "run" / "arrays.npz")
+    assert arrays["positions"].shape == (2, 101, 2)
+
+
+def test_positions_move_with_the_datum(recording) -> None:
+    offset = np.array([1000.0, -500.0])
+    moved = recording.moved(offset)
+    np.testing.assert_allclose(moved.trails, recording.trails + offset, rtol=1e-9)
+    frame = recording.frames[-1]
+    np.testing.assert_allclose(
+        frame.moved(offset, recording.state_names).positions, frame.positions + offset
+    )
+
+
+@pytest.mark.parametrize(
+    ("starts", "message"),
+    [
+        ([(1.0, 1.0, 0.0), (1.1, 1.0, 0.0)], r"starts\[0\] and starts\[1\] are 0.10 m apart"),
+        ([(1.0, 1.0, 0.0), (3.0, 0.5, 0.0)], r"starts\[1\] is \(3, 0.5\); accepted: free space"),
+        ([(1.0, 1.0, 0.0), (9.0, 1.0, 0.0)], r"starts\[1\] is \(9, 1\); accepted: free space"),
+        ([(1.0, 1.0), (2.0, 1.0)], r"starts is .*; accepted: \(2, 3\) finite numbers"),
+        ([(1.0, 1.0, np.nan)], r"accepted: \(1, 3\)"),
+    ],
+)
+def test_starts_that_are_not_possible_are_named(alone, starts, message) -> None:
+    with pytest.raises(ValueError, match=message):
+        Fleet(alone, starts)
+
+
+def test_starts_are_chosen_near_one_another_and_always_the_same(alone) -> None:
+    starts = near_starts(alone, 4)
+    np.testing.assert_array_equal(starts, near_starts(alone, 4))
+    np.testing.assert_allclose(starts[0], STARTS[0], atol=1e-6)
+    away = np.linalg.norm(starts[:, None, :2] - starts[None, :, :2], axis=-1)
+    assert (away + 9.0 * np.eye(4)).min() >= 0.7 - 1e-6
+    assert Fleet(alone, starts).num_robots == 4
+    with pytest.raises(ValueError, match=r"robots is 60; accepted: at most \d+, for which"):
+        near_starts(alone, 60)
+    with pytest.raises(ValueError, match="robots is 0; accepted"):
+        near_starts(alone, 0)
+
+
+@pytest.mark.parametrize("radio_range", [0.0, -1.0, np.nan])
+def test_a_range_of_the_radio_that_is_none_is_named(radio_range) -> None:
+    with pytest.raises(ValueError, match=r"radio_range is .*; accepted"):
+        Radio(radio_range)
+
+
+def test_what_a_fleet_does_not_support_is_named(alone, fleet) -> None:
+    with pytest.raises(ValueError, match="coordination is 'auction'; accepted: claims, assignment"):
+        Fleet(alone, STARTS, coordination="auction")
+    with pytest.raises(ValueError, match=r"guard of robots\[0\] is given"):
+        Fleet(alone.guarded(MotionGuard()), STARTS)
+    endless = eqx.tree_at(lambda each: each.target_coverage, alone, jnp.float32(2.0))
+    with pytest.raises(ValueError, match=r"target_coverage of robots\[0\] is None"):
+        Fleet(endless, STARTS)
+    with pytest.raises(ValueError, match=r"exchange_rate is 7\.0; accepted: a whole fraction"):
+        Fleet(alone, STARTS, exchange_rate=7.0)
+    controller, scenario = fleet()
+    with pytest.raises(ValueError, match="controllers has 1 entries; accepted: 2"):
+        FleetController(controller.controllers[:1], scenario.robot)
+    with pytest.raises(ValueError, match="guard is a MotionGuard; accepted for a fleet: None"):
+        scenario.guarded(MotionGuard())
+
+
+def test_equal_robots_share_their_arrays(alone) -> None:
+    members = Fleet(alone, STARTS).members
+    assert isinstance(members[0], ExplorationScenario)
+    assert members[0] is members[1]
+    assert (
+        len(same_for_all(object.__new__(FleetController), Fleet(alone, STARTS).robot).controllers)
+        == 2
+    )
+
+
+def test_bad_settings_of_a_fleet_get_one_line(fails) -> None:
+    assert "fleet.robots is 0" in fails("run", "fleet", "--robots", "0")
+    assert "fleet.radio_range is nan" in fails("run", "fleet", "--radio-range", "nan")
+    assert "fleet.coordination is 'auction'" in fails("run", "fleet", "--coordination", "auction")
+    line = fails("run", "fleet", "--set", "fleet.starts=[[1,6.6,0],[1.1,6.6,0]]", "--robots", "2")
+    assert "starts[0] and starts[1]" in line
+    assert "fleet.starts has 1 poses for 4 robots" in fails(
+        "run", "fleet", "--set", "fleet.starts=[[1,6.6,0]]"
+    )
+    assert "fleet.robots is 3 beside a path" in fails("run", "path", "--robots", "3")
