@@ -12,7 +12,7 @@ from jaxplore._xla import on_device
 from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.perception import Perception
-from jaxplore.localisation.closing import is_nearly_full, thinned
+from jaxplore.localisation.closing import LoopCloser, is_nearly_full, thinned
 from jaxplore.localisation.localiser import Localiser, LocaliserState
 from jaxplore.maps.occupancy_grid import OccupancyGrid
 from jaxplore.onboard.odometry import KEPT_SECONDS, Placed, PoseHistory, moved, wrapped
@@ -154,15 +154,21 @@ class MapLocaliser:
         jax.block_until_ready(_predicted(self._localiser, self.known, still, jnp.ones(())))  # type: ignore[no-untyped-call]
         if self._closer is None:
             return
-        # A place that is seen again from where the odometry is a fifth of a metre off: all of the
-        # search, the pose graph and the new map run once.
-        way = 1.0 + self._localiser.memory
-        away = state._replace(pose=state.pose + jnp.array([0.2, 0.0, 0.0]), way=state.way + way)
-        again = _scanned(self._localiser, away, still, jnp.ones(()), scan, self._sensors)
-        again = again._replace(
-            scans=again.scans._replace(poses=again.scans.poses.at[1, 0].set(state.pose[0] + 0.2))
+        # A place is seen again where the odometry is a fifth of a metre off, and any match counts:
+        # the search, the pose graph and the new map run once.
+        way = state.way + self._localiser.memory + 1.0
+        state = _scanned(
+            self._localiser, state._replace(way=way), still, jnp.ones(()), scan, self._sensors
         )
-        found, made = self._revised(again, perception, belief)
+        poses = np.array(state.scans.poses)
+        poses[1] = poses[0] + np.array([0.2, 0.0, 0.0])
+        state = state._replace(scans=state.scans._replace(poses=on_device(poses)))
+        eager = eqx.tree_at(
+            lambda each: (each.reach, each.least_share, each.most_contradicted, each.tolerance),
+            self._closer,
+            tuple(on_device(np.array(each, np.float32)) for each in (1.0, 0.0, 1.0, 1e-3)),
+        )
+        found, made = self._revised(eager, state, perception, belief)
         jax.block_until_ready((made, thinned(found)))  # type: ignore[no-untyped-call]
 
     def corrected(self, time: float, scan: Scan, reckoned: np.ndarray) -> np.ndarray:
@@ -211,16 +217,15 @@ class MapLocaliser:
         self._closed_at = self._time
         if is_nearly_full(self.known):
             self.known = thinned(self.known)
-        self.known, after = self._revised(self.known, perception, belief)
+        self.known, after = self._revised(self._closer, self.known, perception, belief)
         self._correct()
         return after
 
     def _revised(
-        self, known: LocaliserState, perception: Perception, belief: Belief
+        self, closer: LoopCloser, known: LocaliserState, perception: Perception, belief: Belief
     ) -> tuple[LocaliserState, Belief]:
-        assert self._closer is not None
         return scan_map.revised(
-            self._closer, self._localiser, known, perception, belief, self._prior, self._start
+            closer, self._localiser, known, perception, belief, self._prior, self._start
         )
 
     def _correct(self) -> None:

@@ -13,7 +13,7 @@ from jaxplore.report.drawing.rollout_costs import (
     cost_names,
     costs_of_rollouts,
 )
-from jaxplore.ros import map_messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.link import Link
 
 MAP_SECONDS, STATE_SECONDS, PLAN_SECONDS = 1.0, 0.5, 0.5
@@ -47,6 +47,7 @@ class DrivePublisher:
         self._plan = link.publisher(ros.Path, "~/plan")
         self._belief = link.publisher(ros.OccupancyGrid, "~/belief", is_kept=True)
         self._information = link.publisher(ros.OccupancyGrid, "~/information", is_kept=True)
+        self._transforms: Any = None
         self._rollouts = None
         if ros.MarkerArray is not None:
             self._rollouts = link.publisher(ros.MarkerArray, "~/rollouts")
@@ -75,6 +76,27 @@ class DrivePublisher:
         ):
             self._publish_plan(now, frame)
         return is_told
+
+    def publish_transform(self, now: float, frame: str, child: str) -> None:
+        """Publish the pose of the odometry's frame in that of the map, as SLAM nodes do.
+
+        Without `tf2_msgs` nobody can look it up, and there is one warning in some seconds.
+
+        Args:
+            now: present time [s].
+            frame: name of the frame of the map.
+            child: name of the frame of the odometry.
+        """
+        ros = self._link.ros
+        if ros.TFMessage is None:
+            self._link.warn("no tf2_msgs", f"{frame} to {child} needs tf2_msgs, which is missing")
+            return
+        if self._transforms is None:
+            self._transforms = self._link.publisher(ros.TFMessage, "/tf")
+        one, message = ros.TransformStamped(), ros.TFMessage()
+        messages.fill_transform(one, now, frame, child, self._pilot.correction)
+        message.transforms = [one]
+        self._transforms.publish(message)
 
     def publish_state(self, state: dict[str, object]) -> None:
         """Publish the state as JSON.
