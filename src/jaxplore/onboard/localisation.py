@@ -174,7 +174,7 @@ class MapLocaliser:
     def corrected(self, time: float, scan: Scan, reckoned: np.ndarray) -> np.ndarray:
         """Return the pose (3,) of the lidar in the map, corrected by its scan [m, m, rad].
 
-        Call `accept` or `reject` after it.
+        Call `reject` after it if the scan contradicts the map.
 
         Args:
             time: time of the scan [s].

@@ -105,6 +105,7 @@ class Mapper:
         jax.block_until_ready(steps.derive(perception, belief, pose, second))  # type: ignore[no-untyped-call]
         if self._localiser is not None:
             self._localiser.prepare(perception, belief)
+            steps.free_cells(belief)
 
     def add(self, time: float, scan: Scan, pose: np.ndarray, now: float) -> None:
         """Take a scan; it is mapped by the next call of `map_scan` if its period is over.
@@ -148,7 +149,7 @@ class Mapper:
                 localiser.reject()
             belief = localiser.revised(perception, belief)
             if belief is not mapped.belief:
-                self._log.add_known(due.now, np.asarray(belief.grid.is_free))
+                self._log.add_known(due.now, np.asarray(steps.free_cells(belief)))
         correction = None if localiser is None else localiser.correction
         self.known = Known(self.state._replace(belief=belief), correction)
         self.is_misfit = is_misfit

@@ -106,6 +106,12 @@ def observe(
 
 
 @eqx.filter_jit
+def free_cells(belief: Belief) -> GridMask:
+    """Return the cells (H, W) of a map that are known to be free."""
+    return belief.grid.is_free
+
+
+@eqx.filter_jit
 def derive(
     perception: Perception, belief: Belief, pose: Pose, elapsed: Scalar
 ) -> tuple[Belief, Scalar]:
