@@ -31,11 +31,15 @@ class MapPoses:
         history: recent poses of the odometry, which says whether it jumps.
         cell: side of a cell of the map [m].
         is_internal: whether the robot localises itself.
+
+    Attributes:
+        joint: (3,) what joins the odometry after its jumps to the one before them, another array
+            after each jump; None where the odometry is taken as it is.
     """
 
     def __init__(self, history: PoseHistory, cell: float, *, is_internal: bool) -> None:
         self._history, self._cell = history, cell
-        self._joint = np.zeros(3) if is_internal else None
+        self.joint = np.zeros(3) if is_internal else None
         self._sound: Placed | None = None
         self.offset = np.zeros(2)
 
@@ -67,9 +71,9 @@ class MapPoses:
         # Back where it was after some that were not finite, it has not jumped.
         if any(self._history.jump(each, last.pose) is None for each in (expected, former.pose)):
             return
-        if self._joint is not None:
+        if self.joint is not None:
             before, after = (self._shifted(each) for each in (expected, last.pose))
-            self._joint = composed(composed(self._joint, before), inverse(after))
+            self.joint = composed(composed(self.joint, before), inverse(after))
 
     def _shifted(self, pose: np.ndarray) -> np.ndarray:
         return np.asarray(pose - np.append(self.offset, 0.0))
@@ -77,7 +81,7 @@ class MapPoses:
     def reckoned(self, pose: np.ndarray) -> np.ndarray:
         """Return a pose (3,) of the odometry relative to the origin, without jumps."""
         local = self._shifted(pose)
-        return local if self._joint is None else composed(self._joint, local)
+        return local if self.joint is None else composed(self.joint, local)
 
     def placed(self, pose: np.ndarray, correction: np.ndarray | None) -> np.ndarray:
         """Return a pose (3,) of the odometry in the map, relative to the origin.
@@ -141,6 +145,7 @@ class MapLocaliser:
         # The localised pose is that of the lidar, where beams start.
         self._reckoned: np.ndarray | None = None
         self._time = self._closed_at = -math.inf
+        self._joint: np.ndarray | None = None
         self.correction = np.zeros(3)
 
     def prepare(self, perception: Perception, belief: Belief) -> None:
@@ -171,15 +176,21 @@ class MapLocaliser:
         found, made = self._revised(eager, state, perception, belief)
         jax.block_until_ready((made, thinned(found)))  # type: ignore[no-untyped-call]
 
-    def corrected(self, time: float, scan: Scan, reckoned: np.ndarray) -> np.ndarray:
+    def corrected(
+        self, time: float, scan: Scan, reckoned: np.ndarray, joint: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return the pose (3,) of the lidar in the map, corrected by its scan [m, m, rad].
+
+        An odometry that jumps starts anew elsewhere, or it was frozen and tells a true motion. The
+        scan says which: where more of it lies on known surfaces.
 
         Call `reject` after it if the scan contradicts the map.
 
         Args:
             time: time of the scan [s].
             scan: the scan.
-            reckoned: (3,) pose of the lidar by the odometry [m, m, rad].
+            reckoned: (3,) pose of the lidar by the odometry, without jumps [m, m, rad].
+            joint: (3,) what joins the odometry after its jumps, see `MapPoses`.
         """
         self._tried = None
         if not (np.isfinite(reckoned).all() and np.isfinite(np.asarray(scan.ranges)).all()):
@@ -188,12 +199,20 @@ class MapLocaliser:
         if self._reckoned is None:
             # The first scan says where the map begins.
             self.known = self.known._replace(pose=on_device(reckoned.astype(np.float32)))
-            motion, elapsed = np.zeros(3), 0.0
+            motions, elapsed = [np.zeros(3)], 0.0
         else:
-            motion, elapsed = difference(self._reckoned, reckoned), time - self._time
-        step = on_device(motion.astype(np.float32)), jnp.asarray(elapsed, jnp.float32)
-        self._tried = self.known, *step
-        self.known = _scanned(self._localiser, self.known, *step, scan, self._sensors)
+            ends, elapsed = [reckoned], time - self._time
+            if joint is not None and self._joint is not None and joint is not self._joint:
+                ends.append(composed(composed(self._joint, inverse(joint)), reckoned))
+            motions = [difference(self._reckoned, each) for each in ends]
+        before, best = self.known, -1.0
+        for motion in motions:
+            step = on_device(motion.astype(np.float32)), on_device(np.array(elapsed, np.float32))
+            after = _scanned(self._localiser, before, *step, scan, self._sensors)
+            if len(motions) == 1 or float(after.share) > best:
+                best = float(after.share)
+                self.known, self._tried = after, (before, *step)
+        self._joint = joint
         self._reckoned, self._time = reckoned, time
         self._correct()
         return np.asarray(self.known.pose, np.float64)

@@ -21,12 +21,14 @@ from jaxplore.simulation.exploration.state import ExplorationState
 
 
 class _Due(NamedTuple):
-    """A scan that is to be mapped: its time, the pose of the lidar (3,), and when it was taken."""
+    """A scan that is to be mapped: its time, the pose of the lidar (3,), when it was taken, and
+    what joins the odometry by then."""
 
     time: float
     scan: Scan
     pose: np.ndarray
     now: float
+    joint: np.ndarray | None
 
 
 class Known(NamedTuple):
@@ -107,7 +109,14 @@ class Mapper:
             self._localiser.prepare(perception, belief)
             steps.free_cells(belief)
 
-    def add(self, time: float, scan: Scan, pose: np.ndarray, now: float) -> None:
+    def add(
+        self,
+        time: float,
+        scan: Scan,
+        pose: np.ndarray,
+        now: float,
+        joint: np.ndarray | None = None,
+    ) -> None:
         """Take a scan; it is mapped by the next call of `map_scan` if its period is over.
 
         Args:
@@ -116,9 +125,11 @@ class Mapper:
             pose: (3,) pose of the lidar by the odometry, relative to the origin of the belief
                 [m, m, rad].
             now: present time [s].
+            joint: (3,) what joins the odometry after its jumps, see `MapPoses`; None without a
+                localisation.
         """
         if time - self._taken_at >= self._scan_period - 0.5 * self._period:
-            self._taken_at, self._due = time, _Due(time, scan, pose, now)
+            self._taken_at, self._due = time, _Due(time, scan, pose, now, joint)
 
     def map_scan(self, perception: Perception) -> None:
         """Map the newest scan that is due, if it fits the map.
@@ -132,7 +143,7 @@ class Mapper:
         elapsed = self._scan_period if is_first else due.time - self._mapped_at
         localiser, pose = self._localiser, due.pose
         if localiser is not None:
-            pose = localiser.corrected(due.time, due.scan, due.pose)
+            pose = localiser.corrected(due.time, due.scan, due.pose, due.joint)
         is_changed = self.is_misfit and due.time - self._fit_at > RETRY_SECONDS
         mapped = steps.observe(
             perception,

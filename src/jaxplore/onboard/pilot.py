@@ -346,7 +346,7 @@ class Pilot:
         self._seen = new.points, pose
         self._place_points()
         beams = lidar_pose(pose, self.options.lidar_x, self.options.lidar_y)
-        self._mapper.add(new.time, new.scan, beams, now)
+        self._mapper.add(new.time, new.scan, beams, now, self._poses.joint)
         return new.time
 
     def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
