@@ -47,6 +47,7 @@ class DrivePublisher:
         self._plan = link.publisher(ros.Path, "~/plan")
         self._belief = link.publisher(ros.OccupancyGrid, "~/belief", is_kept=True)
         self._information = link.publisher(ros.OccupancyGrid, "~/information", is_kept=True)
+        self._correction: Any = None
         self._transforms: Any = None
         self._rollouts = None
         if ros.MarkerArray is not None:
@@ -80,23 +81,24 @@ class DrivePublisher:
     def publish_transform(self, now: float, frame: str, child: str) -> None:
         """Publish the pose of the odometry's frame in that of the map, as SLAM nodes do.
 
-        Without `tf2_msgs` nobody can look it up, and there is one warning in some seconds.
-
         Args:
             now: present time [s].
             frame: name of the frame of the map.
             child: name of the frame of the odometry.
         """
-        ros = self._link.ros
-        if ros.TFMessage is None:
-            self._link.warn("no tf2_msgs", f"{frame} to {child} needs tf2_msgs, which is missing")
-            return
-        if self._transforms is None:
-            self._transforms = self._link.publisher(ros.TFMessage, "/tf")
-        one, message = ros.TransformStamped(), ros.TFMessage()
+        link, ros = self._link, self._link.ros
+        if self._correction is None:
+            self._correction = link.publisher(ros.TransformStamped, "~/correction")
+            # Without the package nobody else on this machine listens to transforms either.
+            if ros.TFMessage is not None:
+                self._transforms = link.publisher(ros.TFMessage, "/tf")
+        one = ros.TransformStamped()
         messages.fill_transform(one, now, frame, child, self._pilot.correction)
-        message.transforms = [one]
-        self._transforms.publish(message)
+        self._correction.publish(one)
+        if self._transforms is not None:
+            message = ros.TFMessage()
+            message.transforms = [one]
+            self._transforms.publish(message)
 
     def publish_state(self, state: dict[str, object]) -> None:
         """Publish the state as JSON.
