@@ -4,12 +4,14 @@ import pytest
 
 from jaxplore import DifferentialDrive, Lidar, OccupancyGrid, Perception, explorer, mpcc
 from jaxplore.costs import ObstacleCost
+from jaxplore.localisation import Localiser, Odometry
 from jaxplore.onboard.following import Following, blank_path
 from jaxplore.onboard.options import PilotOptions
 from jaxplore.onboard.pilot import Pilot
 from jaxplore.onboard.simulated_robot import SimulatedRobot
 from jaxplore.settings.defaults import arguments
 from jaxplore.settings.node import NodeContouring
+from jaxplore.simulation import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 SHAPE = (48, 64)
@@ -117,3 +119,20 @@ def drive_until(drive):
         return commands, np.concatenate(states)
 
     return drive_until
+
+
+@pytest.fixture(scope="session")
+def make_localised():
+    """Return a maker of pilots that find their pose themselves, all of one compiled program."""
+
+    def make(closer=None, **options) -> Pilot:
+        controller = explorer(ROBOT, horizon=30, num_samples=128)
+        scenario = scenario_in(blank(), (0.0, 0.0, 0.0), goal=(0.0, 0.0))
+        odometry = Odometry(scale=0.1, turn_scale=0.1)
+        # Short memory and few scans, so that loops of a small building are loops.
+        localiser = Localiser(odometry, memory=4.0, capacity=256)
+        found = Localisation(localiser=localiser, closer=closer)
+        key, given = jax.random.key(5), PilotOptions(**options)
+        return Pilot(scenario, controller, key, given, localisation=found)
+
+    return make

@@ -247,6 +247,14 @@ def transform(parent: str, child: str, x: float):
     return message
 
 
+def test_a_transform_that_was_filled_is_read_again() -> None:
+    message = Plain()
+    messages.fill_transform(message, 2.5, "map", "odom", (1.0, -2.0, 0.7))
+    found = messages.transform_of([message], "map", "odom")
+    assert (found.time, found.frame) == (2.5, "map")
+    np.testing.assert_allclose(found.pose, [1.0, -2.0, 0.7])
+
+
 def test_a_transform_is_that_between_the_two_frames() -> None:
     given_ = [transform("map", "odom", 1.0), transform("/odom", "base_link", 3.0)]
     found = messages.transform_of(given_, "odom", "base_link")

@@ -7,6 +7,7 @@ from jaxplore import _checks
 from jaxplore.belief.car import car_motion
 from jaxplore.belief.perception import Perception
 from jaxplore.build.exploration import build_in, build_scenario
+from jaxplore.build.localisation import build_localisation
 from jaxplore.build.own import own_rule
 from jaxplore.build.parts import build_robot, build_sensor_model, build_sensors
 from jaxplore.build.world import RunWorld
@@ -24,6 +25,7 @@ from jaxplore.settings.defaults import arguments
 from jaxplore.settings.exploration import OFFICE, Settings, make_exploration_settings
 from jaxplore.settings.node import NodeSettings, part_node
 from jaxplore.settings.own import is_own
+from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 
 NO_PART = (
@@ -41,10 +43,21 @@ def make_node_settings(entries: dict[str, object]) -> tuple[Settings, NodeSettin
             simulated world are not read.
 
     Raises:
-        ValueError: an unknown name or a value that is not accepted.
+        ValueError: an unknown name or a value that is not accepted, such as a pose of its own for
+            a node that chooses goals.
     """
     run, node = part_node(entries)
     given = {name: value for name, value in run.items() if name not in NO_PART}
+    if node.pose == "external":
+        # That of a simulated robot: this one gets its pose.
+        given.pop("localisation", None)
+    elif node.mode == "goal":
+        raise ValueError(
+            "setting node.pose is 'internal' with node.mode goal; accepted: external, the pose in "
+            "the map of another program"
+        )
+    elif given.get("localisation") is None:
+        given["localisation"] = {}
     # The office stands in for the map: a robot finds its own.
     # The guard is that of a simulated robot: a pilot has its own checks.
     settings = make_exploration_settings({**given, "map": OFFICE, "guard": False})
@@ -87,8 +100,10 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
         is_obeyed: whether the robot executes the commands; not in a replay.
 
     Raises:
-        ValueError: settings that a part rejects, or a robot that flies.
+        ValueError: settings that a part rejects, a robot that flies, or a localisation of whose
+            uncertainty plans shall know.
     """
+    localisation, settings = _localisation(settings, node)
     robot = build_robot(settings.robot)
     if "z" in robot.state_names:
         raise ValueError(
@@ -113,16 +128,34 @@ def build_pilot(settings: Settings, node: NodeSettings, *, is_obeyed: bool = Tru
         following = _following(settings, node, robot)
         scenario = build_scenario(settings, following.model, world)
         controller = set_parameters(following.controller, settings.parameters)
-        pilot = Pilot(scenario, controller, key, options, Following(scenario.perception))
+        pilot = Pilot(
+            scenario, controller, key, options, Following(scenario.perception), localisation
+        )
     else:
         # The way back is one more source of the guidance field, which the explorer follows.
         if settings.architecture == "explorer":
             world = world._replace(goal=(0.0, 0.0))
         made = build_in(settings, robot, world)
         assert isinstance(made.scenario, ExplorationScenario)
-        pilot = Pilot(made.scenario, made.controller, key, options)
+        pilot = Pilot(made.scenario, made.controller, key, options, localisation=localisation)
     pilot.is_started = node.is_autostarted
     return pilot
+
+
+def _localisation(settings: Settings, node: NodeSettings) -> tuple[Localisation | None, Settings]:
+    """Return how the pilot finds its pose, and the settings of its scenario, which knows it."""
+    given = settings.localisation
+    if node.pose == "external" or given is None:
+        return None, settings
+    for name, accepted in (("uncertainty_weight", 0.0), ("most_uncertainty", None)):
+        value = getattr(given, name)
+        if value != accepted:
+            raise ValueError(
+                f"setting localisation.{name} is {value:g} with node.pose internal; accepted: "
+                f"{'none' if accepted is None else '0'}, for plans of a robot know no uncertainty"
+            )
+    found = build_localisation(settings, build_sensors(settings)[0], settings.resolution)
+    return found, settings.model_copy(update={"localisation": None})
 
 
 def _following(settings: Settings, node: NodeSettings, robot: Dynamics) -> PathFollowing:

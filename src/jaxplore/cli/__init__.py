@@ -19,6 +19,7 @@ from jaxplore._version import __version__
 from jaxplore.cli._cache import cache_option
 from jaxplore.cli._comparison_options import comparison_options
 from jaxplore.cli._completion import complete_name
+from jaxplore.cli._map_log_command import map_log
 from jaxplore.cli._memory import memory_option
 from jaxplore.cli._node_options import node_options, replay_options, robot_options
 from jaxplore.cli._options import path_options, with_options
@@ -344,57 +345,7 @@ def import_nav2(
         _import_nav2.import_nav2(file, out, task, controller, overwrite=overwrite)
 
 
-@cli.command("map-log")
-@click.argument("file", type=click.Path(path_type=Path), metavar="LOG")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Folder.  [default: runs/LOG-map]",
-)
-@click.option(
-    "--resolution", type=float, default=0.05, show_default=True, help="Side of a map cell [m]."
-)
-@click.option(
-    "--range",
-    "max_range",
-    type=float,
-    default=25.0,
-    show_default=True,
-    help="Range beyond which readings are not used [m].",
-)
-@click.option(
-    "--field-of-view",
-    type=float,
-    help="Angle between the outermost beams [rad].  [default: by their number]",
-)
-@click.option("--drift-seed", type=int, default=0, show_default=True, help="Seed of the drift.")
-@click.option(
-    "--set",
-    "assignments",
-    multiple=True,
-    metavar="NAME=VALUE",
-    help="Error of the odometry, for example --set distance_noise=0.04; see the page Localisation.",
-)
-@click.option("--overwrite", is_flag=True, help="Replace an existing folder.")
-def map_log(file: Path, out: Path | None, **options: Any) -> None:
-    """Map a log of a real lidar, with drift on its motions.
-
-    Reads a log in the format of CARMEN. Its poses are taken for the truth. Their motions get the
-    errors of an odometry, 2 % of the distance and a degree in each metre by default. Scans are
-    matched and loops are closed. Writes a folder with a ROS map, a figure and metrics:
-
-    \b
-      jaxplore map-log csail.corrected.log
-      jaxplore map-log csail.corrected.log --drift-seed 1 --out runs/csail
-      jaxplore map-log csail.corrected.log --set turn_per_distance=0.035
-
-    Needs GTSAM: pip install '.[slam]' in a clone of jaxplore. Ctrl-C ends it and writes nothing.
-    """
-    from jaxplore.cli._map_log import MapLogOptions, map_a_log
-
-    with interrupting():
-        map_a_log(file, out, MapLogOptions(**options))
+cli.add_command(map_log)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

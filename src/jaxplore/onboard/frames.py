@@ -1,9 +1,23 @@
-"""Frames of a drive at even times."""
+"""Frames of a drive, and at which times they are kept."""
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
+import numpy as np
+
+from jaxplore._types import Key
+from jaxplore.control.base import Controller
+from jaxplore.onboard import steps
+from jaxplore.report.exploration.data import ExplorationFrame
+from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.chunks import are_too_many
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.exploration.state import ExplorationState
+
+NUM_TRAJECTORIES = 30
+"""Number of rollouts in a frame."""
 
 FRAME_SECONDS = 0.5
 """Time between two frames at the start [s]."""
@@ -42,3 +56,36 @@ class EvenFrames:
     def add_last(self, frame: Any) -> None:
         """Add the frame of the end."""
         self._last = frame
+
+
+def drive_frame(
+    scenario: ExplorationScenario,
+    controller: Controller,
+    memory: Any,
+    state: ExplorationState,
+    scan: Scan | None,
+    key: Key,
+    *,
+    number: int,
+    reference: np.ndarray,
+) -> ExplorationFrame:
+    """Make a frame of a drive with its plan, as in the animation.
+
+    Args:
+        scenario: scenario of the drive.
+        controller: controller of the robot.
+        memory: state of the controller.
+        state: what the robot knows, and its state.
+        scan: the newest scan; None before the first.
+        key: random key of the plan.
+        number: number of control periods before it.
+        reference: points (N, 2) that are shown as the reference [m]; those of the scenario where
+            there are none.
+    """
+    if scan is None:
+        beams = scenario.sensors[0].num_beams
+        scan = Scan(jnp.zeros(beams), jnp.zeros(beams, bool))
+    arrays = steps.frame(scenario, controller, memory, state, scan, key, NUM_TRAJECTORIES)
+    made = scenario.make_frame(number, arrays)
+    assert isinstance(made, ExplorationFrame)
+    return dataclasses.replace(made, reference=reference) if reference.size else made

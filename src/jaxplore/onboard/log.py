@@ -1,6 +1,7 @@
 """The log of a drive, and its recording."""
 
 import csv
+import dataclasses
 import io
 import math
 from typing import Any
@@ -117,13 +118,26 @@ class DriveLog:
         np.minimum(self._known_at, np.where(is_free, np.float32(self._since(time)), np.inf),
                    out=self._known_at)  # fmt: skip
 
-    def recording(self, belief: Belief, *, is_done: bool) -> ExplorationRecording:
+    def recording(
+        self, belief: Belief, *, is_done: bool, offset: np.ndarray | None = None
+    ) -> ExplorationRecording:
         """Make the recording of the drive.
 
         Args:
             belief: belief at the end.
             is_done: whether the robot was done.
+            offset: (2,) position of the origin of the belief to which all positions are moved [m];
+                they are relative to it when absent.
         """
+        local = self._recording(belief, is_done=is_done)
+        if offset is None:
+            return local
+        names = self._scenario.robot.state_names
+        frames = tuple(each.moved(offset, names) for each in local.frames)
+        return dataclasses.replace(local.moved(offset), frames=frames)
+
+    def _recording(self, belief: Belief, *, is_done: bool) -> ExplorationRecording:
+        """Return the recording relative to the origin of the belief."""
         scenario, rows = self._scenario, self._resampled()
         grid, period = belief.grid, scenario.period
         cropped = grid.cropped

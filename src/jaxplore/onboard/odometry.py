@@ -66,7 +66,10 @@ class PoseHistory:
         last = self.last
         if last is not None and time <= last.time:
             return None
-        problem = None if last is None else self._jump(last, time, pose)
+        problem = None
+        if last is not None:
+            seconds = min(time - last.time, KEPT_SECONDS)
+            problem = self.jump(moved(last.pose, last.twist, seconds), pose)
         if problem is not None:
             self._places.clear()
         if last is None or not np.array_equal(last.pose, pose):
@@ -102,8 +105,8 @@ class PoseHistory:
         position = before.pose[:2] + share * (after.pose[:2] - before.pose[:2])
         return np.append(position, before.pose[2] + share * turn)
 
-    def _jump(self, last: Placed, time: float, pose: np.ndarray) -> str | None:
-        expected = moved(last.pose, last.twist, min(time - last.time, KEPT_SECONDS))
+    def jump(self, expected: np.ndarray, pose: np.ndarray) -> str | None:
+        """Return by how much a pose (3,) jumped from an expected one; None if it did not."""
         if not is_jump(expected, np.asarray(pose), self._max_jump, self._max_turn):
             return None
         away, turn = pose_error(expected, np.asarray(pose))

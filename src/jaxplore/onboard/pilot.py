@@ -1,11 +1,9 @@
 """The pilot of a robot: scans and odometry in, checked velocity commands out."""
 
-import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxplore import _kinds
@@ -16,28 +14,20 @@ from jaxplore.control.guard import MISFIT, REASONS
 from jaxplore.control.validation import StopCheck
 from jaxplore.onboard import steps
 from jaxplore.onboard.data_check import DataCheck
+from jaxplore.onboard.frames import drive_frame
+from jaxplore.onboard.localisation import MapPoses
 from jaxplore.onboard.log import DriveLog
 from jaxplore.onboard.mapper import Mapper
 from jaxplore.onboard.odometry import PoseHistory, robot_state
 from jaxplore.onboard.options import Command, Mode, PilotOptions
-from jaxplore.onboard.scan_points import lidar_pose, nearest_points, no_points
+from jaxplore.onboard.scan_points import TakenScan, lidar_pose, nearest_points, no_points
 from jaxplore.onboard.sent import SentCommands
 from jaxplore.onboard.tasks import Driver, DriveTask, Exploring
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.sensing.beams import Scan
+from jaxplore.simulation.exploration.located import Localisation
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
-
-NUM_TRAJECTORIES = 30
-"""Number of rollouts in a frame."""
-
-
-class _NewScan(NamedTuple):
-    """A scan that no command has followed from yet."""
-
-    time: float
-    scan: Scan
-    points: np.ndarray
 
 
 class Pilot:
@@ -55,7 +45,8 @@ class Pilot:
     ramp to zero, and says why.
 
     Positions are in double precision in the frame of the odometry. Everything compiled is relative
-    to the first position.
+    to the first position. With a localisation only the increments of the odometry count, and
+    positions are in the frame of the map, which at the start is that of the odometry.
 
     Args:
         scenario: robot, sensor, perception and rates. Its world is not read; its arrays are those
@@ -64,6 +55,8 @@ class Pilot:
         key: random key of all steps.
         options: numbers of the pilot; the defaults when absent.
         task: what the robot drives for; exploration when absent.
+        localisation: how the robot finds its pose in its map, of which the localiser and what
+            closes loops are used; the odometry is taken as true when absent.
 
     Raises:
         ValueError: an argument of another class, a scenario with several sensors.
@@ -76,10 +69,12 @@ class Pilot:
         key: Key,
         options: PilotOptions | None = None,
         task: DriveTask | None = None,
+        localisation: Localisation | None = None,
     ) -> None:
         _kinds.instance("scenario", scenario, ExplorationScenario)
         _kinds.instance("controller", controller, Controller)
         _kinds.key("key", key)
+        _kinds.instance("localisation", localisation, Localisation, may_be_none=True)
         if len(scenario.sensors) != 1:
             raise ValueError(
                 f"scenario has {len(scenario.sensors)} sensors; accepted: one, the lidar"
@@ -97,8 +92,10 @@ class Pilot:
         self.task = task
         self._key, self._frame_key = jax.random.split(key)
         self._history = PoseHistory(self.options.max_jump)
-        self._offset = np.zeros(2)
-        self._mapper = Mapper(scenario, self.log)
+        is_internal = localisation is not None
+        self._poses = MapPoses(self._history, scenario.cell_size, is_internal=is_internal)
+        self._mapper = Mapper(scenario, self.log, localisation)
+        self._known = self._mapper.known
         self._first_memory: Any = controller.init()
         self._memory: Any = self._first_memory
         self._expected = np.asarray(scenario.start)
@@ -106,9 +103,9 @@ class Pilot:
         self._twist = np.zeros(3)
         self._command_at = -math.inf
         self._planned: tuple[float, np.ndarray] | None = None
-        self._new: _NewScan | None = None
-        self._scan: _NewScan | None = None
-        self._points = no_points()
+        self._new: TakenScan | None = None
+        self._scan: TakenScan | None = None
+        self._points, self._seen = no_points(), (np.zeros((0, 2)), np.zeros(3))
         self._data = DataCheck(self.options, self._history)
         self._number = 0
         self.num_replaced = 0
@@ -122,13 +119,18 @@ class Pilot:
     @property
     def offset(self) -> np.ndarray:
         """Position (2,) in the frame of the odometry of the origin of the belief [m]."""
-        return self._offset
+        return self._poses.offset
 
     @property
     def pose(self) -> np.ndarray | None:
-        """Newest pose (3,) in the frame of the odometry; None before the first."""
+        """Newest pose (3,) in the frame of the odometry, or of the map; None before the first."""
         last = self._history.last
-        return None if last is None else last.pose
+        return None if last is None else self._poses.in_map(last.pose, self._mapper.correction)
+
+    @property
+    def correction(self) -> np.ndarray:
+        """Pose (3,) of the frame of the odometry in that of the map; 0 without a localisation."""
+        return self._poses.in_map(np.zeros(3), self._mapper.correction)
 
     @property
     def finished(self) -> str:
@@ -140,6 +142,7 @@ class Pilot:
         self._mapper.prepare(self.task.perception)
         self.task.prepare(Driver(self.controller, self.robot, self._expected))
         planned = self._plan(np.asarray(self._expected, np.float32), 0.0, self.period)
+        steps.corrected(self.robot, self._expected, np.zeros(3), np.zeros(3))
         shown = self.make_frame()
         jax.block_until_ready((planned, vars(shown)))  # type: ignore[no-untyped-call]
 
@@ -151,11 +154,7 @@ class Pilot:
             pose: (3,) pose (x, y, yaw) in a frame that is fixed in the world [m, m, rad].
             twist: (3,) velocity (vx, vy, omega) in the robot's frame; estimated when absent.
         """
-        if self._history.last is None:
-            # Whole cells, so that maps of several drives have the same grid lines.
-            cell = self.scenario.cell_size
-            self._offset = cell * np.round(np.asarray(pose[:2], np.float64) / cell)
-        problem = self._history.add(time, pose, twist)
+        problem = self._poses.add(time, pose, twist)
         if problem is not None:
             self._data.add_jump(time, problem)
 
@@ -172,7 +171,7 @@ class Pilot:
         former = self._scan
         is_changed = former is None or not np.array_equal(former.points, points)
         self._data.add_scan(time, is_changed=is_changed)
-        self._scan = self._new = _NewScan(time, scan, points)
+        self._scan = self._new = TakenScan(time, scan, points)
 
     def command(self, now: float) -> Command:
         """Compute the command for a time.
@@ -187,6 +186,7 @@ class Pilot:
     def _command(self, now: float) -> Command:
         elapsed = now - self._command_at if math.isfinite(self._command_at) else self.period
         self._command_at = now
+        self._take_known()
         problem = self._data.problem(now, self._twist)
         scan_time = None if problem else self._take_scan(now)
         # Scans are taken while they do not fit the map, so that the robot sees when they do again.
@@ -259,7 +259,7 @@ class Pilot:
         self._mapper.map_scan(perception)
         if last is None or not self.task.has_fields:
             return
-        pose = self._local(last.pose)
+        pose = self._poses.placed(last.pose, self._mapper.correction)
         cost = self._mapper.update_fields(perception, now, pose)
         if cost is not None:
             self.finish(self.task.update(now, cost, pose[:2], is_started=self.is_started))
@@ -279,27 +279,15 @@ class Pilot:
         """
         last = self._history.last
         state = self._expected if last is None else self._state(last.time)
-        scan = self._scan
-        readings = (
-            Scan(jnp.zeros(self.sensor.num_beams), jnp.zeros(self.sensor.num_beams, bool))
-            if scan is None
-            else scan.scan
-        )
-        arrays = steps.frame(
+        return drive_frame(
             self.scenario,
             self.controller,
             self._memory,
             self._mapper.state._replace(robot=on_device(state)),
-            readings,
+            None if self._scan is None else self._scan.scan,
             self._frame_key,
-            NUM_TRAJECTORIES,
-        )
-        made = self.scenario.make_frame(self.log.num_steps, arrays)
-        assert isinstance(made, ExplorationFrame)
-        return (
-            dataclasses.replace(made, reference=self.task.reference)
-            if self.task.reference.size
-            else made
+            number=self.log.num_steps,
+            reference=self.task.reference,
         )
 
     def recording(self, *, in_odometry: bool = False) -> ExplorationRecording:
@@ -310,25 +298,38 @@ class Pilot:
                 them; else they are relative to the origin of the belief.
         """
         self.log.frames.add_last(self.make_frame())
-        local = self.log.recording(self.belief, is_done=self.task.is_done)
-        if not in_odometry:
-            return local
-        frames = (each.moved(self._offset, self.robot.state_names) for each in local.frames)
-        return dataclasses.replace(local.moved(self._offset), frames=tuple(frames))
+        offset = self.offset if in_odometry else None
+        return self.log.recording(self.belief, is_done=self.task.is_done, offset=offset)
 
     def _adapt(self) -> None:
         """Let the task change the controller and the model, such as for another path."""
         assert self._history.last is not None
         before = Driver(self.controller, self.robot, self._expected)
         place = self._local(self._history.last.pose)[:2].astype(np.float32)
-        after = self.task.adapted(before, self._offset, place)
+        after = self.task.adapted(before, self._poses.offset, place)
         # Another thread may set parameters meanwhile: what has not changed is not written back.
         if after is not before:
             self.controller, self.robot, self._expected = after
 
+    def _take_known(self) -> None:
+        """Take what the map knows by now; what is relative to it moves by a new correction."""
+        before, self._known = self._known.correction, self._mapper.known
+        after, last = self._known.correction, self._history.last
+        if before is None or after is None or before is after or last is None:
+            return
+        poses = (self._poses.placed(last.pose, each) for each in (before, after))
+        self._expected = steps.corrected(self.robot, self._expected, *poses)
+        self._place_points()
+
+    def _place_points(self) -> None:
+        """Place the points of the newest scan in the map."""
+        points, reckoned = self._seen
+        pose = self._poses.corrected(reckoned, self._known.correction)
+        self._points = nearest_points(points, pose)
+
     def _local(self, pose: np.ndarray) -> np.ndarray:
-        """Return a pose relative to the origin of the belief."""
-        return np.asarray(pose - np.append(self._offset, 0.0))
+        """Return the place in the map of a pose of the odometry, relative to its origin."""
+        return self._poses.placed(pose, self._known.correction)
 
     def _state(self, now: float) -> np.ndarray:
         """Return the newest measured state (nx,), relative to the origin of the belief."""
@@ -341,10 +342,11 @@ class Pilot:
         new, self._new = self._new, None
         if new is None:
             return None
-        pose = self._local(self._history.at(new.time))
-        self._points = nearest_points(new.points, pose)
+        pose = self._poses.reckoned(self._history.at(new.time))
+        self._seen = new.points, pose
+        self._place_points()
         beams = lidar_pose(pose, self.options.lidar_x, self.options.lidar_y)
-        self._mapper.add(new.time, new.scan, beams, now)
+        self._mapper.add(new.time, new.scan, beams, now, self._poses.joint)
         return new.time
 
     def _plan(self, state: np.ndarray, now: float, elapsed: float) -> steps.Planned:
@@ -368,7 +370,7 @@ class Pilot:
             self.robot,
             self.check,
             self._memory,
-            self.belief,
+            self._known.state.belief,
             inputs,
             self.scenario.control_period,
             self._key,

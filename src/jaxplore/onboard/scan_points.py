@@ -1,11 +1,28 @@
 """Where the beams of a scan start, and the points that a command is checked against."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
+from jaxplore.sensing.beams import Scan
+
 NUM_POINTS = 720
 """Number of directions for each of which the nearest point of a scan is kept."""
+
+
+class TakenScan(NamedTuple):
+    """A scan as a pilot takes it.
+
+    Args:
+        time: time of the scan [s].
+        scan: readings of the beams of the sensor.
+        points: (N, 2) all valid returns in the frame of the robot [m].
+    """
+
+    time: float
+    scan: Scan
+    points: np.ndarray
 
 
 def no_points() -> tuple[np.ndarray, np.ndarray]:

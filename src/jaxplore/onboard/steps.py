@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxplore._types import ControlVector, Count, Flag, GridMask, Key, Pose, Scalar, StateVector
@@ -17,6 +18,7 @@ from jaxplore.control.validation import StopCheck
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.frames import frame_arrays
+from jaxplore.simulation.exploration.located import corrected_state
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
 
@@ -104,12 +106,38 @@ def observe(
 
 
 @eqx.filter_jit
+def free_cells(belief: Belief) -> GridMask:
+    """Return the cells (H, W) of a map that are known to be free."""
+    return belief.grid.is_free
+
+
+@eqx.filter_jit
 def derive(
     perception: Perception, belief: Belief, pose: Pose, elapsed: Scalar
 ) -> tuple[Belief, Scalar]:
     """Update the fields; return them, and the cost-to-go of the guidance field at the robot [m]."""
     belief = perception.update_fields(belief, pose, elapsed)
     return belief, belief.guidance(pose[:2])
+
+
+def corrected(
+    robot: Dynamics, state: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> np.ndarray:
+    """Return a state (nx,) moved by a correction of the robot's pose.
+
+    Args:
+        robot: model of the robot.
+        state: (nx,) the state.
+        before: (3,) pose before the correction [m, m, rad].
+        after: (3,) pose after it.
+    """
+    given = (each.astype(np.float32) for each in (state, before, after))
+    return np.asarray(_corrected(robot, *jax.device_put(tuple(given))))
+
+
+@eqx.filter_jit
+def _corrected(robot: Dynamics, state: StateVector, before: Pose, after: Pose) -> StateVector:
+    return corrected_state(robot, state, before, after)
 
 
 class PlanInputs(NamedTuple):

@@ -105,7 +105,9 @@ class ControlNode:
         self._worker = concurrent.futures.ThreadPoolExecutor(1, "plan")
         self._mapper = concurrent.futures.ThreadPoolExecutor(1, "map")
         self._background: concurrent.futures.Future[None] | None = None
-        self._frame_name = settings.world_frame
+        # The fixed frame, and that of the poses, which drifts where the robot localises itself.
+        self._pose_frame = settings.world_frame
+        self._is_internal = settings.pose == "internal"
         self._last_mode: tuple[Mode, str] | None = None
         self._has_twist = settings.command_type == "twist_stamped"
         self._commands = link.publisher(
@@ -122,6 +124,10 @@ class ControlNode:
         for order in ORDERS:
             link.service(f"~/{order}", partial(self._order, order))
         self._declare_parameters()
+
+    @property
+    def _frame_name(self) -> str:
+        return self.settings.map_frame if self._is_internal else self._pose_frame
 
     def _declare_parameters(self) -> None:
         """Offer the numbers of the controller as ROS parameters that may change while it drives."""
@@ -161,7 +167,7 @@ class ControlNode:
         frame, poses = map_messages.path_of(message)
         if frame != self._frame_name:
             raise ValueError(
-                f"frame_id of a path is {frame!r}; accepted: {self._frame_name!r}, that of the pose"
+                f"frame_id of a path is {frame!r}; accepted: {self._frame_name!r}, that of the map"
             )
         task.take(poses[:, :2])
 
@@ -290,7 +296,7 @@ class ControlNode:
             parameters, self._parameters = self._parameters, {}
         pilot = self.pilot
         for pose in poses:
-            self._frame_name = pose.frame or self._frame_name
+            self._pose_frame = pose.frame or self._pose_frame
             pilot.add_odometry(pose.time, pose.pose, pose.twist)
         for _, scan in scans[-1:]:
             pilot.add_scan(scan.time, scan.scan, scan.points)
@@ -336,6 +342,8 @@ class ControlNode:
         """Do what no command waits for: fields, maps, the plan and the state."""
         now, pilot = self.link.now(), self.pilot
         pilot.update_belief(now)
+        if self._is_internal and pilot.pose is not None:
+            self._publisher.publish_transform(now, self._frame_name, self._pose_frame)
         pilot.log.frames.add_when_due(pilot.log.num_steps * pilot.period, pilot.make_frame)
         self._tell(command)
         self.watch.after(command)

@@ -13,7 +13,7 @@ from jaxplore.report.drawing.rollout_costs import (
     cost_names,
     costs_of_rollouts,
 )
-from jaxplore.ros import map_messages
+from jaxplore.ros import map_messages, messages
 from jaxplore.ros.link import Link
 
 MAP_SECONDS, STATE_SECONDS, PLAN_SECONDS = 1.0, 0.5, 0.5
@@ -47,6 +47,8 @@ class DrivePublisher:
         self._plan = link.publisher(ros.Path, "~/plan")
         self._belief = link.publisher(ros.OccupancyGrid, "~/belief", is_kept=True)
         self._information = link.publisher(ros.OccupancyGrid, "~/information", is_kept=True)
+        self._correction: Any = None
+        self._transforms: Any = None
         self._rollouts = None
         if ros.MarkerArray is not None:
             self._rollouts = link.publisher(ros.MarkerArray, "~/rollouts")
@@ -75,6 +77,28 @@ class DrivePublisher:
         ):
             self._publish_plan(now, frame)
         return is_told
+
+    def publish_transform(self, now: float, frame: str, child: str) -> None:
+        """Publish the pose of the odometry's frame in that of the map, as SLAM nodes do.
+
+        Args:
+            now: present time [s].
+            frame: name of the frame of the map.
+            child: name of the frame of the odometry.
+        """
+        link, ros = self._link, self._link.ros
+        if self._correction is None:
+            self._correction = link.publisher(ros.TransformStamped, "~/correction")
+            # Without the package nobody else on this machine listens to transforms either.
+            if ros.TFMessage is not None:
+                self._transforms = link.publisher(ros.TFMessage, "/tf")
+        one = ros.TransformStamped()
+        messages.fill_transform(one, now, frame, child, self._pilot.correction)
+        self._correction.publish(one)
+        if self._transforms is not None:
+            message = ros.TFMessage()
+            message.transforms = [one]
+            self._transforms.publish(message)
 
     def publish_state(self, state: dict[str, object]) -> None:
         """Publish the state as JSON.

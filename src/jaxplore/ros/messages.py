@@ -253,6 +253,27 @@ def fill_laser_scan(
     message.ranges = array.array("f", ranges.astype(np.float32).tobytes())
 
 
+def fill_transform(
+    message: Any, seconds: float, parent: str, child: str, place: Sequence[float] | np.ndarray
+) -> None:
+    """Fill a `geometry_msgs/TransformStamped`.
+
+    Args:
+        message: the message.
+        seconds: time of the transform [s].
+        parent: name of the frame in which the pose is.
+        child: name of the frame whose pose it is.
+        place: pose (x, y, yaw) of the child [m, m, rad].
+    """
+    fill_header(message.header, seconds, parent)
+    message.child_frame_id = child
+    x, y, yaw = map(float, place)
+    transform = message.transform
+    transform.translation.x, transform.translation.y, transform.translation.z = x, y, 0.0
+    transform.rotation.x = transform.rotation.y = 0.0
+    transform.rotation.z, transform.rotation.w = math.sin(0.5 * yaw), math.cos(0.5 * yaw)
+
+
 def transform_of(messages: Iterable[Any], parent: str, child: str) -> Odometry | None:
     """Return the newest transform between two frames among `geometry_msgs/TransformStamped`.
 

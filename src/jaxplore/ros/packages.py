@@ -10,6 +10,7 @@ MESSAGES = {
         "Point",
         "PoseStamped",
         "PoseWithCovarianceStamped",
+        "TransformStamped",
         "Twist",
         "TwistStamped",
     ),

@@ -43,6 +43,9 @@ class NodeSettings(Section):
     Args:
         mode: `control` explores; `follow` drives along the paths of another program; `goal`
             chooses goals on a map, and nav2 drives.
+        pose: whose pose the robot drives by: `external`, that of the topic, such as of a SLAM;
+            `internal`, its own by scans and closed loops, from an odometry that drifts.
+        map_frame: name of the frame of the map of the pose `internal`, for transforms.
         map_topic: topic of the map, for goals.
         goal_topic: topic of the goals.
         path_topic: topic of the paths to follow, `nav_msgs/Path`.
@@ -66,6 +69,8 @@ class NodeSettings(Section):
     """
 
     mode: Literal["control", "follow", "goal"] = "control"
+    pose: Literal["external", "internal"] = "external"
+    map_frame: str = "map"
     map_topic: str = "/map"
     goal_topic: str = "/goal_pose"
     path_topic: str = "/plan"

@@ -178,12 +178,15 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         "node.returns": _EXPLORING,
         "node.map_topic": _CHOOSING,
         "node.goal_topic": _CHOOSING,
+        "node.map_frame": Reader(
+            "the pose internal", lambda settings: settings.node.pose == "internal"
+        ),
         "node.done_after": Reader(
             "the modes control and goal", lambda settings: settings.node.mode != "follow"
         ),
         **{
             f"node.{name}": _ANY_MODE
-            for name in ("mode", "pose_topic", "pose_type", "world_frame", "robot_frame")
+            for name in ("mode", "pose", "pose_topic", "pose_type", "world_frame", "robot_frame")
         },
     },
     "exploration": {

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, GridMask, GridValues, Key, Pose, Scalar, StateVector
+from jaxplore.belief import scan_map
 from jaxplore.belief.belief import Belief
 from jaxplore.belief.certainty import CertaintyField
 from jaxplore.belief.perception import Perception
@@ -251,16 +252,12 @@ class Localisation(eqx.Module):
         """
         if self.closer is None:
             return located, belief
-        sensors = perception.sensors
         if is_nearly_full(located.known):
             located = _thinned(located)
-        known = self.closer.examined(self.localiser, located.known, sensors)
-        settled = self.closer.settled(self.localiser, known, sensors)
-        if settled is None:
-            return located._replace(known=known), belief
-        grid = _mapped((self.localiser, perception), settled, prior, start)
-        belief = _remapped(perception, belief, grid, settled.pose)
-        return located._replace(known=settled), belief
+        known, belief = scan_map.revised(
+            self.closer, self.localiser, located.known, perception, belief, prior, start
+        )
+        return located._replace(known=known), belief
 
     def data(self, located: Located, grid: OccupancyGrid) -> LocalisationData:
         """Return what the report shows of the localisation.
@@ -335,28 +332,3 @@ def _thinned(located: Located) -> Located:
         true_poses=halved(located.true_poses),
         reckoned_poses=halved(located.reckoned_poses),
     )
-
-
-@eqx.filter_jit
-def _mapped(
-    given: tuple[Localiser, Perception], known: LocaliserState, prior: OccupancyGrid, start: Pose
-) -> OccupancyGrid:
-    """Return the map of all stored scans at their poses."""
-    _, perception = given
-    scans = known.scans
-
-    def add(index: Count, grid: OccupancyGrid) -> OccupancyGrid:
-        pose = scans.poses[index]
-        stored = scans.scan(index, perception.sensors)
-        for sensor, scan in zip(perception.sensors, stored, strict=True):
-            sighting = sensor.sight(grid, scan, pose, perception.ground)
-            grid = update_grid(grid, sighting, perception.sensor_model)
-        return grid
-
-    grid: OccupancyGrid = jax.lax.fori_loop(0, scans.number, add, perception.standing(prior, start))
-    return grid
-
-
-@eqx.filter_jit
-def _remapped(perception: Perception, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
-    return perception.remapped(belief, grid, pose)
