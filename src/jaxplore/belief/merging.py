@@ -12,16 +12,11 @@ The sum itself is not clamped. What a robot has seen often, and another one as w
 contrary scans to change than on the map of one robot.
 """
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxplore._types import GridMask, GridValues
-from jaxplore.belief.belief import Belief
-from jaxplore.belief.perception import Perception
-from jaxplore.maps.clearance import clearance_field, closed_cells
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
@@ -58,21 +53,3 @@ def merged_map(
     total = model.log_odds(prior) + jnp.sum(contributions, axis=0)
     merged = jax.nn.sigmoid(jnp.clip(total, model.minimum, model.maximum))
     return jnp.where(is_new, merged, now)
-
-
-def with_map(perception: Perception, belief: Belief, probability: GridValues) -> Belief:
-    """Return a belief with another map, and with the clearance of all of it.
-
-    The information and guidance fields follow at their next update, which finds the cells that have
-    changed by itself. A scan updates the clearance around the robot only, so here it is computed
-    anew.
-
-    Args:
-        perception: perception of the robot.
-        belief: its belief.
-        probability: (H, W) probabilities of the cells.
-    """
-    grid = belief.grid.with_probability(probability)
-    closed = closed_cells(grid, belief.ground)
-    clearance = clearance_field(closed, grid.frame, perception.max_clearance)
-    return dataclasses.replace(belief, grid=grid, clearance=clearance)

@@ -263,6 +263,19 @@ class Perception(eqx.Module):
         """
         return freed_below(grid, pose, self.required_clearance, self.sensor_model)
 
+    def with_map(self, belief: Belief, grid: OccupancyGrid) -> Belief:
+        """Return the belief with another map, and with the clearance of all of it.
+
+        The information and guidance fields follow at their next update, which finds the cells that
+        have changed by itself. A scan updates the clearance around the robot only, so here it is
+        computed anew.
+
+        Args:
+            belief: belief with the former map.
+            grid: the map, with the cells of the former one.
+        """
+        return dataclasses.replace(belief, grid=grid, clearance=self._clearance(grid))
+
     def remapped(self, belief: Belief, grid: OccupancyGrid, pose: Pose) -> Belief:
         """Return the belief with another map, all of whose fields are made anew.
 
@@ -273,8 +286,7 @@ class Perception(eqx.Module):
             grid: the map, with the cells of the former one.
             pose: present pose (x, y, yaw) of the robot [m, m, rad].
         """
-        clearance = self._clearance(grid)
-        changed = dataclasses.replace(belief, grid=grid, clearance=clearance)
+        changed = self.with_map(belief, grid)
         information = self._information(grid, belief.idleness, None)
         return self._derived(changed, information, belief.dwell, pose)
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxplore import _checks, _kinds
 from jaxplore._types import ArrayLike, Count, Flag, Pose, Scalar
 from jaxplore.belief.claims import claim_cost, trust_in
-from jaxplore.belief.merging import merged_map, own_change, with_map
+from jaxplore.belief.merging import merged_map, own_change
 from jaxplore.simulation.exploration.progress import MapSums, map_progress
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.exploration.state import ExplorationState
@@ -209,7 +209,8 @@ def exchange(
         # its own scans follow the sum as well, and robots that have heard the same agree.
         is_changed = is_new[i].any(axis=0) | (links[i].any() & (own[i] != 0.0))
         probability = merged_map(model, prior, received[i], now, is_changed)
-        belief = with_map(perception, state.belief, probability)
+        grid = state.belief.grid.with_probability(probability)
+        belief = perception.with_map(state.belief, grid)
         sums = MapSums.of(probability, reachable)
         progress = map_progress(sums, belief, reachable, time)
         after.append(state._replace(belief=belief, sums=sums, progress=progress))
