@@ -21,6 +21,7 @@ from benchmarks import (
     information,
     informative,
     large_maps,
+    localisation,
     path_following,
     portfolio_step,
     robot,
@@ -182,6 +183,12 @@ def _large_maps(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     return {"large_maps": rows}
 
 
+def _localisation(_: argparse.Namespace, console: Console) -> dict[str, Any]:
+    rows = localisation.measure_times()
+    console.print(table("Parts of a localisation, scans of 360 beams", rows))
+    return {"localisation": rows}
+
+
 def _volumes(_: argparse.Namespace, console: Console) -> dict[str, Any]:
     rows = volumes.measure()
     console.print(table("Volumes: camera of 64 x 48 rays, K = 512, T = 30", rows))
@@ -194,6 +201,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace, Console], dict[str, Any]]] = {
     "control_step": _control_step,
     "large_maps": _large_maps,
     "volumes": _volumes,
+    "localisation": _localisation,
     "informative": _informative,
     "path_following": _path_following,
     "portfolio": _portfolio,

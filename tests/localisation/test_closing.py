@@ -197,6 +197,25 @@ def test_closed_loops_bring_the_poses_closer(around: Any) -> None:
     np.testing.assert_allclose(settled.surface.sums, again.sums, atol=1e-4)
 
 
+def test_old_places_nearby_say_how_much_a_loop_would_tell(around: Any) -> None:
+    state, *_ = around
+    before = np.asarray(CLOSER.spreads(LOCALISER, state))
+    examined = CLOSER.examined(LOCALISER, state, SENSORS)
+    after = np.asarray(CLOSER.spreads(LOCALISER, examined))
+    number, way = int(state.scans.number), np.asarray(state.scans.way)
+    away = np.hypot(*(stored(state)[:, :2] - stored(state)[-1, :2]).T)
+    expected = (way[number - 1] - way[:number] > float(LOCALISER.memory)) & (
+        away <= 2.0 * float(CLOSER.reach)
+    )
+    assert ((before > 0.0) == np.pad(expected, (0, len(before) - number))).all()
+    # Without loops a place is the less certain the longer ago the robot was there.
+    told = before[before > 0.0]
+    assert (np.diff(told) <= 1e-4).all()
+    assert told[0] > 1.1 * told[-1]
+    # Closed loops have told what there was to tell.
+    assert after.max() < 0.5 * before.max()
+
+
 def test_closing_along_the_way_keeps_the_map_whole(driven: Any) -> None:
     poses = track(1.25)
     state, _ = driven([(WALLS, poses)], motions_of(poses, 3), CLOSER)

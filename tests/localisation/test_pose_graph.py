@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from jaxplore.geometry.motion import compose, moved_covariance
 from jaxplore.localisation import Graph, optimised
-from jaxplore.localisation.pose_graph import HUBER
+from jaxplore.localisation.pose_graph import HUBER, relative_spreads
 
 pytest.importorskip("gtsam")
 NOTHING = (np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -190,3 +190,42 @@ def test_a_single_node_is_known() -> None:
     found = optimised(Graph(np.array([[1.0, 2.0, 0.5]]), *NOTHING[1:], *NOTHING))
     np.testing.assert_allclose(found.poses, [[1.0, 2.0, 0.5]])
     np.testing.assert_array_equal(found.covariance, np.zeros((3, 3)))
+
+
+def test_relative_spreads_are_those_of_dense_linear_algebra() -> None:
+    """The information of all factors by finite differences, inverted as a whole in float64."""
+    rng = np.random.default_rng(5)
+    motions = np.column_stack(
+        [rng.uniform(0.5, 1.0, 9), rng.normal(0.0, 0.2, 9), rng.normal(0.0, 0.4, 9)]
+    )
+    roots = rng.normal(0.0, 0.05, (9, 3, 3))
+    covariances = roots @ roots.transpose(0, 2, 1) + 1e-4 * np.eye(3)
+    poses = chain(motions)
+    pairs = np.array([[1, 6]])
+    loop = between_by_hand(poses[1], poses[6])[None]
+    loop_covariance = np.diag([0.01, 0.02, 0.001])[None]
+    graph = Graph(poses, motions, covariances, pairs, loop, loop_covariance)
+    ends = [(i, i + 1) for i in range(9)] + [(1, 6)]
+
+    def slopes(function, at: np.ndarray) -> np.ndarray:
+        steps = 1e-6 * np.eye(at.size).reshape(-1, *at.shape)
+        return np.array([(function(at + d) - function(at - d)) / 2e-6 for d in steps]).T
+
+    # The first pose is fixed: its information is infinite, so it is left out.
+    information = np.zeros((30, 30))
+    for (i, j), covariance in zip(ends, [*covariances, *loop_covariance], strict=True):
+        slope = slopes(lambda given, i=i, j=j: between_by_hand(given[i], given[j]), poses)
+        information += slope.T @ np.linalg.inv(covariance) @ slope
+    covariance = np.zeros((30, 30))
+    covariance[3:, 3:] = np.linalg.inv(information[3:, 3:])
+    nodes = [0, 2, 4, 8]
+    expected = []
+    for node in nodes:
+        slope = slopes(lambda given, node=node: between_by_hand(given[node], given[9]), poses)
+        motion = slope @ covariance @ slope.T
+        expected.append(math.sqrt(0.5 * (motion[0, 0] + motion[1, 1])))
+    np.testing.assert_allclose(relative_spreads(graph, nodes), expected, rtol=1e-4)
+    assert relative_spreads(graph, []).shape == (0,)
+    for wrong in ([9], [-1]):
+        with pytest.raises(ValueError, match="nodes is"):
+            relative_spreads(graph, wrong)

@@ -57,8 +57,8 @@ class Belief(eqx.Module):
         certainty: information of a scan about the position, near the robot [1/m^2]; absent if the
             robot knows its pose, as are the two below.
         position_variance: variance of the position in the map [m^2].
-        revisit: worth of places that the robot knows from long before, in the unit of `worth`,
-            where it should look for its position; 0 while it knows it well enough.
+        revisit: (rows, columns) worth of nodes where the robot was long before, and where a closed
+            loop would tell it much of its position [nat].
         claims: (rows, columns) additional cost of each node as the end of a path, because other
             robots claim it [m]; absent for a robot without a fleet.
     """

@@ -450,8 +450,7 @@ class Perception(eqx.Module):
         """Return the guidance, and whether the map counts as explored; never without a goal."""
         worth = information.total
         if revisit is not None:
-            # A robot that is about to lose itself looks for its position first.
-            worth = jnp.where((revisit > 0.0).any(), revisit, worth)
+            worth = worth + revisit
         # It gives up what it waits for in vain, information or a place that it does not recognise.
         worth = worth * dwell_discount(dwell, self.patience)
         is_known = is_goal_next = jnp.array(False)

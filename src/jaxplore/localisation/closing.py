@@ -24,7 +24,7 @@ from jaxplore.geometry.motion import (
     rotation,
 )
 from jaxplore.localisation.localiser import Localiser, LocaliserState, floor
-from jaxplore.localisation.pose_graph import Graph, optimised
+from jaxplore.localisation.pose_graph import Graph, optimised, relative_spreads
 from jaxplore.localisation.scan_matching import ScanMatch, ScanMatcher
 from jaxplore.localisation.stored_scans import StoredScans
 from jaxplore.localisation.surface import EndPoints
@@ -32,6 +32,8 @@ from jaxplore.sensing.beams import Beams, Scan
 
 PLACE = 4.0
 """Way before and behind an old scan whose scans make up the place where it was taken [m]."""
+MOST_PLACES = 64
+"""Number of old places whose uncertainty is computed at a time."""
 CLEAR = 0.3
 """Distance before what a beam met from which on a point contradicts the beam [m]."""
 
@@ -182,15 +184,7 @@ class LoopCloser(eqx.Module):
         wanted = np.asarray(closures.motions)[:loops]
         if _greatest_error(poses, pairs, wanted) <= float(self.tolerance):
             return None
-        graph = Graph(
-            poses,
-            np.asarray(scans.motions)[1:number],
-            np.asarray(scans.covariances)[1:number],
-            pairs,
-            wanted,
-            np.asarray(closures.covariances)[:loops],
-        )
-        best = optimised(graph)
+        best = optimised(_graph(state))
         moved = np.asarray(scans.poses).copy()
         moved[:number] = best.poses
         if np.abs(best.poses[:, :2] - poses[:, :2]).max() <= 0.5 * float(self.tolerance):
@@ -201,6 +195,47 @@ class LoopCloser(eqx.Module):
             jnp.asarray(moved, jnp.float32),
             jnp.asarray(best.covariance, jnp.float32),
         )
+
+    def spreads(self, localiser: Localiser, state: LocaliserState) -> Float[Array, " K"]:
+        """Return how exactly the robot knows its position as seen from old places (K,) [m].
+
+        These are stored scans within twice the reach, more than the memory of the localiser ago by
+        way; with many of them every second, third and so on. It is 0 for all other scans. Where it
+        is great, a closed loop would tell much.
+
+        Args:
+            localiser: the localiser.
+            state: its state.
+
+        Raises:
+            ValueError: an argument of another class; GTSAM is not installed.
+        """
+        _kinds.instance("localiser", localiser, Localiser)
+        _kinds.instance("state", state, LocaliserState)
+        scans, number = state.scans, int(state.scans.number)
+        spreads = np.zeros(scans.capacity, np.float32)
+        if number > 1:
+            poses, way = (np.asarray(each)[:number] for each in (scans.poses, scans.way))
+            away = np.hypot(*(poses[:, :2] - poses[-1, :2]).T)
+            is_old = way[-1] - way > float(localiser.memory)
+            places = np.flatnonzero(is_old & (away <= 2.0 * float(self.reach)))
+            places = places[:: 1 + len(places) // MOST_PLACES]
+            spreads[places] = relative_spreads(_graph(state), places.tolist())
+        return jnp.asarray(spreads)
+
+
+def _graph(state: LocaliserState) -> Graph:
+    """Return the pose graph of the stored scans and the closed loops."""
+    scans, closures = state.scans, state.closures
+    number, loops = int(scans.number), int(closures.number)
+    return Graph(
+        np.asarray(scans.poses)[:number],
+        np.asarray(scans.motions)[1:number],
+        np.asarray(scans.covariances)[1:number],
+        np.asarray(closures.pairs)[:loops],
+        np.asarray(closures.motions)[:loops],
+        np.asarray(closures.covariances)[:loops],
+    )
 
 
 def _check(localiser: Localiser, state: LocaliserState, sensors: Sequence[Beams]) -> None:

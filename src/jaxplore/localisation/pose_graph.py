@@ -1,5 +1,6 @@
 """Optimise a pose graph: the most likely poses of scans, given motions and closed loops."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,23 +66,7 @@ def optimised(graph: Graph) -> Optimum:
     """
     _kinds.instance("graph", graph, Graph)
     library: Any = import_optional("gtsam", "slam")
-    factors, start = library.NonlinearFactorGraph(), library.Values()
-    for node, pose in enumerate(graph.poses.astype(float)):
-        start.insert(node, library.Pose2(*pose))
-    first = library.Pose2(*graph.poses[0].astype(float))
-    fixed = library.noiseModel.Constrained.All(3)
-    factors.add(library.PriorFactorPose2(0, first, fixed))
-    for node, (motion, covariance) in enumerate(
-        zip(graph.motions, graph.motion_covariances, strict=True)
-    ):
-        noise = _noise(library, motion, covariance)
-        factors.add(_factor(library, node, node + 1, motion, noise))
-    for (i, j), motion, covariance in zip(
-        graph.pairs.tolist(), graph.loops, graph.loop_covariances, strict=True
-    ):
-        huber = library.noiseModel.mEstimator.Huber.Create(HUBER)
-        noise = library.noiseModel.Robust.Create(huber, _noise(library, motion, covariance))
-        factors.add(_factor(library, i, j, motion, noise))
+    factors, start = _problem(library, graph, library.noiseModel.Constrained.All(3))
     found = library.LevenbergMarquardtOptimizer(factors, start).optimize()
     poses = np.array([_numbers(found.atPose2(node)) for node in range(len(graph.poses))])
     # The library returns yaws within a turn. Those of the robot count its turns.
@@ -93,6 +78,69 @@ def optimised(graph: Graph) -> Optimum:
         turn = _rotation(poses[-1, 2])
         covariance = turn @ local @ turn.T
     return Optimum(poses, covariance, float(factors.error(found)))
+
+
+def relative_spreads(graph: Graph, nodes: Sequence[int]) -> np.ndarray:
+    """Return how exactly the position of the last node is known as seen from each of others [m].
+
+    It is the root of the mean of the variances along x and y of the motion b from node j to the
+    last node n, with the joint covariance of both nodes at the poses of the graph,
+
+        Sigma = J Cov(j, n) J',  J = [-Ad(b^-1), 1].
+
+    Source: Kaess and Dellaert, "Covariance recovery from a square root information matrix for data
+    association", Robotics and Autonomous Systems 2009.
+
+    Args:
+        graph: the graph.
+        nodes: indices of M other nodes.
+
+    Raises:
+        ValueError: something else than a graph, an index that is not one of another node; GTSAM is
+            not installed.
+    """
+    _kinds.instance("graph", graph, Graph)
+    last = len(graph.poses) - 1
+    chosen = np.asarray(nodes, int)
+    if ((chosen < 0) | (chosen >= last)).any():
+        raise ValueError(f"nodes is {nodes}; accepted: indices from 0 to {last - 1}")
+    if not len(chosen):
+        return np.zeros(0)
+    library: Any = import_optional("gtsam", "slam")
+    # How exactly the first pose is known does not matter to motions; known as good as exactly, the
+    # joint covariance would be that of a singular matrix.
+    factors, values = _problem(library, graph, library.noiseModel.Isotropic.Sigma(3, 0.01))
+    marginals = library.Marginals(factors, values)
+    joint = marginals.jointMarginalCovariance([*np.unique(chosen).tolist(), last])
+    end, spreads = values.atPose2(last), []
+    of_end = joint.at(last, last)
+    for node in chosen.tolist():
+        adjoint = values.atPose2(node).between(end).inverse().AdjointMap()
+        across = adjoint @ joint.at(node, last)
+        covariance = adjoint @ joint.at(node, node) @ adjoint.T - across - across.T + of_end
+        spreads.append(np.sqrt(max(0.5 * (covariance[0, 0] + covariance[1, 1]), 0.0)))
+    return np.array(spreads)
+
+
+def _problem(library: Any, graph: Graph, noise_of_first: Any) -> tuple[Any, Any]:
+    """Return the factors of a graph and its poses, as the library has them."""
+    factors, start = library.NonlinearFactorGraph(), library.Values()
+    for node, pose in enumerate(graph.poses.astype(float)):
+        start.insert(node, library.Pose2(*pose))
+    first = library.Pose2(*graph.poses[0].astype(float))
+    factors.add(library.PriorFactorPose2(0, first, noise_of_first))
+    for node, (motion, covariance) in enumerate(
+        zip(graph.motions, graph.motion_covariances, strict=True)
+    ):
+        noise = _noise(library, motion, covariance)
+        factors.add(_factor(library, node, node + 1, motion, noise))
+    for (i, j), motion, covariance in zip(
+        graph.pairs.tolist(), graph.loops, graph.loop_covariances, strict=True
+    ):
+        huber = library.noiseModel.mEstimator.Huber.Create(HUBER)
+        noise = library.noiseModel.Robust.Create(huber, _noise(library, motion, covariance))
+        factors.add(_factor(library, i, j, motion, noise))
+    return factors, start
 
 
 def _rotation(yaw: float) -> np.ndarray:

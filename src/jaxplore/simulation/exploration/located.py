@@ -27,8 +27,6 @@ from jaxplore.sensing.base import Sensor, update_grid
 from jaxplore.sensing.beams import Scan
 from jaxplore.simulation.exploration.progress import MapSums
 
-PLACE_WORTH = 100.0
-"""Worth of an old place, more than any information that still counts [nat]."""
 _ODOMETRY = 2**31 + 4
 """What is folded into the key of a run for its odometry; no step has such a number."""
 
@@ -44,6 +42,8 @@ class Located(NamedTuple):
         reckoned: pose by the odometry alone.
         reckoned_poses: (K, 3) poses of the stored scans by the odometry alone.
         reference: (H, W) map that the same scans give at the true poses.
+        spreads: (K,) how exactly the robot knows its position as seen from old places nearby [m],
+            see `LoopCloser.spreads`; None if it does not go back to them.
     """
 
     known: LocaliserState
@@ -53,6 +53,7 @@ class Located(NamedTuple):
     reckoned: Pose
     reckoned_poses: Float[Array, "K 3"]
     reference: GridValues
+    spreads: Float[Array, " K"] | None
 
     def recorded(self, pose: Pose) -> dict[str, Scalar]:
         """Return the fields of a record.
@@ -79,8 +80,9 @@ class Localisation(eqx.Module):
         localiser: estimates the pose.
         closer: closes loops; none when absent.
         closing_rate: rate at which loops are looked for [Hz].
-        most_uncertainty: standard deviation of the position beyond which the robot goes to a place
-            that it knows from long before, to close a loop [m]; None for never.
+        most_uncertainty: standard deviation of the position as seen from an old place nearby,
+            beyond which that place is worth a visit, to close a loop [m]; None for never. At twice
+            the bound it is worth as much as the place with the most information.
         certainty: how well scans tell the position, for controllers that plan with it; None for
             others.
 
@@ -140,6 +142,7 @@ class Localisation(eqx.Module):
             pose,
             known.scans.poses,
             grid.probability,
+            None if self.most_uncertainty is None else jnp.zeros(known.scans.capacity),
         )
 
     def moved(
@@ -227,10 +230,9 @@ class Localisation(eqx.Module):
                 certainty=self.certainty(belief.grid, belief.clearance, known.pose[:2]),
                 position_variance=known.uncertainty**2,
             )
-        if self.most_uncertainty is not None:
-            is_lost = known.uncertainty > self.most_uncertainty
-            worth = jnp.where(is_lost, old_places(known, belief, self.localiser.memory), 0.0)
-            belief = dataclasses.replace(belief, revisit=worth)
+        if self.most_uncertainty is not None and located.spreads is not None:
+            share = jnp.clip(located.spreads / self.most_uncertainty - 1.0, 0.0, 1.0)
+            belief = dataclasses.replace(belief, revisit=places_to_revisit(known, belief, share))
         return belief
 
     def revised(
@@ -257,7 +259,10 @@ class Localisation(eqx.Module):
         known, belief = scan_map.revised(
             self.closer, self.localiser, located.known, perception, belief, prior, start
         )
-        return located._replace(known=known), belief
+        located = located._replace(known=known)
+        if located.spreads is not None:
+            located = located._replace(spreads=self.closer.spreads(self.localiser, known))
+        return located, belief
 
     def data(self, located: Located, grid: OccupancyGrid) -> LocalisationData:
         """Return what the report shows of the localisation.
@@ -278,24 +283,22 @@ class Localisation(eqx.Module):
         )
 
 
-def old_places(
-    known: LocaliserState, belief: Belief, memory: Scalar
+def places_to_revisit(
+    known: LocaliserState, belief: Belief, share: Float[Array, " K"]
 ) -> Float[Array, "rows columns"]:
-    """Return the worth of the nodes at which the robot was long before; 0 elsewhere.
+    """Return the worth of nodes at stored scans [nat]: a share of the greatest information of all.
 
     Args:
         known: what the robot knows of its way.
         belief: its belief.
-        memory: way after which a place is old [m].
+        share: (K,) share of each stored scan.
     """
-    scans, frame = known.scans, belief.information.frame
-    rows, columns = belief.information.total.shape
-    index = jnp.arange(scans.capacity)
-    is_old = (index < scans.number) & (known.way - scans.way > memory)
-    row, column = jnp.unstack(jax.vmap(frame.to_cell)(scans.poses[:, :2]), axis=1)
+    frame, total = belief.information.frame, belief.information.total
+    rows, columns = total.shape
+    row, column = jnp.unstack(jax.vmap(frame.to_cell)(known.scans.poses[:, :2]), axis=1)
     is_inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    at = jnp.where(is_old & is_inside, row * columns + column, rows * columns)
-    worth = jnp.zeros(rows * columns).at[at].set(PLACE_WORTH, mode="drop")
+    at = jnp.where(is_inside, row * columns + column, rows * columns)
+    worth = jnp.zeros(rows * columns).at[at].max(share * total.max(), mode="drop")
     return worth.reshape(rows, columns)
 
 

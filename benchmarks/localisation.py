@@ -1,0 +1,192 @@
+"""Localisation: the time of a match and of a particle filter, and how exact closed loops are."""
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from benchmarks.setting import MAPS, OFFICE
+from benchmarks.tables import table
+from benchmarks.timing import TimedLoop, timed
+from jaxplore.build.tasks import build, make_settings
+from jaxplore.localisation.particles import ParticleFilter
+from jaxplore.localisation.surface import EndPoints
+from jaxplore.simulation.experiment import Experiment
+from jaxplore.simulation.exploration.scenario import ExplorationScenario
+from jaxplore.simulation.run import simulate
+
+SITES = {
+    "nav2_depot": "nav2_depot/depot.yaml",
+    "levine_lobby": "levine_lobby/levinelobby.yaml",
+    "nav2_warehouse": "nav2_warehouse/warehouse.yaml",
+    "willow_garage_010": "willow_garage_010/willow-2010-02-18-0.10.yaml",
+}
+DRIFT = {"distance_noise": 0.02, "turn_per_distance_degrees": 1.0}
+"""The odometry of the bars: 2 % of the distance and a degree in each metre."""
+BEAMS, PARTICLES = 360, (500, 2000, 5000)
+WARM_UP_STEPS = 400
+"""Steps of an exploration before its surfaces are matched to."""
+LIMIT = 1500.0
+"""Simulated time after which a run ends [s]."""
+
+
+def available_maps() -> dict[str, str]:
+    """Return the real maps where they are, the generated office otherwise."""
+    found = {name: str(MAPS / path) for name, path in SITES.items() if (MAPS / path).exists()}
+    return found or {OFFICE.name: OFFICE.path}
+
+
+def exploration(path: str, seed: int, **changes: Any) -> Experiment:
+    """Return an exploration by a robot that does not know its pose.
+
+    Args:
+        path: name of a generated map, or file of a map.
+        seed: seed of the run.
+        changes: further settings of the section `localisation`.
+    """
+    section = {**DRIFT, **changes}
+    entries = {"map": path, "localisation": section, "seed": seed, "time_limit": LIMIT}
+    return build(make_settings(entries))
+
+
+def measure_times(runs: int = 300) -> list[dict[str, Any]]:
+    """Return the times of a match, of a whole correction, and of particle filters.
+
+    The scan is a new one, from where the robot has driven in an exploration. Its guess is a fifth
+    of a metre and three degrees off.
+
+    Args:
+        runs: number of timed calls.
+    """
+    path = next(iter(available_maps().values()))
+    controller, scenario, _, key = exploration(path, 0)
+    assert isinstance(scenario, ExplorationScenario)
+    assert scenario.localisation is not None
+    loop = TimedLoop(controller, scenario, key, WARM_UP_STEPS)
+    loop.run(WARM_UP_STEPS)
+    known = loop.state.task.located.known
+    localiser, sensors = scenario.localisation.localiser, scenario.sensors
+    pose = scenario.robot.pose(loop.state.task.robot)
+    scan = sensors[0].scan(scenario.world, pose, key=key)
+    ends = EndPoints.of(sensors[0], scan)
+    guess = known._replace(
+        pose=known.pose + jnp.array([0.14, 0.14, 0.05]),
+        covariance=jnp.diag(jnp.array([0.1, 0.1, 0.04]) ** 2),
+    )
+    rows = [
+        _row("match", timed(_match, localiser.matcher, guess, ends, runs=runs)),
+        _row("match, add, store", timed(_corrected, localiser, guess, scan, sensors, runs=runs)),
+    ]
+    for number in PARTICLES:
+        each = ParticleFilter(scenario.localisation.odometry, number)
+        field = each.likelihood_field(scenario.world)
+        cloud = each.init_around(pose, np.diag([0.04, 0.04, 0.01]), key)
+        given = each, cloud, scan.points(sensors[0]), scan.is_return, field, key
+        rows.append(_row(f"{number} particles", timed(_filtered, *given, runs=runs)))
+    return rows
+
+
+def _match(matcher: Any, known: Any, ends: Any) -> Any:
+    return matcher(known.surface, ends, known.pose, known.covariance, known.way)
+
+
+def _corrected(localiser: Any, known: Any, scan: Any, sensors: Any) -> Any:
+    # The stored scans are not returned: the loop updates them in place, and a call copies them.
+    after = localiser.corrected(known, (scan,), sensors)
+    return after.pose, after.covariance, after.surface, after.drift
+
+
+def _filtered(
+    particles: ParticleFilter, cloud: Any, points: Any, is_return: Any, field: Any, key: Any
+) -> Any:
+    motion = jnp.array([0.1, 0.0, 0.02])
+    moved = particles.predict(cloud, motion, jnp.asarray(0.1), key)
+    moved = particles.update(moved, points, is_return, field, key)
+    return moved, particles.estimate(moved)
+
+
+def _row(name: str, times: Any) -> dict[str, Any]:
+    return {
+        "part": name,
+        "beams": BEAMS,
+        "device": jax.devices()[0].device_kind,
+        "p50_ms": times.p50_ms,
+        "p99_ms": times.p99_ms,
+        "compile_s": times.compile_seconds,
+    }
+
+
+def measure_runs(
+    seeds: Sequence[int], maps: Sequence[str] | None = None, **changes: Any
+) -> list[dict[str, Any]]:
+    """Return one row per map and seed; each is printed when it is done.
+
+    Args:
+        seeds: seeds of the runs.
+        maps: names of maps; all when absent.
+        changes: further settings of the section `localisation`.
+    """
+    rows = []
+    for name, path in available_maps().items():
+        if maps is not None and name not in maps:
+            continue
+        for seed in seeds:
+            made = exploration(path, seed, **changes)
+            metrics: Any = simulate(
+                made.controller, made.scenario, made.num_steps, key=made.key, num_trajectories=0
+            ).metrics
+            rows.append(
+                {
+                    "map": name,
+                    "seed": seed,
+                    **changes,
+                    "ate_m": metrics.ate,
+                    "odometry_ate_m": metrics.odometry_ate,
+                    "rpe_m": metrics.rpe,
+                    "map_iou": metrics.map_iou,
+                    "double_walls": metrics.double_walls,
+                    "aligned_coverage": metrics.aligned_coverage,
+                    "coverage": metrics.coverage,
+                    "loops": metrics.num_loops,
+                    "collisions": metrics.collisions,
+                    "path_m": metrics.path_length,
+                    "time_to_95_s": metrics.time_to["95"],
+                    "finished_at_s": metrics.finished_at,
+                }
+            )
+            print(json.dumps(rows[-1]), flush=True)
+    return rows
+
+
+def main() -> None:
+    """Measure what the command line asks for."""
+    from rich.console import Console
+
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.localisation", description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="*", default=list(range(5)))
+    parser.add_argument("--maps", nargs="*", choices=list(available_maps()), help="[default: all]")
+    parser.add_argument("--most-uncertainty", type=float, help="go back beyond this [m]")
+    parser.add_argument("--uncertainty-weight", type=float, help="pay for uncertainty")
+    parser.add_argument("--times", action="store_true", help="only the time of the parts")
+    parser.add_argument("--out", type=Path, help="JSON file of the rows")
+    choice, console = parser.parse_args(), Console(width=180)
+    if choice.times:
+        rows = measure_times()
+        console.print(table("Parts of a localisation, scans of 360 beams", rows))
+    else:
+        names = ("most_uncertainty", "uncertainty_weight")
+        changes = {name: getattr(choice, name) for name in names}
+        changes = {name: value for name, value in changes.items() if value is not None}
+        rows = measure_runs(choice.seeds, choice.maps, **changes)
+        console.print(table("Closed loops without a known pose", rows))
+    if choice.out is not None:
+        choice.out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
