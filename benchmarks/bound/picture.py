@@ -6,9 +6,13 @@ import numpy as np
 
 from benchmarks.bound.metres import KINDS
 from benchmarks.bound.run import LEVELS, Bound, Driven
-from jaxplore.report.drawing.colours import OCCUPIED, OUTLINE, belief_colours, shade
-from jaxplore.report.drawing.scale_bar import add_scale_bar
-from jaxplore.report.exploration.plots import true_outline
+from jaxplore.report.drawing.colours import OCCUPIED, belief_colours, shade
+from jaxplore.report.exploration.map_axes import (
+    add_outline,
+    map_figure_axes,
+    map_inches,
+    show_cells,
+)
 from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
@@ -30,29 +34,16 @@ def picture(driven: Driven, bound: Bound) -> "Figure":
         driven: the run.
         bound: bounds of its map.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
 
     recording, split = driven.recording, driven.split
     window = Window.around_reachable(recording)
-    size, corner = np.asarray(window.size), window.corner
-    inches = np.clip(9.0 * size / size.max(), [4.2, 2.0], 9.0)
-    figure = Figure(figsize=(inches[0] + 0.8, inches[1] + 1.5), layout="compressed")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    corner = window.corner
+    width, height = map_inches(window, least=4.2)
+    figure, axes = map_figure_axes(width + 0.8, height + 1.5, window)
     levels = np.round(255.0 * window.crop(recording.world, 0.5)).astype(np.uint8)
-    right, top = corner + size
-    axes.imshow(
-        belief_colours()[levels],
-        extent=(corner[0], right, corner[1], top),
-        origin="lower",
-        interpolation="nearest",
-    )
-    outline = true_outline(recording, window) + corner
-    axes.add_collection(
-        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7), autolim=False
-    )
+    show_cells(axes, window, belief_colours()[levels])
+    add_outline(axes, recording, window)
     tour = bound.tours[LEVELS[-1]]
     line = driven.problem.to_world(tour.line) + driven.offset
     axes.plot(
@@ -89,13 +80,8 @@ def picture(driven: Driven, bound: Bound) -> "Figure":
         label="start",
         zorder=5,
     )
-    axes.set(xlim=(corner[0], right), ylim=(corner[1], top), aspect="equal")
-    prefix = "grid " if window.is_turned else ""
-    axes.set(xlabel=f"{prefix}x [m]", ylabel=f"{prefix}y [m]")
-    add_scale_bar(axes)
-    figure.legend(
-        loc="outside lower center", ncols=4 if inches[0] > 5.0 else 2, frameon=False, fontsize=9
-    )
+    columns = 4 if width > 5.0 else 2
+    figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     metres = driven.metrics.path_length
     figure.suptitle(
         f"{driven.map_name}, {driven.settings.architecture}: {metres:.1f} m, "

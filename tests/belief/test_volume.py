@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from jaxplore.belief.coarse_voxels import coarse_room, coarse_states
 from jaxplore.belief.view_field import ViewField
-from jaxplore.belief.volume import FAR, VolumePerception
+from jaxplore.belief.volume import VolumePerception
+from jaxplore.belief.volume_roads import FAR
 from jaxplore.maps.volume_clearance import renewed_clearance
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window

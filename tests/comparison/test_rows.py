@@ -9,7 +9,7 @@ from PIL import Image
 
 import jaxplore as jx
 from jaxplore.build.tasks import build, make_settings
-from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.simulation.exploration.reachability import open_spot
 from jaxplore.simulation.run import record_run

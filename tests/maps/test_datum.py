@@ -122,7 +122,7 @@ def test_a_world_far_away_is_that_near_the_origin(offset) -> None:
     assert there.start == (*np.round(np.add(offset, (1.3, 1.2)), 6), 0.4)
     assert relative_world(there, Datum.near(*there.origin)) == world
     assert relative_world(world, Datum()) is world
-    np.testing.assert_array_equal(there._solid(there.known), world._solid(world.known))
+    np.testing.assert_array_equal(there._cells.solid(there.known), world._cells.solid(world.known))
     assert {field.name for field in dataclasses.fields(World)} >= set(entries) - {
         "walls",
         "rectangles",

@@ -23,8 +23,8 @@ from jaxplore.planning.presets import path_following
 from jaxplore.planning.presets.explorer import waypoint_mppi
 from jaxplore.planning.presets.quadrotor import goal_mppi
 from jaxplore.planning.presets.sampling import NOISES, PARAMETERISATIONS, WEIGHTINGS
+from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.defaults import arguments
-from jaxplore.settings.exploration import ControllerSettings, InformativeSettings, PortfolioSettings
 from jaxplore.settings.path import ContouringSettings
 from jaxplore.settings.sections import NoiseName, ParameterisationName, WeightingName
 

@@ -15,7 +15,8 @@ from PIL import Image
 
 from jaxplore.report.compute import Compute
 from jaxplore.report.drawing.film import FilmOptions
-from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
+from jaxplore.report.exploration.evaluation import compute_metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.recording import ExplorationRecording
 from jaxplore.study.comparison import comparison as module
 from jaxplore.study.comparison.comparison import Comparison, curves_figure

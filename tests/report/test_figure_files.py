@@ -3,7 +3,7 @@ import pytest
 from PIL import Image
 
 from jaxplore.report.drawing.figure import figure_bytes, figure_formats
-from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.plots import map_figure
 from jaxplore.report.save import save_run
 

@@ -4,7 +4,7 @@ import json
 import numpy as np
 import pytest
 
-from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.progress import progress
 
 

@@ -8,7 +8,8 @@ from PIL import Image
 
 from jaxplore.report.drawing.colours import MISSED, UNKNOWN, belief_colours
 from jaxplore.report.exploration.idleness import idleness_figure
-from jaxplore.report.exploration.plots import coverage_figure, map_figure, true_outline
+from jaxplore.report.exploration.map_axes import true_outline
+from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.window import Window
 
 POSE = (3.0, -2.0, 0.7)

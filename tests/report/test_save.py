@@ -8,7 +8,7 @@ import yaml
 from PIL import Image
 
 from jaxplore.maps.files.ros import read_map
-from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.save import save_run
 
 FILES = [

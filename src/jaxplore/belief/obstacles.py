@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxplore import _kinds
-from jaxplore._checks import array, covariances, one_each, scalar
+from jaxplore._checks import array, one_each, scalar
+from jaxplore._covariances import covariances
 from jaxplore._types import ArrayLike, Key, Rows, Scalar, Vector
 from jaxplore.belief.plans import Plans
 from jaxplore.geometry.outlines import Outlines

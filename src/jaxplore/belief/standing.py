@@ -1,10 +1,13 @@
-"""The cells on which a robot stands."""
+"""The cells on which a robot stands, and the voxels in which it is."""
 
+import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from jaxplore._types import Pose, Scalar
 from jaxplore.belief.anomaly_reports import cell_centres
 from jaxplore.maps.occupancy_grid import OccupancyGrid
+from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 
 
@@ -32,3 +35,29 @@ def freed_below(
         jnp.full(grid.shape, 0.5), jnp.where(stands_on, sensor_model.minimum, 0.0)
     )
     return grid.with_probability(jnp.where(stands_on, freed, grid.probability))
+
+
+def freed_around(
+    grid: VoxelGrid, position: Float[Array, "3"], required: Scalar, sensor_model: InverseSensorModel
+) -> VoxelGrid:
+    """Return a map with the unknown voxels of the ball that a robot needs free.
+
+    No sensor sees where the robot itself is.
+
+    Args:
+        grid: log-odds of the voxels that are known in advance.
+        position: position (x, y, z) of the robot [m].
+        required: clearance that the robot needs [m].
+        sensor_model: inverse sensor model, whose log-odds of a free voxel they get.
+    """
+    side = grid.resolution
+    depth, height, width = grid.shape
+    z, y, x = jnp.meshgrid(
+        *(jnp.arange(n, dtype=jnp.float32) + 0.5 for n in (depth, height, width)),
+        indexing="ij",
+    )
+    gap = jnp.stack([z, y, x]) - grid.to_grid(position)[:, None, None, None]
+    is_in = jnp.sum(gap * gap, axis=0) * side**2 <= (required + 2.0 * side) ** 2
+    known = jnp.where(is_in & grid.is_unknown, sensor_model.free, grid.log_odds)
+    freed: VoxelGrid = eqx.tree_at(lambda each: each.log_odds, grid, known)
+    return freed

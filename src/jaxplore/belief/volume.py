@@ -1,5 +1,6 @@
 """How a robot comes to know a volume: the map, distances, information, guidance."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -20,12 +21,14 @@ from jaxplore.belief.coarse_voxels import (
 )
 from jaxplore.belief.exploration_field import information_sources
 from jaxplore.belief.rolling_map import BLOCK, RollingMap, check_extents, shifted, window_shape
+from jaxplore.belief.standing import freed_around
 from jaxplore.belief.view_field import ViewField, sectors_in_view, time_near, turn_shares
 from jaxplore.belief.volume_belief import VolumeBelief
 from jaxplore.belief.volume_information import renewed_information
-from jaxplore.belief.volume_roads import FAR, VolumeRoads
+from jaxplore.belief.volume_lattice import NODE, blank_field, volume_lattice
+from jaxplore.belief.volume_roads import VolumeRoads
 from jaxplore.information.voxel_table import VoxelTable
-from jaxplore.maps.volume_clearance import renewed_clearance
+from jaxplore.maps.volume_clearance import clearance_of_volume, renewed_clearance
 from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window
@@ -40,8 +43,6 @@ from jaxplore.sensing.volume import (
 
 COARSE = 0.2
 """Side of the coarser voxels in which information is computed [m], where the map's are finer."""
-NODE = 2
-"""Coarser voxels between the nodes of the lattice."""
 AHEAD = 1.5
 """Distance beyond the greatest range that a moving window keeps around the robot [m]."""
 
@@ -160,21 +161,11 @@ class VolumePerception(eqx.Module):
             grid: log-odds of the voxels that are known in advance.
             position: position (x, y, z) of the robot [m].
         """
-        side = grid.resolution
-        depth, height, width = grid.shape
-        z, y, x = jnp.meshgrid(
-            *(jnp.arange(n, dtype=jnp.float32) + 0.5 for n in (depth, height, width)),
-            indexing="ij",
-        )
-        gap = jnp.stack([z, y, x]) - grid.to_grid(position)[:, None, None, None]
-        is_in = jnp.sum(gap * gap, axis=0) * side**2 <= (self.required + 2.0 * side) ** 2
-        is_new = is_in & grid.is_unknown
-        known = jnp.where(is_new, self.sensor_model.free, grid.log_odds)
-        grid = eqx.tree_at(lambda each: each.log_odds, grid, known)
-        shape, beyond = self.window_shape(grid.shape, side), None
+        grid = freed_around(grid, position, self.required, self.sensor_model)
+        shape, beyond = self.window_shape(grid.shape, grid.resolution), None
         if shape != grid.shape:
             beyond, grid = RollingMap.around(grid, position, shape, self._block, self.sensor_model)
-        nothing = jnp.zeros((self.table.num_sectors, *self._lattice(grid)[0]))
+        nothing = jnp.zeros((self.table.num_sectors, *volume_lattice(grid, self.pool)[0]))
         everywhere = jnp.ones(coarse_shape(grid.shape, self.pool)[1:], bool)
         return self._made(position, grid, everywhere, nothing, nothing, beyond)
 
@@ -213,15 +204,8 @@ class VolumePerception(eqx.Module):
         beyond: RollingMap | None,
     ) -> VolumeBelief:
         """Return a belief with what follows from its grid, before the next fields."""
-        side, shape = grid.resolution, grid.shape
-        field = VolumeField(jnp.zeros(shape), grid.origin + 0.5 * side, side, jnp.zeros(()))
-        everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
-        clearance = eqx.tree_at(
-            lambda each: each.values,
-            field,
-            renewed_clearance(grid, field.values, everything, self.reach),
-        )
-        guidance = self._blank(grid)
+        clearance = clearance_of_volume(grid, self.reach)
+        guidance = blank_field(grid, self.pool)
         view = ViewField(jnp.zeros_like(sectors), guidance.origin, guidance.spacing)
         return VolumeBelief(
             position,
@@ -261,19 +245,15 @@ class VolumePerception(eqx.Module):
         columns = Window(among.corner[1:], among.shape[1:], among.map_shape[1:])
         before = columns.read(belief.changed)
         changed = columns.write(belief.changed, before | is_new.any(axis=0))
-        known: VolumeBelief = eqx.tree_at(
-            lambda each: (
-                each.position,
-                each.grid,
-                each.clearance.values,
-                each.coarse,
-                each.room,
-                each.changed,
-            ),
+        return dataclasses.replace(
             belief,
-            (position, grid, clearance, coarse, room, changed),
+            position=position,
+            grid=grid,
+            clearance=dataclasses.replace(belief.clearance, values=clearance),
+            coarse=coarse,
+            room=room,
+            changed=changed,
         )
-        return known
 
     def scan_window(
         self, grid: VoxelGrid, position: Float[Array, "3"], rotation: Rotation
@@ -406,7 +386,7 @@ class VolumePerception(eqx.Module):
 
     def roads(self, belief: VolumeBelief) -> VolumeRoads:
         """Return the lattice of the places at which the robot fits; tight ones cost double."""
-        shape, origin, spacing = self._lattice(belief.grid)
+        shape, origin, spacing = volume_lattice(belief.grid, self.pool)
         # Half-way between the nodes, too, the robot must fit.
         half = belief.room[1:, 1:, 1:][: 2 * shape[0] - 1, : 2 * shape[1] - 1, : 2 * shape[2] - 1]
         tightness = jnp.clip(3.0 - half[::2, ::2, ::2] / self.required, 0.0, 2.0) / 2.0
@@ -416,15 +396,4 @@ class VolumePerception(eqx.Module):
         """Return a cost-to-go that is 0 everywhere, on the lattice of a volume's viewpoints."""
         shape = self.window_shape(grid.shape, grid.resolution)
         window = eqx.tree_at(lambda each: each.log_odds, grid, jnp.zeros(shape))
-        return self._blank(window)
-
-    def _blank(self, grid: VoxelGrid) -> VolumeField:
-        shape, origin, spacing = self._lattice(grid)
-        return VolumeField(jnp.zeros(shape), origin, spacing, jnp.asarray(FAR))
-
-    def _lattice(self, grid: VoxelGrid) -> tuple[tuple[int, int, int], Float[Array, "3"], float]:
-        """Return the numbers of nodes along z, y and x, the first node, and the spacing [m]."""
-        coarse = [-(-size // self.pool) for size in grid.shape]
-        depth, height, width = (max(1, (size - 2) // NODE + 1) for size in coarse)
-        side = grid.resolution * self.pool
-        return (depth, height, width), grid.origin + 1.5 * side, NODE * side
+        return blank_field(window, self.pool)

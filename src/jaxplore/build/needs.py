@@ -31,21 +31,15 @@ from typing import NamedTuple
 from jaxplore._files import read_yaml
 from jaxplore.belief.perception_checks import safe_stride
 from jaxplore.belief.rolling_map import BLOCK
-from jaxplore.belief.volume import COARSE, NODE
+from jaxplore.belief.volume import COARSE
+from jaxplore.belief.volume_lattice import NODE
 from jaxplore.build.volume import volume_shape
 from jaxplore.build.world import ENOUGH, is_ros_map
 from jaxplore.maps.files.ros import map_size
 from jaxplore.maps.padding import padded_shape
 from jaxplore.maps.world import three_zones, world_shape
-from jaxplore.settings.exploration import (
-    OFFICE,
-    QUADROTOR,
-    ZONES,
-    ControllerSettings,
-    InformativeSettings,
-    PortfolioSettings,
-    Settings,
-)
+from jaxplore.settings.controllers import ControllerSettings, InformativeSettings, PortfolioSettings
+from jaxplore.settings.exploration import OFFICE, QUADROTOR, ZONES, Settings
 from jaxplore.settings.node import NodeSettings
 from jaxplore.settings.path import ContouringNumbers, PathSettings
 from jaxplore.settings.robot import CameraSettings, LidarSettings, RobotSettings

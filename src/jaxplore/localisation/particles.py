@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxplore import _checks, _kinds
+from jaxplore import _checks, _covariances, _kinds
 from jaxplore._limits import LONGEST_RANGE, MOST_BEAMS, MOST_SAMPLES
 from jaxplore._types import ArrayLike, Flag, Key, Pose, Rows, Scalar, Vector
 from jaxplore.geometry.motion import Matrix, compose, wrapped
@@ -203,7 +203,7 @@ class ParticleFilter(eqx.Module):
         """
         _kinds.key("key", key)
         mean = _checks.vector("pose", pose, 3)
-        spread = _checks.covariance("covariance", covariance, 3)
+        spread = _covariances.covariance("covariance", covariance, 3)
         # Unlike that of Cholesky this root exists for a coordinate that is known exactly.
         values, vectors = jnp.linalg.eigh(spread)
         root = vectors * jnp.sqrt(jnp.maximum(values, 0.0))

@@ -6,8 +6,23 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxplore.maps.volume_field import VolumeField
 from jaxplore.maps.voxel_grid import VoxelGrid
 from jaxplore.maps.window import Window, near_faces
+
+
+def clearance_of_volume(grid: VoxelGrid, reach: int) -> VolumeField:
+    """Return the distance to the nearest voxel that is not known to be free, of a whole map [m].
+
+    Args:
+        grid: log-odds of the voxels.
+        reach: greatest distance of interest [voxels]; static.
+    """
+    side, shape = grid.resolution, grid.shape
+    nothing = jnp.zeros(shape)
+    everything = Window.at(jnp.zeros(3, jnp.int32), shape, shape)
+    metres = renewed_clearance(grid, nothing, everything, reach)
+    return VolumeField(metres, grid.origin + 0.5 * side, side, jnp.zeros(()))
 
 
 def renewed_clearance(

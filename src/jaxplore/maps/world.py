@@ -22,18 +22,15 @@ from jaxplore.maps.files.world_entries import (
     Row,
     checked,
     refuse_unknown,
-    touches_solid,
 )
 from jaxplore.maps.files.world_entries import LabelledObject as LabelledObject
 from jaxplore.maps.files.world_entries import MovingObstacle as MovingObstacle
-from jaxplore.maps.frame import GridFrame
 from jaxplore.maps.ground import Ground
-from jaxplore.maps.hills import hill_elevation, is_on_map
+from jaxplore.maps.hills import hill_elevation
 from jaxplore.maps.occupancy_grid import OccupancyGrid
-from jaxplore.maps.rasterise import TOLERANCE, cell_at, disc_mask, rectangle_mask, segment_mask
-from jaxplore.maps.resample import CELL_LIMIT, SLIVER
 from jaxplore.maps.shapes import Shapes as Shapes
 from jaxplore.maps.shapes import shape_lists, shapes_under
+from jaxplore.maps.world_cells import WorldCells, map_shape
 
 FREE_PROBABILITY = 0.01
 """Probability of a free cell (quadrotor design notes)."""
@@ -108,19 +105,22 @@ class World:
             _kinds.instance(name, getattr(self, name), Shapes)
         for name in WORLD_ENTRIES:
             object.__setattr__(self, name, CHECKS[name](name, getattr(self, name)))
-        self._check_cells()
-        self._check_zones()
-        solid = self._checked_solid()
-        self._check_place("start", self.start, solid)
+        cells = self._cells
+        cells.check_resolution(has_walls=bool(self.known.walls or self.hidden.walls))
+        cells.check_zones(self.zones)
+        solid = cells.checked_solid(self.known) | cells.checked_solid(self.hidden, "hidden.")
+        # What is gone must be on the map, too, and is free in the true world.
+        cells.checked_solid(self.gone, "gone.")
+        cells.check_place("start", self.start, solid)
         if self.goal is not None:
-            self._check_place("goal", self.goal, solid)
-        self._check_hills()
+            cells.check_place("goal", self.goal, solid)
+        cells.check_hills(self.hills)
         for index, target in enumerate(self.targets):
-            self._check_place(f"targets[{index}]", target, solid)
+            cells.check_place(f"targets[{index}]", target, solid)
         for index, each in enumerate(self.objects):
-            self._check_place(f"objects[{index}]", each.position, solid)
+            cells.check_place(f"objects[{index}]", each.position, solid)
         for index, mover in enumerate(self.movers):
-            self._check_path(f"movers[{index}].path", mover, solid)
+            cells.check_path(f"movers[{index}].path", mover, solid)
 
     @classmethod
     def from_dict(cls, entries: Mapping[Any, Any]) -> "World":
@@ -197,14 +197,12 @@ class World:
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the map."""
-        rows, columns = _shape(self.size, self.resolution)
-        return int(rows), int(columns)
+        return self._cells.shape
 
     def truth(self) -> OccupancyGrid:
         """Return the true map: 0.99 in known and hidden obstacles, 0.01 elsewhere."""
-        return self._painted(
-            (self._solid(self.known) | self._solid(self.hidden), SOLID_PROBABILITY)
-        )
+        solid = self._cells.solid
+        return self._painted((solid(self.known) | solid(self.hidden), SOLID_PROBABILITY))
 
     def prior(self) -> OccupancyGrid:
         """Return the robot's map at the start.
@@ -212,10 +210,11 @@ class World:
         It is 0.99 in known obstacles and those that are gone, else 0.5 in zones, else 0.01. Hidden
         obstacles are absent.
         """
+        cells = self._cells
         return self._painted(
             # Later layers cover earlier ones: known obstacles inside a zone are known.
-            (self._cells("zones", self.zones), UNKNOWN_PROBABILITY),
-            (self._solid(self.known) | self._solid(self.gone), SOLID_PROBABILITY),
+            (cells.covered("zones", self.zones), UNKNOWN_PROBABILITY),
+            (cells.solid(self.known) | cells.solid(self.gone), SOLID_PROBABILITY),
         )
 
     def ground(self, **options: Any) -> Ground | None:
@@ -229,125 +228,15 @@ class World:
         elevation = hill_elevation(self.hills, self.shape, self.resolution, self.origin)
         return Ground(elevation, self.resolution, (*self.origin, 0.0), **options)
 
+    @cached_property
+    def _cells(self) -> WorldCells:
+        return WorldCells(self.size, self.origin, self.resolution, self.wall_reach)
+
     def _painted(self, *layers: tuple[NDArray[np.bool_], float]) -> OccupancyGrid:
         probability = np.full(self.shape, FREE_PROBABILITY, np.float32)
         for mask, value in layers:
             probability[mask] = value
         return OccupancyGrid(probability, self.resolution, (*self.origin, 0.0))
-
-    def _solid(self, shapes: Shapes) -> NDArray[np.bool_]:
-        mask = np.zeros(self.shape, bool)
-        for kind in SHAPES:
-            mask |= self._cells(kind, getattr(shapes, kind))
-        return mask
-
-    @cached_property
-    def _frame(self) -> GridFrame:
-        """The frame relative to the lower corner: a frame keeps its origin in single precision."""
-        return GridFrame(self.resolution)
-
-    def _cells(self, kind: str, rows: tuple[Row, ...]) -> NDArray[np.bool_]:
-        frame, shape, corner = self._frame, self.shape, np.array(self.origin)
-        if kind == "discs":
-            return disc_mask([(*(row[:2] - corner).tolist(), row[2]) for row in rows], frame, shape)
-        local = np.reshape(rows, (-1, 4)) - np.tile(corner, 2)
-        if kind == "walls":
-            return segment_mask(local, frame, shape, self.wall_reach)
-        return rectangle_mask(local, frame, shape, is_solid=kind != "zones")
-
-    def _check_cells(self) -> None:
-        width, height = (max(1.0, side / self.resolution) for side in self.size)
-        if not width * height <= CELL_LIMIT:
-            raise ValueError(
-                f"resolution is {self.resolution}; accepted: at most {CELL_LIMIT} cells on "
-                f"{self.size[0]} m x {self.size[1]} m"
-            )
-        has_walls = self.known.walls or self.hidden.walls
-        # With at least half a cell, every column that a wall crosses has a centre within reach.
-        if has_walls and self.wall_reach + TOLERANCE < self.resolution / 2:
-            raise ValueError(
-                f"wall_reach is {self.wall_reach}; accepted: at least {self.resolution / 2}, half "
-                "the resolution, so that walls have no gaps"
-            )
-
-    def _check_zones(self) -> None:
-        (x, y), (width, height) = self.origin, self.size
-        # Maxima change their sign, so that one comparison tests all four sides.
-        bounds = np.array([x, y, -x - width, -y - height])
-        # Far from the origin, the sums are rounded more than that.
-        bounds -= np.maximum(TOLERANCE, 4.0 * np.spacing(np.abs(bounds)))
-        for index, zone in enumerate(self.zones):
-            if (np.array(zone) * [1, 1, -1, -1] < bounds).any():
-                raise ValueError(
-                    f"zones[{index}] is {list(zone)}; accepted: a rectangle on the map, "
-                    f"{self._extent()}"
-                )
-            if not self._cells("zones", (zone,)).any():
-                raise ValueError(
-                    f"zones[{index}] is {list(zone)}; accepted: a rectangle with the centre of a "
-                    f"cell of {self.resolution} m in it"
-                )
-
-    def _checked_solid(self) -> NDArray[np.bool_]:
-        """Return the solid cells of the true world; raise if a shape covers no cell."""
-        solid = np.zeros(self.shape, bool)
-        for prefix, shapes in (
-            ("", self.known),
-            ("hidden.", self.hidden),
-            ("gone.", self.gone),
-        ):
-            for kind in SHAPES:
-                for index, row in enumerate(getattr(shapes, kind)):
-                    # One shape at a time, so that the message can name the one that is off the map.
-                    mask = self._cells(kind, (row,))
-                    if not mask.any():
-                        raise ValueError(
-                            f"{prefix}{kind}[{index}] is {list(row)}, off the map; accepted: "
-                            f"something with a cell on the map, {self._extent()}"
-                        )
-                    if shapes is not self.gone:
-                        solid |= mask
-        return solid
-
-    def _check_place(self, name: str, place: Row, solid: NDArray[np.bool_]) -> None:
-        x, y = (place[axis] - self.origin[axis] for axis in (0, 1))
-        if not (0.0 <= x < self.size[0] and 0.0 <= y < self.size[1]):
-            raise ValueError(
-                f"{name} is {list(place)}; accepted: a point on the map, {self._extent()}"
-            )
-        # A point within rounding of the far edge belongs to the cell beyond: clip it to the map.
-        row, column = cell_at((x, y), self._frame)
-        if solid[min(row, solid.shape[0] - 1), min(column, solid.shape[1] - 1)]:
-            raise ValueError(
-                f"{name} is {list(place)}, in something solid; accepted: a point in a cell that is "
-                "free in the true world"
-            )
-
-    def _check_hills(self) -> None:
-        for index, hill in enumerate(self.hills):
-            if not is_on_map(hill, self.shape, self.resolution, self.origin):
-                raise ValueError(
-                    f"hills[{index}] is {list(hill)}; accepted: a hill with the centre of a cell "
-                    f"of the map within its radius, {self._extent()}"
-                )
-
-    def _check_path(self, name: str, mover: MovingObstacle, solid: NDArray[np.bool_]) -> None:
-        for index, point in enumerate(mover.path):
-            self._check_place(f"{name}[{index}]", point, solid)
-        local = np.array(mover.path) - self.origin
-        # The path is closed, so the last segment leads back to the first point.
-        for index, ends in enumerate(np.stack([local, np.roll(local, -1, axis=0)], axis=1)):
-            if touches_solid(solid, ends, mover.radius, self.resolution):
-                following = (index + 1) % len(mover.path)
-                raise ValueError(
-                    f"{name}[{index}] is {list(mover.path[index])}, and on the way to "
-                    f"{name}[{following}] the disc touches something solid; accepted: a path with "
-                    f"nothing solid within the radius, {mover.radius} m"
-                )
-
-    def _extent(self) -> str:
-        (x, y), (width, height) = self.origin, self.size
-        return f"[{x:.10g}, {x + width:.10g}) x [{y:.10g}, {y + height:.10g})"
 
 
 def is_world_file(path: str | os.PathLike[str]) -> bool:
@@ -373,13 +262,7 @@ def world_shape(entries: Mapping[Any, Any]) -> tuple[tuple[float, float], float]
     size = CHECKS["size"]("size", entries["size"])
     given = entries.get("resolution", World.resolution)
     resolution = float(CHECKS["resolution"]("resolution", given))
-    return _shape(size, resolution), resolution
-
-
-def _shape(size: tuple[float, float], resolution: float) -> tuple[float, float]:
-    """Return rows and columns; whole numbers, which may be too large for an array."""
-    width, height = (float(np.maximum(1.0, np.ceil(side / resolution - SLIVER))) for side in size)
-    return height, width
+    return map_shape(size, resolution), resolution
 
 
 def three_zones() -> World:

@@ -14,8 +14,9 @@ from jaxplore._types import ArrayLike, Count, Key, Position, Scalar, StateVector
 from jaxplore.belief.coarse_voxels import FREE, UNKNOWN
 from jaxplore.belief.exploration_field import LEFTOVER_SHARE
 from jaxplore.belief.rolling_map import shifted
-from jaxplore.belief.volume import NODE, VolumePerception
+from jaxplore.belief.volume import VolumePerception
 from jaxplore.belief.volume_belief import VolumeBelief
+from jaxplore.belief.volume_lattice import NODE
 from jaxplore.control.base import ModelBasedController
 from jaxplore.dynamics.quadrotor import position_upwards
 from jaxplore.maps.volume_field import VolumeField

@@ -6,9 +6,9 @@ import numpy as np
 
 from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import OCCUPIED, SERIES, shade
-from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import style_time
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.map_axes import frame_map
 from jaxplore.report.exploration.missions import judged_from
 from jaxplore.report.exploration.progress import at_instants
 from jaxplore.report.exploration.window import Window
@@ -41,9 +41,6 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     if recording.idleness is None:
         raise ValueError("recording has no idleness; accepted: that of a robot that keeps watch")
     window = Window.around_reachable(recording)
-    left, bottom = window.corner
-    right, top = window.corner + np.asarray(window.size)
-    extent = (float(left), float(right), float(bottom), float(top))
     across = float(np.clip(HEIGHT * window.size[0] / window.size[1], 1.6, 1.8 * HEIGHT))
     figure = Figure(figsize=(across + 1.6 + CURVE_WIDTH, HEIGHT + 1.0), layout="constrained")
     FigureCanvasAgg(figure)
@@ -55,7 +52,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
     place.imshow(
         np.ma.masked_where(~walls, walls),
         cmap=ListedColormap([shade(OCCUPIED)]),
-        extent=extent,
+        extent=window.extent,
         origin="lower",
         interpolation="nearest",
     )
@@ -66,7 +63,7 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
         np.ma.masked_where(~counts, np.minimum(idle, duration)),
         cmap="YlOrRd",
         vmin=0.0,
-        extent=extent,
+        extent=window.extent,
         origin="lower",
         interpolation="nearest",
     )
@@ -83,15 +80,8 @@ def idleness_figure(recording: ExplorationData) -> "Figure":
         linestyle="none",
         label="robot",
     )
-    prefix = "grid " if window.is_turned else ""
-    place.set(
-        xlim=(left, right),
-        ylim=(bottom, top),
-        xlabel=f"{prefix}x [m]",
-        ylabel=f"{prefix}y [m]",
-        title="at the end",
-    )
-    add_scale_bar(place)
+    place.set_title("at the end")
+    frame_map(place, window)
     figure.colorbar(shown, ax=place, label="not seen for [s]", shrink=0.9, pad=0.02)
 
     records = recording.records

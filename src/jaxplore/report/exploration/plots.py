@@ -4,23 +4,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.maps.occupancy_grid import FREE_THRESHOLD, OCCUPIED_THRESHOLD
+from jaxplore.maps.occupancy_grid import OCCUPIED_THRESHOLD
 from jaxplore.report.drawing.colours import (
     CLOSED,
     CLOSED_SHARE,
     MISSED,
-    OUTLINE,
     SERIES,
     TARGET,
     belief_colours,
     shade,
 )
-from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import style_count
 from jaxplore.report.exploration.anomalies import add_anomalies
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.localisation import add_estimate
-from jaxplore.report.exploration.metrics import compute_metrics
+from jaxplore.report.exploration.map_axes import (
+    add_outline,
+    map_figure_axes,
+    map_inches,
+    show_cells,
+    true_outline,
+)
 from jaxplore.report.exploration.objects import add_objects
 from jaxplore.report.exploration.overlays import (
     add_footprint,
@@ -30,7 +35,7 @@ from jaxplore.report.exploration.overlays import (
     closed_cells,
 )
 from jaxplore.report.exploration.progress import LEVELS, at_instants, is_known_map, progress
-from jaxplore.report.exploration.window import MapData, Window
+from jaxplore.report.exploration.window import Window
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,37 +43,6 @@ if TYPE_CHECKING:
 
 MAX_SEGMENTS = 2000
 """Number of segments of the path that are coloured by time."""
-
-
-def true_outline(
-    recording: MapData, window: Window, beside: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the edges (N, 2, 2) between solid cells and the free space around the reachable cells.
-
-    They are in metres from the window's corner, along the grid's axes.
-
-    Args:
-        recording: recording of the run.
-        window: the part of the map that is drawn.
-        beside: (H, W) cells of the map, of which one must be at an edge; any edge when absent.
-    """
-    import scipy.ndimage  # slow to import, and few need it
-
-    labels, _ = scipy.ndimage.label(np.asarray(recording.world) < FREE_THRESHOLD)
-    seen = np.unique(labels[np.asarray(recording.reachable, bool)])
-    # A rim of cells outside closes the outline at the border of the map.
-    inside = np.pad(window.crop(np.isin(labels, seen[seen > 0]), False), 1)
-    near = np.ones_like(inside)
-    if beside is not None:
-        near = np.pad(window.crop(beside, False), 1)
-    differs = (inside[1:-1, 1:] != inside[1:-1, :-1]) & (near[1:-1, 1:] | near[1:-1, :-1])
-    row, column = np.nonzero(differs)
-    upright = np.stack([column, row, column, row + 1], axis=-1)
-    differs = (inside[1:, 1:-1] != inside[:-1, 1:-1]) & (near[1:, 1:-1] | near[:-1, 1:-1])
-    row, column = np.nonzero(differs)
-    level = np.stack([column, row, column + 1, row], axis=-1)
-    edges = np.concatenate([upright, level]).reshape(-1, 2, 2)
-    return np.asarray(edges * recording.resolution)
 
 
 def map_figure(recording: ExplorationData) -> "Figure":
@@ -83,19 +57,11 @@ def map_figure(recording: ExplorationData) -> "Figure":
     A rotated map is drawn along its own axes. The function has more than 60 lines because the
     order of its layers decides what covers what.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
 
     window = Window.around_reachable(recording)
-    size = np.asarray(window.size)
-    left, bottom = window.corner
-    right, top = window.corner + size
-    inches = np.clip(9.0 * size / size.max(), [3.2, 2.0], 9.0)
-    figure = Figure(figsize=(inches[0] + 1.8, inches[1] + 1.1), layout="compressed")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-
+    width, height = map_inches(window)
+    figure, axes = map_figure_axes(width + 1.8, height + 1.1, window)
     levels = np.round(255.0 * window.crop(recording.belief, 0.5)).astype(np.uint8)
     colours = belief_colours()[levels]
     closed = closed_cells(recording, window)
@@ -103,12 +69,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
     colours[closed] = np.round(colours[closed] + tint).astype(np.uint8)
     unseen = _unseen_walls(recording)
     colours[window.crop(unseen, False)] = MISSED
-    axes.imshow(
-        colours,
-        extent=(left, right, bottom, top),
-        origin="lower",
-        interpolation="nearest",
-    )
+    show_cells(axes, window, colours)
     time, coverage, _, path = progress(recording)
     stride = max(1, -(-len(time) // MAX_SEGMENTS))
     kept = np.unique(np.append(np.arange(0, len(time), stride), len(time) - 1))
@@ -132,11 +93,7 @@ def map_figure(recording: ExplorationData) -> "Figure":
         spot = (window.place(recording.goal[None]) + window.corner)[0]
         axes.plot(*spot, marker="*", color="#e9a23b", label="goal", **marks)
     axes.plot(*track[-1], marker="s", color="#e07a1f", label="end", **marks)
-    outline = true_outline(recording, window) + window.corner
-    axes.add_collection(
-        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7, zorder=1.5), autolim=False
-    )
-    axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
+    add_outline(axes, recording, window)
     missed = true_outline(recording, window, unseen) + window.corner
     axes.add_collection(
         LineCollection(missed.tolist(), colors=[shade(MISSED)], linewidths=2.2, zorder=1.6),
@@ -151,17 +108,12 @@ def map_figure(recording: ExplorationData) -> "Figure":
     add_anomalies(axes, recording.anomalies, window)
     add_footprint(axes, recording, window)
     add_estimate(axes, recording, window)
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    prefix = "grid " if window.is_turned else ""
-    axes.set_xlabel(f"{prefix}x [m]")
-    axes.set_ylabel(f"{prefix}y [m]")
-    add_scale_bar(axes)
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,
         labels,
         loc="outside lower center",
-        ncols=4 if len(labels) <= 5 or inches[0] > 5.0 else 3,
+        ncols=4 if len(labels) <= 5 or width > 5.0 else 3,
         frameon=False,
         fontsize=9,
     )

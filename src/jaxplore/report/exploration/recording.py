@@ -12,9 +12,10 @@ from PIL import Image
 from jaxplore.maps.files.ros import write_map
 from jaxplore.report.exploration.animation import frame_image, painter, shared_palette
 from jaxplore.report.exploration.data import ExplorationData, ExplorationFrame
+from jaxplore.report.exploration.evaluation import compute_metrics
 from jaxplore.report.exploration.idleness import idleness_figure
 from jaxplore.report.exploration.members import members_figure
-from jaxplore.report.exploration.metrics import ExplorationMetrics, compute_metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics
 from jaxplore.report.exploration.plots import coverage_figure, map_figure
 from jaxplore.report.exploration.progress import is_known_map, progress
 from jaxplore.report.recording import Recording

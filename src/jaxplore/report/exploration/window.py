@@ -79,6 +79,12 @@ class Window:
         corner = np.asarray(self.first[::-1], np.float64) * self.resolution
         return corner if self.is_turned else corner + self.origin[:2]
 
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """Left, right, bottom and top of the window on the drawn axes [m]."""
+        (left, bottom), (right, top) = self.corner, self.corner + np.asarray(self.size)
+        return float(left), float(right), float(bottom), float(top)
+
     def crop(self, cells: np.ndarray, fill: float | bool) -> np.ndarray:
         """Cut the window out of a grid; cells beyond the grid are `fill`."""
         rows, columns = (

@@ -4,11 +4,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxplore.report.drawing.colours import OUTLINE, belief_colours
+from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import INK
-from jaxplore.report.drawing.scale_bar import add_scale_bar
 from jaxplore.report.drawing.series import line_style, style_time
-from jaxplore.report.exploration.plots import true_outline
+from jaxplore.report.exploration.map_axes import (
+    add_outline,
+    map_figure_axes,
+    map_inches,
+    show_cells,
+)
 from jaxplore.report.exploration.window import Window
 from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.fleet.metrics import LEVELS, compute_metrics
@@ -25,25 +29,11 @@ def map_figure(data: FleetData) -> "Figure":
 
     A rotated map is drawn along its own axes.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.collections import LineCollection
-    from matplotlib.figure import Figure
-
     window = Window.around_reachable(data)
-    size = np.asarray(window.size)
-    left, bottom = window.corner
-    right, top = window.corner + size
-    inches = np.clip(9.0 * size / size.max(), [3.2, 2.0], 9.0)
-    figure = Figure(figsize=(inches[0] + 0.8, inches[1] + 1.2), layout="compressed")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    width, height = map_inches(window)
+    figure, axes = map_figure_axes(width + 0.8, height + 1.2, window)
     levels = np.round(255.0 * window.crop(data.belief, 0.5)).astype(np.uint8)
-    extent = (left, right, bottom, top)
-    axes.imshow(belief_colours()[levels], extent=extent, origin="lower", interpolation="nearest")
-    outline = true_outline(data, window) + window.corner
-    axes.add_collection(
-        LineCollection(outline.tolist(), colors=OUTLINE, linewidths=0.7), autolim=False
-    )
+    show_cells(axes, window, belief_colours()[levels])
     stride = max(1, -(-data.trails.shape[1] // MOST_POINTS))
     marks: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "zorder": 5.0}
     for number, (trail, length) in enumerate(zip(data.trails, data.lengths[:, -1], strict=True)):
@@ -55,13 +45,8 @@ def map_figure(data: FleetData) -> "Figure":
         axes.plot(*placed[-1], marker="s", markersize=8.0, color=style["color"], **marks)
     for marker, name in (("o", "start"), ("s", "end")):
         axes.plot([], [], marker=marker, color="0.4", linestyle="none", label=name)
-    axes.plot([], [], color=OUTLINE, linewidth=1.2, label="true outline")
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    prefix = "grid " if window.is_turned else ""
-    axes.set_xlabel(f"{prefix}x [m]")
-    axes.set_ylabel(f"{prefix}y [m]")
-    add_scale_bar(axes)
-    columns = 4 if inches[0] > 5.0 else 2
+    add_outline(axes, data, window)
+    columns = 4 if width > 5.0 else 2
     figure.legend(loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     driven = data.lengths[:, -1].sum()
     title = f"{100.0 * data.coverage[-1]:.1f} % covered, {data.time[-1]:.1f} s, {driven:.1f} m"

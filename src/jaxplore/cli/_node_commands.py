@@ -1,0 +1,100 @@
+"""The commands that drive and simulate robots over ROS 2, and the one that replays a drive.
+
+What they run is imported when it runs.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from jaxplore._signals import interrupting
+from jaxplore.cli._cache import cache_option
+from jaxplore.cli._memory import memory_option
+from jaxplore.cli._node_options import node_options, replay_options, robot_options
+from jaxplore.cli._options import with_options
+from jaxplore.cli._view_options import view_options
+
+
+@click.command()
+@node_options
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path),
+    metavar="FILE.mcap",
+    help="Also record the drive for Foxglove (needs foxglove-sdk).",
+)
+@view_options
+@memory_option
+@cache_option
+def node(**options: Any) -> None:
+    """Drive a robot that explores, over ROS 2.
+
+    Reads a lidar (/scan) and the pose (/odom), keeps a map of its own, and sends velocities
+    (/cmd_vel). The robot brakes whenever data are missing, old or impossible, and the node says
+    why. Topics, the lidar's place on the robot and the numbers of safety are settings of the
+    section node:
+
+    \b
+      jaxplore node
+      jaxplore node --settings robot.yaml --out runs/first
+      jaxplore node --set robot.max_speed=0.3 --set node.latency=0.1
+      jaxplore node --view --record drive.mcap
+      jaxplore node --mode goal
+
+    Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
+    drive as a run folder.
+    """
+    from jaxplore.cli._node import drive
+
+    with interrupting():
+        drive(options)
+
+
+@click.command()
+@click.argument("bag", type=click.Path(path_type=Path))
+@replay_options
+@memory_option
+@cache_option
+def replay(bag: Path, **options: Any) -> None:
+    """Feed a recorded drive to mapping and controller: what would it have commanded?
+
+    The bag is a rosbag2 folder, or its .db3 or .mcap file, with a LaserScan and an Odometry (or a
+    PoseWithCovarianceStamped). ROS is not needed. Writes a run folder with the map, the commands
+    and an animation:
+
+    \b
+      jaxplore replay bags/office --out runs/office-replay
+      jaxplore replay drive.mcap --scan /base_scan --settings robot.yaml
+    """
+    from jaxplore.cli._node import replay_bag
+
+    with interrupting():
+        replay_bag(bag, options)
+
+
+@click.command()
+@with_options("architecture")
+@robot_options
+@memory_option
+@cache_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="Run folder.  [default: runs/MAP-robot]",
+)
+def robot(**options: Any) -> None:
+    """Simulate a robot in a map as a ROS 2 node, at wall-clock time.
+
+    Publishes /scan, /odom and /map, and obeys /cmd_vel as the base of a real robot does, with a
+    watchdog of half a second. Writes a run folder that says what the robot has seen and touched:
+
+    \b
+      jaxplore robot office
+      jaxplore robot maps/depot.yaml --start 4.62 7.73 0 --delay 0.06
+    """
+    from jaxplore.cli._node import simulate_robot
+
+    with interrupting():
+        simulate_robot(options)

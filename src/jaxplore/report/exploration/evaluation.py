@@ -1,0 +1,143 @@
+"""Compute the metrics of an exploration run from its recording."""
+
+from typing import Any
+
+import numpy as np
+
+from jaxplore.control.guard import REASONS
+from jaxplore.report._numbers import finite
+from jaxplore.report.exploration.anomalies import anomaly_metrics
+from jaxplore.report.exploration.data import ExplorationData, ExplorationRecord
+from jaxplore.report.exploration.localisation import localisation_metrics
+from jaxplore.report.exploration.metrics import ExplorationMetrics
+from jaxplore.report.exploration.missions import (
+    fusion_means,
+    idleness,
+    last_target_at,
+    member_means,
+)
+from jaxplore.report.exploration.objects import object_metrics
+from jaxplore.report.exploration.progress import LEVELS, at_instants, longest_stall, progress
+from jaxplore.report.metrics import sampled_series
+from jaxplore.report.motion import command_jerk, episodes
+
+
+def compute_metrics(recording: ExplorationData, *, seed: int | None = None) -> ExplorationMetrics:
+    """Compute the metrics of a run.
+
+    Args:
+        recording: recording of a run, finished or not; a run without a step has the metrics of its
+            start.
+        seed: seed of the run, stored with the metrics.
+    """
+    records, period, steps = recording.records, recording.control_period, recording.num_steps
+    time, coverage, entropy, path = progress(recording)
+    # The coverage is float32, so the level is rounded in the same way before the comparison.
+    reached = {str(level): _first(coverage >= np.float32(level / 100)) for level in LEVELS}
+    in_contact = np.asarray(records.is_collision, bool)
+    stops, stopped_steps = _stops(records.stop)
+    sample_size = np.asarray(records.effective_sample_size, np.float64)
+    sample_size = sample_size[np.isfinite(sample_size)]
+    unknown = at_instants(records.unknown, recording.initial_unknown)
+    curve = {
+        "time": time,
+        "coverage": coverage,
+        "entropy": entropy,
+        "path": path,
+        "unknown": unknown,
+    }
+    if len(recording.targets):
+        curve["targets"] = at_instants(records.targets_seen, 0.0)
+    if recording.idleness is not None:
+        curve["idleness"] = at_instants(records.mean_idleness, 0.0)
+    finished_at, given_up = _finished_at(recording, float(coverage[-1])), recording.given_up_step
+    mean_idleness, worst_idleness = idleness(recording)
+    diversity, replaced = fusion_means(recording)
+    return ExplorationMetrics(
+        **recording.common_metrics(finished_at=finished_at, seed=seed),
+        given_up_at=None if given_up is None else given_up * period,
+        coverage=float(coverage[-1]),
+        target_coverage=recording.target_coverage,
+        time_to={name: None if k is None else k * period for name, k in reached.items()},
+        path_to={name: None if k is None else float(path[k]) for name, k in reached.items()},
+        path_length=float(path[-1]),
+        initial_entropy=finite(recording.initial_entropy),
+        final_entropy=finite(entropy[-1]),
+        initial_unknown=recording.initial_unknown,
+        final_unknown=float(records.unknown[-1]) if steps else recording.initial_unknown,
+        information_per_metre=(
+            finite((recording.initial_entropy - entropy[-1]) / path[-1]) if path[-1] > 0 else None
+        ),
+        goal_distance=_goal_distance(recording),
+        command_jerk=command_jerk(
+            records.control, recording.control_half_range, recording.control_period
+        ),
+        fault_steps=int(np.asarray(records.is_faulty, bool).sum()),
+        stops=stops,
+        stopped_steps=stopped_steps,
+        collisions=episodes(in_contact),
+        collision_steps=int(in_contact.sum()),
+        minimum_clearance=finite(np.min(records.clearance, initial=np.inf)),
+        mean_effective_sample_size=finite(sample_size.mean()) if sample_size.size else None,
+        minimum_effective_sample_size=finite(np.min(sample_size, initial=np.inf)),
+        non_finite_steps=int((~np.asarray(records.is_finite, bool)).sum()),
+        untraversable_steps=int(np.asarray(records.is_untraversable, bool).sum()),
+        **_wheels(records, period),
+        num_targets=len(recording.targets),
+        targets_seen=int(records.targets_seen[-1]) if steps else 0,
+        last_target_at=last_target_at(recording),
+        mean_idleness=mean_idleness,
+        worst_idleness=worst_idleness,
+        members=member_means(recording),
+        diversity=diversity,
+        replaced=replaced,
+        **anomaly_metrics(recording.anomalies),
+        **object_metrics(recording.objects),
+        **localisation_metrics(recording),
+        reachable_area=float(recording.reachable.sum()) * recording.resolution**2,
+        longest_stall=longest_stall(recording.positions, coverage) * period,
+        coverage_curve=sampled_series(curve, period),
+    )
+
+
+def _stops(stop: Any) -> tuple[dict[str, int], int]:
+    """Return the number of stops of the guard by reason, and the number of steps of all."""
+    if stop is None:
+        return {}, 0
+    codes = np.asarray(stop)
+    numbers = {reason: episodes(codes == code) for code, reason in enumerate(REASONS) if code > 0}
+    return {reason: number for reason, number in numbers.items() if number}, int((codes > 0).sum())
+
+
+def _wheels(records: ExplorationRecord, period: float) -> dict[str, Any]:
+    """Return the metrics of a vehicle on its wheels, by name."""
+    transfer, travel = records.load_transfer, records.wheel_travel
+    if records.is_tipped is None or transfer is None or travel is None:
+        return {"tipped_at": None, "load_transfer": None, "hanging_steps": 0}
+    tipped = _first(np.asarray(records.is_tipped, bool))
+    return {
+        # The record of step k holds what is true at its end.
+        "tipped_at": None if tipped is None else (tipped + 1) * period,
+        "load_transfer": finite(np.max(np.asarray(transfer), initial=0.0)),
+        "hanging_steps": int((np.asarray(travel) > 1.0).sum()),
+    }
+
+
+def _finished_at(recording: ExplorationData, coverage: float) -> float | None:
+    if recording.finished_step is not None:
+        return recording.finished_step * recording.control_period
+    target = recording.target_coverage
+    if recording.goal is not None or len(recording.targets) or target is None:
+        return None
+    # A run that begins at the target coverage takes no step.
+    return 0.0 if coverage >= np.float32(target) and recording.num_steps == 0 else None
+
+
+def _goal_distance(recording: ExplorationData) -> float | None:
+    if recording.goal is None:
+        return None
+    return float(np.hypot(*(recording.positions[-1] - recording.goal)))
+
+
+def _first(mask: np.ndarray) -> int | None:
+    return int(mask.argmax()) if mask.any() else None
