@@ -9,7 +9,7 @@ from scipy.optimize import least_squares
 
 from jaxplore.geometry.motion import compose, moved_covariance
 from jaxplore.localisation import Graph, optimised
-from jaxplore.localisation.pose_graph import HUBER, relative_spreads
+from jaxplore.localisation.pose_graph import HUBER, motion_covariances
 
 pytest.importorskip("gtsam")
 NOTHING = (np.zeros((0, 2), int), np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -192,7 +192,7 @@ def test_a_single_node_is_known() -> None:
     np.testing.assert_array_equal(found.covariance, np.zeros((3, 3)))
 
 
-def test_relative_spreads_are_those_of_dense_linear_algebra() -> None:
+def test_covariances_of_motions_are_those_of_dense_linear_algebra() -> None:
     """The information of all factors by finite differences, inverted as a whole in float64."""
     rng = np.random.default_rng(5)
     motions = np.column_stack(
@@ -222,10 +222,12 @@ def test_relative_spreads_are_those_of_dense_linear_algebra() -> None:
     expected = []
     for node in nodes:
         slope = slopes(lambda given, node=node: between_by_hand(given[node], given[9]), poses)
-        motion = slope @ covariance @ slope.T
-        expected.append(math.sqrt(0.5 * (motion[0, 0] + motion[1, 1])))
-    np.testing.assert_allclose(relative_spreads(graph, nodes), expected, rtol=1e-4)
-    assert relative_spreads(graph, []).shape == (0,)
+        expected.append(slope @ covariance @ slope.T)
+    found = motion_covariances(graph, nodes, 9)
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-8)
+    assert motion_covariances(graph, [], 9).shape == (0, 3, 3)
     for wrong in ([9], [-1]):
         with pytest.raises(ValueError, match="nodes is"):
-            relative_spreads(graph, wrong)
+            motion_covariances(graph, wrong, 9)
+    with pytest.raises(ValueError, match="end is 10"):
+        motion_covariances(graph, nodes, 10)

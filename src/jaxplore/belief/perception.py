@@ -46,6 +46,9 @@ from jaxplore.sensing.inverse_sensor_model import InverseSensorModel
 LEFTOVER = 0.1
 """Default of `min_information` times the area of a cell [nat m^2]: the information of about one
 square metre of unmeasured cells, of whatever size."""
+BLUR = 3.0
+"""Factor on `LEFTOVER` where the pose is estimated. Scans from poses with small errors contradict
+one another at walls, whose cells stay uncertain however often they are seen."""
 MAX_UNKNOWN = 0.05
 """Default share of unknown cells below which a map counts as explored (quadrotor design notes)."""
 
@@ -86,7 +89,8 @@ class Perception(eqx.Module):
         decay_length: additional distance that the robot travels for e times the information [m].
         min_information: information below which a place comes last [nat]; below 3 % of it, a place
             is ignored. By default it is that of about one square metre of unmeasured cells
-            (`LEFTOVER`): 10 nat for cells of 0.1 m, 40 for those of 0.05 m.
+            (`LEFTOVER`): 10 nat for cells of 0.1 m, 40 for those of 0.05 m. With `is_localising` it
+            is three times as much (`BLUR`).
         occupancy_prior: probability of occupancy of an unmeasured cell in expected information, in
             (0, 1).
         patience: time near a place after which its weight has decayed to 1/e [s].
@@ -102,6 +106,8 @@ class Perception(eqx.Module):
         car: how a robot moves that cannot turn on the spot; by default it can.
         anomalies: test for what differs from the prior map; none by default.
         recognition: classes of objects; none by default.
+        is_localising: whether the robot estimates its pose; only for the default of
+            `min_information`.
 
     Raises:
         ValueError: a size, rate or length out of its range; no sensors; `is_goal_apart` without a
@@ -156,7 +162,9 @@ class Perception(eqx.Module):
         car: CarMotion | None = None,
         anomalies: AnomalyTest | None = None,
         recognition: Recognition | None = None,
+        is_localising: bool = False,
     ) -> None:
+        _kinds.flag("is_localising", is_localising)
         _kinds.instance("sensor_model", sensor_model, InverseSensorModel, may_be_none=True)
         _kinds.instance("ground", ground, Ground, may_be_none=True)
         _kinds.instance("watch", watch, IdlenessMap, may_be_none=True)
@@ -191,7 +199,8 @@ class Perception(eqx.Module):
         )
         self.decay_length = _checks.scalar("decay_length", decay_length, above=0.0)
         if min_information is None:
-            min_information = LEFTOVER / self.resolution**2
+            leftover = BLUR * LEFTOVER if is_localising else LEFTOVER
+            min_information = leftover / self.resolution**2
         self.min_information = _checks.scalar("min_information", min_information, above=0.0)
         self.occupancy_prior = _checks.scalar(
             "occupancy_prior", occupancy_prior, above=0.0, below=1.0

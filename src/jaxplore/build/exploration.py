@@ -139,6 +139,7 @@ def _perception(
         # Only the portfolio has an objective that reads the cost to go to the goal on its own.
         is_goal_apart=settings.architecture == "portfolio" and goal is not None,
         car=car_motion(robot),
+        is_localising=settings.localisation is not None,
         **arguments(settings.fields, Perception),
         **unknown,
     )

@@ -80,46 +80,49 @@ def optimised(graph: Graph) -> Optimum:
     return Optimum(poses, covariance, float(factors.error(found)))
 
 
-def relative_spreads(graph: Graph, nodes: Sequence[int]) -> np.ndarray:
-    """Return how exactly the position of the last node is known as seen from each of others [m].
+def motion_covariances(graph: Graph, nodes: Sequence[int], end: int) -> np.ndarray:
+    """Return how exactly the motions b from some nodes to another one are known, (M, 3, 3).
 
-    It is the root of the mean of the variances along x and y of the motion b from node j to the
-    last node n, with the joint covariance of both nodes at the poses of the graph,
+    They are in the frames of the nodes j that the motions begin at, by the joint covariance with
+    the node n where they end, at the poses of the graph:
 
-        Sigma = J Cov(j, n) J',  J = [-Ad(b^-1), 1].
+        Sigma = R_b (J Cov(j, n) J') R_b',  J = [-Ad(b^-1), 1].
 
     Source: Kaess and Dellaert, "Covariance recovery from a square root information matrix for data
     association", Robotics and Autonomous Systems 2009.
 
     Args:
         graph: the graph.
-        nodes: indices of M other nodes.
+        nodes: indices of the M nodes at which the motions begin.
+        end: index of the node at which they end.
 
     Raises:
         ValueError: something else than a graph, an index that is not one of another node; GTSAM is
             not installed.
     """
     _kinds.instance("graph", graph, Graph)
-    last = len(graph.poses) - 1
-    chosen = np.asarray(nodes, int)
-    if ((chosen < 0) | (chosen >= last)).any():
-        raise ValueError(f"nodes is {nodes}; accepted: indices from 0 to {last - 1}")
-    if not len(chosen):
-        return np.zeros(0)
+    number = len(graph.poses)
+    if not 0 <= end < number:
+        raise ValueError(f"end is {end}; accepted: from 0 to {number - 1}")
+    if not all(0 <= node < number and node != end for node in nodes):
+        raise ValueError(f"nodes is {nodes}; accepted: from 0 to {number - 1} but {end}")
+    if not nodes:
+        return np.zeros((0, 3, 3))
     library: Any = import_optional("gtsam", "slam")
     # How exactly the first pose is known does not matter to motions; known as good as exactly, the
     # joint covariance would be that of a singular matrix.
     factors, values = _problem(library, graph, library.noiseModel.Isotropic.Sigma(3, 0.01))
-    marginals = library.Marginals(factors, values)
-    joint = marginals.jointMarginalCovariance([*np.unique(chosen).tolist(), last])
-    end, spreads = values.atPose2(last), []
-    of_end = joint.at(last, last)
-    for node in chosen.tolist():
-        adjoint = values.atPose2(node).between(end).inverse().AdjointMap()
-        across = adjoint @ joint.at(node, last)
+    joint = library.Marginals(factors, values).jointMarginalCovariance([*{*nodes, end}])
+    last, of_end = values.atPose2(end), joint.at(end, end)
+    covariances = []
+    for node in nodes:
+        motion = values.atPose2(node).between(last)
+        adjoint = motion.inverse().AdjointMap()
+        across = adjoint @ joint.at(node, end)
         covariance = adjoint @ joint.at(node, node) @ adjoint.T - across - across.T + of_end
-        spreads.append(np.sqrt(max(0.5 * (covariance[0, 0] + covariance[1, 1]), 0.0)))
-    return np.array(spreads)
+        turn = _rotation(motion.theta())
+        covariances.append(turn @ covariance @ turn.T)
+    return np.array(covariances)
 
 
 def _problem(library: Any, graph: Graph, noise_of_first: Any) -> tuple[Any, Any]:

@@ -158,6 +158,8 @@ def checked_perception(
     ground: Ground | None,
     goal: Position | None,
     max_unknown: Scalar,
+    *,
+    is_localising: bool,
 ) -> Perception:
     """Check that a perception was made for a scenario, or make it when absent.
 
@@ -169,6 +171,7 @@ def checked_perception(
         ground: ground of the map's cells; None if it is level.
         goal: goal position (x, y) [m]; None without one.
         max_unknown: share of unknown cells below which the map is explored.
+        is_localising: whether the robot estimates its pose.
 
     Raises:
         ValueError: another goal, range, resolution or ground.
@@ -182,6 +185,7 @@ def checked_perception(
             max_unknown=max_unknown,
             ground=ground,
             car=car_motion(robot),
+            is_localising=is_localising,
         )
     # Arrays compare element by element, so their values are compared as lists.
     goals = [None if each is None else each.tolist() for each in (perception.goal, goal)]

@@ -231,7 +231,14 @@ class ExplorationScenario(Scenario):
         is_apart = perception is not None and perception.is_goal_apart
         self.goal_radius, self.max_unknown = checks.checked_end(goal_radius, max_unknown, is_apart)
         perception = checks.checked_perception(
-            perception, self.sensors, world, robot, ground, self.goal, self.max_unknown
+            perception,
+            self.sensors,
+            world,
+            robot,
+            ground,
+            self.goal,
+            self.max_unknown,
+            is_localising=localisation is not None,
         )
         known = checks.checked_prior(prior, world, datum)
         self.faults = checks.checked_faults(faults, world)
