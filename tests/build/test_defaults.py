@@ -288,6 +288,7 @@ NOT_SETTINGS: dict[Callable[..., Any], set[str]] = {
     jx.Perception: {
         *("sensors", "resolution", "robot_radius", "sensor_model", "goal", "max_unknown"),
         *("ground", "watch", "anomalies", "is_goal_apart", "unknown_factor", "car", "recognition"),
+        "is_localising",
     },
     jx.planning.Contextual: {"names", "goal", "rules"},
     jx.planning.WeightedVote: set(),
