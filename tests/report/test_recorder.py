@@ -23,6 +23,8 @@ from jaxplore.recorder.messages import even_angles
 from jaxplore.recorder.recorder import RecordingWarning
 from jaxplore.report.exploration.data import ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord
+from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.report.following.data import PathRecord
 from jaxplore.report.recording import Recording
 from jaxplore.report.volume.data import VolumeFrame, VolumeRecord
@@ -302,6 +304,111 @@ def test_a_volume_is_recorded_with_its_voxels(recording, controller, tmp_path: P
     # The two upper layers are the ceiling.
     wanted = (np.argwhere(occupied[:2])[:, ::-1] + 0.5) * side + origin
     np.testing.assert_allclose(points, wanted, rtol=1e-6)
+
+
+def test_a_fleet_is_recorded_with_each_robot_under_its_name(
+    recording, controller, tmp_path: Path
+) -> None:
+    shape, steps = (4, 6), 6
+    random = np.random.default_rng(1)
+    states = random.uniform(-2.0, 2.0, (steps, 6)).astype(np.float32)
+    start = np.array([0.0, 0.5, 0.1, 1.0, 1.5, 0.2], np.float32)
+    shares, ones = random.random((steps, 2)).astype(np.float32), np.ones(steps, np.float32)
+    hits = np.zeros((steps, 2), bool)
+    hits[1, 0] = True
+    records = FleetRecord(
+        state=states,
+        control=np.ones((steps, 4), np.float32),
+        coverage=ones,
+        coverages=shares,
+        clearance=shares + 1.0,
+        is_collision=hits,
+        is_contact=np.zeros((steps, 2), bool),
+        effective_sample_size=ones,
+        is_finite=np.ones(steps, bool),
+        sent=ones,
+        links=np.ones(steps, np.int32),
+    )
+    frames = tuple(
+        FleetFrame(
+            step=step,
+            time=step * 0.1,
+            positions=(start if step == 0 else states[step - 1])[[0, 1, 3, 4]].reshape(2, 2),
+            headings=(start if step == 0 else states[step - 1])[[2, 5]],
+            probability=random.integers(0, 256, shape, np.uint8),
+            plans=random.random((2, 3, 2)).astype(np.float32),
+            links=np.array([[True, step > 0], [step > 0, True]]),
+        )
+        for step in (0, 3, steps)
+    )
+    run = FleetRecording(
+        records=records,
+        frames=frames,
+        timing=recording.timing,
+        control_period=0.1,
+        is_interrupted=False,
+        world=random.random(shape).astype(np.float32),
+        belief=np.full(shape, 0.5, np.float32),
+        beliefs=random.integers(0, 256, (2, *shape), np.uint8),
+        reachable=np.ones(shape, bool),
+        origin=np.array([1.0, 2.0, 0.0]),
+        resolution=0.5,
+        start=start,
+        state_names=("x_1", "y_1", "yaw_1", "x_2", "y_2", "yaw_2"),
+        initial_coverage=0.0,
+        target_coverage=0.9,
+        finished_step=None,
+        given_up_step=None,
+        radii=np.array([0.2, 0.3], np.float32),
+        coordination="claims",
+    )
+    recorder = record(run, tmp_path / "run.mcap", controller)
+    assert recorder.failure is None
+    messages = read(tmp_path / "run.mcap")
+    own = ("pose", "plan", "trail", "metrics", "belief")
+    topics = {f"/{name}/{topic}" for name in ("robot1", "robot2") for topic in own}
+    common = {"/belief", "/command", "/metrics", "/objects", "/state", "/tf", "/world"}
+    assert {each.topic for each in messages} == topics | common
+    for number, name in enumerate(("robot1", "robot2")):
+        poses = of(messages, f"/{name}/pose")
+        found = [
+            (at.position.x, at.position.y, yaw_of(at.orientation))
+            for at in (each.content.pose for each in poses)
+        ]
+        np.testing.assert_allclose(
+            found,
+            [(*frame.positions[number], frame.headings[number]) for frame in frames],
+            atol=1e-6,
+        )
+        frame_id = f"{name}/base_link"
+        children = [each.content.child_frame_id for each in of(messages, "/tf")]
+        assert children.count(frame_id) == len(frames)
+        (trail,) = of(messages, f"/{name}/trail")[-1].content.entities
+        drawn = [(point.x, point.y) for point in trail.lines[0].points]
+        np.testing.assert_array_equal(np.float32(drawn), np.float32(run.trails[number]))
+        (plan,) = of(messages, f"/{name}/plan")[-1].content.entities
+        drawn = [(point.x, point.y) for point in plan.lines[0].points]
+        np.testing.assert_array_equal(np.float32(drawn), frames[-1].plans[number])
+        (grid,) = of(messages, f"/{name}/belief")
+        levels = grid_values(grid.content, "probability", np.uint8)
+        np.testing.assert_array_equal(levels, run.beliefs[number])
+        assert grid.time == pytest.approx(steps * 0.1)
+        entity = {each.id: each for each in of(messages, "/objects")[-1].content.entities}[name]
+        assert entity.frame_id == frame_id
+        assert entity.cylinders[0].size.x == pytest.approx(2.0 * run.radii[number])
+    first, second = (of(messages, f"/{name}/metrics") for name in ("robot1", "robot2"))
+    # A collision between two messages is in the next of them.
+    assert [each.content["is_collision"] for each in first] == [1.0, 0.0]
+    assert [each.content["is_collision"] for each in second] == [0.0, 0.0]
+    assert np.float32(second[-1].content["coverage"]) == shares[-1, 1]
+    linked = [
+        {each.id: each for each in message.content.entities}["links"].lines
+        for message in of(messages, "/objects")
+    ]
+    assert [len(lines) for lines in linked] == [0, 1, 1]
+    together = of(messages, "/belief")[-1].content
+    shown = grid_values(together, "probability", np.uint8)
+    np.testing.assert_array_equal(shown, frames[-1].probability)
 
 
 def test_values_that_json_lacks_are_left_out(make_straight, controller, tmp_path: Path) -> None:
