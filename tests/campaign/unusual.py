@@ -333,6 +333,8 @@ NAMED = {
     "also": ["tune", "office", "--tune", "controller.temperature", "--also", "{it}"],
     "shown setting": ["settings", "{it}"],
     "topic": ["node", "--set", "node.scan_topic={it}"],
+    "namespace": ["node", "--namespace", "{it}"],
+    "robot's namespace": ["robot", "office", "--namespace", "{it}"],
     "mode": ["node", "--mode", "{it}"],
     "bag": ["replay", "{it}"],
     "bag's topic": ["replay", "{base}/bag", "--scan", "{it}"],

@@ -9,6 +9,8 @@ from jaxplore.control.base import Members
 from jaxplore.report.compute import Timing
 from jaxplore.report.exploration.data import ExplorationFrame, ExplorationRecord
 from jaxplore.report.exploration.recording import ExplorationRecording
+from jaxplore.report.fleet.data import FleetFrame, FleetRecord
+from jaxplore.report.fleet.recording import FleetRecording
 from jaxplore.report.following.data import PathFrame, PathRecord
 from jaxplore.report.following.recording import PathRecording
 
@@ -387,3 +389,61 @@ def written(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, tuple[float, flo
 
     monkeypatch.setattr(ImageDraw.ImageDraw, "text", note)
     return texts
+
+
+@pytest.fixture
+def fleet_run(recording: ExplorationRecording) -> FleetRecording:
+    """Return a run of two robots with numbers at random; the second hears the first at the end."""
+    shape, steps = (4, 6), 6
+    random = np.random.default_rng(1)
+    states = random.uniform(-2.0, 2.0, (steps, 6)).astype(np.float32)
+    start = np.array([0.0, 0.5, 0.1, 1.0, 1.5, 0.2], np.float32)
+    shares, ones = random.random((steps, 2)).astype(np.float32), np.ones(steps, np.float32)
+    hits = np.zeros((steps, 2), bool)
+    hits[1, 0] = True
+    records = FleetRecord(
+        state=states,
+        control=np.ones((steps, 4), np.float32),
+        coverage=ones,
+        coverages=shares,
+        clearance=shares + 1.0,
+        is_collision=hits,
+        is_contact=np.zeros((steps, 2), bool),
+        effective_sample_size=ones,
+        is_finite=np.ones(steps, bool),
+        sent=ones,
+        links=np.ones(steps, np.int32),
+    )
+    frames = tuple(
+        FleetFrame(
+            step=step,
+            time=step * 0.1,
+            positions=(start if step == 0 else states[step - 1])[[0, 1, 3, 4]].reshape(2, 2),
+            headings=(start if step == 0 else states[step - 1])[[2, 5]],
+            probability=random.integers(0, 256, shape, np.uint8),
+            plans=random.random((2, 3, 2)).astype(np.float32),
+            links=np.array([[True, step > 0], [step > 0, True]]),
+        )
+        for step in (0, 3, steps)
+    )
+    return FleetRecording(
+        records=records,
+        frames=frames,
+        timing=recording.timing,
+        control_period=0.1,
+        is_interrupted=False,
+        world=random.random(shape).astype(np.float32),
+        belief=np.full(shape, 0.5, np.float32),
+        beliefs=random.integers(0, 256, (2, *shape), np.uint8),
+        reachable=np.ones(shape, bool),
+        origin=np.array([1.0, 2.0, 0.0]),
+        resolution=0.5,
+        start=start,
+        state_names=("x_1", "y_1", "yaw_1", "x_2", "y_2", "yaw_2"),
+        initial_coverage=0.0,
+        target_coverage=0.9,
+        finished_step=None,
+        given_up_step=None,
+        radii=np.array([0.2, 0.3], np.float32),
+        coordination="claims",
+    )

@@ -304,6 +304,59 @@ def test_a_volume_is_recorded_with_its_voxels(recording, controller, tmp_path: P
     np.testing.assert_allclose(points, wanted, rtol=1e-6)
 
 
+def test_a_fleet_is_recorded_with_each_robot_under_its_name(
+    fleet_run, controller, tmp_path: Path
+) -> None:
+    run, frames, steps = fleet_run, fleet_run.frames, fleet_run.num_steps
+    recorder = record(run, tmp_path / "run.mcap", controller)
+    assert recorder.failure is None
+    messages = read(tmp_path / "run.mcap")
+    own = ("pose", "plan", "trail", "metrics", "belief")
+    topics = {f"/{name}/{topic}" for name in ("robot1", "robot2") for topic in own}
+    common = {"/belief", "/command", "/metrics", "/objects", "/state", "/tf", "/world"}
+    assert {each.topic for each in messages} == topics | common
+    for number, name in enumerate(("robot1", "robot2")):
+        poses = of(messages, f"/{name}/pose")
+        found = [
+            (at.position.x, at.position.y, yaw_of(at.orientation))
+            for at in (each.content.pose for each in poses)
+        ]
+        np.testing.assert_allclose(
+            found,
+            [(*frame.positions[number], frame.headings[number]) for frame in frames],
+            atol=1e-6,
+        )
+        frame_id = f"{name}/base_link"
+        children = [each.content.child_frame_id for each in of(messages, "/tf")]
+        assert children.count(frame_id) == len(frames)
+        (trail,) = of(messages, f"/{name}/trail")[-1].content.entities
+        drawn = [(point.x, point.y) for point in trail.lines[0].points]
+        np.testing.assert_array_equal(np.float32(drawn), np.float32(run.trails[number]))
+        (plan,) = of(messages, f"/{name}/plan")[-1].content.entities
+        drawn = [(point.x, point.y) for point in plan.lines[0].points]
+        np.testing.assert_array_equal(np.float32(drawn), frames[-1].plans[number])
+        (grid,) = of(messages, f"/{name}/belief")
+        levels = grid_values(grid.content, "probability", np.uint8)
+        np.testing.assert_array_equal(levels, run.beliefs[number])
+        assert grid.time == pytest.approx(steps * 0.1)
+        entity = {each.id: each for each in of(messages, "/objects")[-1].content.entities}[name]
+        assert entity.frame_id == frame_id
+        assert entity.cylinders[0].size.x == pytest.approx(2.0 * run.radii[number])
+    first, second = (of(messages, f"/{name}/metrics") for name in ("robot1", "robot2"))
+    # A collision between two messages is in the next of them.
+    assert [each.content["is_collision"] for each in first] == [1.0, 0.0]
+    assert [each.content["is_collision"] for each in second] == [0.0, 0.0]
+    assert np.float32(second[-1].content["coverage"]) == run.records.coverages[-1, 1]
+    linked = [
+        {each.id: each for each in message.content.entities}["links"].lines
+        for message in of(messages, "/objects")
+    ]
+    assert [len(lines) for lines in linked] == [0, 1, 1]
+    together = of(messages, "/belief")[-1].content
+    shown = grid_values(together, "probability", np.uint8)
+    np.testing.assert_array_equal(shown, frames[-1].probability)
+
+
 def test_values_that_json_lacks_are_left_out(make_straight, controller, tmp_path: Path) -> None:
     record(make_straight(), tmp_path / "run.mcap", controller)
     last = of(read(tmp_path / "run.mcap"), "/metrics")[-1].content

@@ -143,7 +143,7 @@ def test_rows_that_are_kept_are_evenly_spaced_and_hold_the_newest() -> None:
     assert len(Thinned(3, 10).rows) == 0
 
 
-@pytest.mark.parametrize("name", ["recording", "vehicle", "make_straight"])
+@pytest.mark.parametrize("name", ["recording", "vehicle", "make_straight", "fleet_run"])
 def test_the_history_of_pieces_is_that_of_the_whole(name, request) -> None:
     made = request.getfixturevalue(name)
     run = made() if callable(made) else made
@@ -165,6 +165,11 @@ def test_the_history_of_pieces_is_that_of_the_whole(name, request) -> None:
         np.testing.assert_array_equal(one.rows, other.rows)
     if "speed [m/s]" in plots:
         np.testing.assert_allclose(plots["speed [m/s]"].rows[:, 1], speeds(run)[1:])
+    elif name == "fleet_run":
+        (main,) = plots.values()
+        assert main.names == ("robot 1", "robot 2", "together")
+        np.testing.assert_array_equal(main.rows[:, 1:3], run.records.coverages)
+        np.testing.assert_array_equal(main.rows[:, 3], run.records.coverage)
     else:
         main = next(iter(plots.values()))
         np.testing.assert_array_equal(main.rows[:, 1], run.records.coverage)

@@ -22,6 +22,12 @@ class FakeLink:
     def subscribe(self, kind, topic, handle, *, is_kept=False) -> None:
         self.handles[topic] = handle
 
+    def topic(self, name) -> str:
+        return f"/{name}"
+
+    def frame(self, name) -> str:
+        return name
+
     def stamp_of(self, name, stamped) -> float:
         return stamped
 

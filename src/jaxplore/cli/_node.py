@@ -30,6 +30,7 @@ from jaxplore.ros.link import connected
 from jaxplore.ros.replay import replay, replay_topics
 from jaxplore.settings.exploration import Settings
 from jaxplore.settings.node import NodeSettings
+from jaxplore.settings.ros_names import checked_namespace
 from jaxplore.settings.sections import read_settings
 from jaxplore.simulation.exploration.scenario import ExplorationScenario
 from jaxplore.simulation.monitor import Monitor
@@ -58,15 +59,15 @@ def drive(options: dict[str, Any]) -> None:
         pilot = build_pilot(settings, node)
         recording = None
         # Connected first, so that other nodes are found while it compiles.
-        link = stack.enter_context(connected(control.NODE))
+        link = stack.enter_context(connected(control.NODE, node.namespace))
         say("Compiling, a few seconds ...", err=True)
         pilot.prepare()
         with stop_requests() as is_stopped:
             driver = control.ControlNode(link, pilot, node, monitors)
             driver.check_alone()
             say(
-                f"Driving: {node.scan_topic} and {node.pose_topic} to {node.command_topic}; Ctrl-C "
-                "stops the robot and saves the drive.",
+                f"Driving: {link.topic(node.scan_topic)} and {link.topic(node.pose_topic)} to "
+                f"{link.topic(node.command_topic)}; Ctrl-C stops the robot and saves the drive.",
                 err=True,
             )
             try:
@@ -133,8 +134,9 @@ def _drive_settings(options: dict[str, Any]) -> tuple[Settings, NodeSettings, Pa
     file, out = options["settings_file"], options["out"]
     entries = {} if file is None else read_settings(file, is_trusted=options["trust"])
     assign_all(entries, options["assignments"])
-    if options.get("mode") is not None:
-        assign(entries, "node.mode", options["mode"])
+    for name in ("mode", "namespace"):
+        if options.get(name) is not None:
+            assign(entries, f"node.{name}", options[name])
     settings, node = make_node_settings(entries)
     # A chooser of goals gets its map from another program, and compiles when it has come.
     if node.mode != "goal":
@@ -192,11 +194,11 @@ def choose_goals(settings: Settings, node: NodeSettings) -> None:
         ValueError: no ROS 2, or settings that a part rejects.
     """
     chooser = build_goal_chooser(settings)
-    with connected(control.NODE) as link, stop_requests() as is_stopped:
+    with connected(control.NODE, node.namespace) as link, stop_requests() as is_stopped:
         chosen = goal.GoalNode(link, chooser, node, settings.resolution)
         say(
-            f"Choosing goals: {node.map_topic} and {node.pose_topic} to {node.goal_topic}; Ctrl-C "
-            "ends it.",
+            f"Choosing goals: {link.topic(node.map_topic)} and {link.topic(node.pose_topic)} to "
+            f"{link.topic(node.goal_topic)}; Ctrl-C ends it.",
             err=True,
         )
         reason = chosen.run(is_stopped)
@@ -215,6 +217,9 @@ def simulate_robot(options: dict[str, Any]) -> None:
     """
     out, overwrite, animation = (options.pop(name) for name in ("out", "overwrite", "animation"))
     own = {name: options.pop(name) for name in ("delay", "drift", "command_type", "has_map")}
+    namespace = options.pop("namespace")
+    if namespace is not None:
+        namespace = checked_namespace("--namespace", namespace)
     limit = memory_limit(options)
     for name in ("delay", "drift"):
         if not 0.0 <= own[name] <= _MOST[name]:
@@ -235,14 +240,15 @@ def simulate_robot(options: dict[str, Any]) -> None:
     simulated = SimulatedRobot(
         scenario, jax.random.key(settings.seed), delay=own["delay"], drift=own["drift"]
     )
-    with connected(robot.NODE) as link:
+    with connected(robot.NODE, namespace) as link:
         say("Compiling, a few seconds ...", err=True)
         simulated.prepare()
         node = robot.RobotNode(
             link, simulated, command_type=own["command_type"], has_map=own["has_map"]
         )
         node.check_alone()
-        say("The robot is ready: /scan, /odom, /cmd_vel; Ctrl-C ends it.", err=True)
+        topics = (robot.SCAN_TOPIC, robot.ODOMETRY_TOPIC, robot.COMMAND_TOPIC)
+        say(f"The robot is ready: {', '.join(map(link.topic, topics))}; Ctrl-C ends it.", err=True)
         with (
             stop_requests() as is_stopped,
             progress_bar("simulating", enabled=True) as advance,

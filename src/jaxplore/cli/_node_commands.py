@@ -41,6 +41,7 @@ def node(**options: Any) -> None:
       jaxplore node --set robot.max_speed=0.3 --set node.latency=0.1
       jaxplore node --view --record drive.mcap
       jaxplore node --mode goal
+      jaxplore node --namespace robot1
 
     Orders are texts on /jaxplore/command: start, pause, stop. Ctrl-C stops the robot and saves the
     drive as a run folder.
@@ -93,6 +94,7 @@ def robot(**options: Any) -> None:
     \b
       jaxplore robot office
       jaxplore robot maps/depot.yaml --start 4.62 7.73 0 --delay 0.06
+      jaxplore robot office --namespace robot1
     """
     from jaxplore.cli._node import simulate_robot
 

@@ -5,6 +5,12 @@ from typing import Any
 
 import click
 
+NAMESPACE = click.option(
+    "--namespace",
+    metavar="NAME",
+    help="Namespace of topics, services and frames, such as robot1, for several robots.  "
+    "[default: none]",
+)
 ANIMATION = click.option("--animation/--no-animation", default=True, help="Draw an animation.")
 
 
@@ -55,7 +61,7 @@ def node_options(command: Any) -> Any:
         "[default: control]",
     )
     # Click lists options in the reverse order of their addition.
-    for option in reversed((mode, *_drive_options("runs/drive"))):
+    for option in reversed((mode, NAMESPACE, *_drive_options("runs/drive"))):
         command = option(command)
     return command
 
@@ -109,6 +115,7 @@ def robot_options(command: Any) -> Any:
                 default=True,
                 help="Publish the map of what the lidar has seen on /map.",
             ),
+            NAMESPACE,
             ANIMATION,
         )
     ):

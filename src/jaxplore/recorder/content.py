@@ -9,6 +9,7 @@ from jaxplore.control.base import Controller
 from jaxplore.dynamics.base import Dynamics
 from jaxplore.recorder import messages
 from jaxplore.recorder.channels import Channels
+from jaxplore.report.drawing.colours import belief_colours
 from jaxplore.report.drawing.palette import FAINT, PLAN, ROBOT, STRONG, Colour
 from jaxplore.report.drawing.rollout_costs import WEIGHT, cost_names, costs_of_rollouts
 from jaxplore.report.drawing.shapes import STRONG_SHARE
@@ -91,17 +92,56 @@ class Content:
     def write_maps(self, frame: Any) -> None:
         """Write the maps of a frame; nothing by default."""
 
+    def write_end(self, recording: Any) -> None:
+        """Write what is known at the end of the run only; nothing by default.
+
+        Args:
+            recording: the finished run.
+        """
+
     def log(self, topic: str, message: Any, time: float) -> None:
         """Write a message; see `Channels.log`."""
         self.channels.log(topic, message, time)
 
-    def log_pose(self, time: float, position: np.ndarray, heading: float, z: float) -> None:
-        """Write the pose of the robot, and the transform from its frame to the world's."""
+    def log_levels(self, topic: str, level: np.ndarray, time: float, height: float) -> None:
+        """Write probabilities in 256 levels as a grid, coloured as in the animation.
+
+        Args:
+            topic: the topic.
+            level: (H, W) levels of the cells of the run's map.
+            time: time since the start of the run [s].
+            height: height at which the grid is drawn [m].
+        """
+        run, colours = self.recording, belief_colours()[level]
+        values = {
+            "probability": level,
+            "red": colours[..., 0],
+            "green": colours[..., 1],
+            "blue": colours[..., 2],
+            "alpha": np.full(level.shape, 255, np.uint8),
+        }
+        stamp = self.channels.stamp(time)
+        message = messages.grid(stamp, MAP, run.origin, run.resolution, values, height=height)
+        self.log(topic, message, time)
+
+    def log_pose(
+        self, time: float, position: np.ndarray, heading: float, z: float, robot: str | None = None
+    ) -> None:
+        """Write the pose of the robot, and the transform from its frame to the world's.
+
+        Args:
+            time: time since the start of the run [s].
+            position: position (x, y) [m].
+            heading: heading [rad].
+            z: height [m].
+            robot: name of the robot, under which its topic and its frame are, where several are.
+        """
+        topic, frame = ("/pose", BASE) if robot is None else (f"/{robot}/pose", f"{robot}/{BASE}")
         x, y = np.asarray(position, np.float64).tolist()
         yaw = heading if np.isfinite(heading) else 0.0
         stamp = self.channels.stamp(time)
-        self.log("/tf", messages.frame_transform(stamp, MAP, BASE, x, y, yaw, z=z), time)
-        self.log("/pose", messages.pose_in_frame(stamp, MAP, x, y, yaw, z=z), time)
+        self.log("/tf", messages.frame_transform(stamp, MAP, frame, x, y, yaw, z=z), time)
+        self.log(topic, messages.pose_in_frame(stamp, MAP, x, y, yaw, z=z), time)
 
     def log_plan(self, frame: Any, **others: tuple[np.ndarray, Colour]) -> None:
         """Write the plan and some rollouts, those of great weight in another colour, with what each
@@ -121,8 +161,8 @@ class Content:
         known = np.nan_to_num(frame.weights)
         bold = STRONG_SHARE * known.max(initial=0.0)
         # The last in the order of weight is the rollout of greatest weight, which is kept.
-        shown = np.argsort(known, kind="stable")[_evenly(len(samples), MOST_ROLLOUTS)]
-        points = _evenly(samples.shape[1], MOST_POINTS)
+        shown = np.argsort(known, kind="stable")[evenly(len(samples), MOST_ROLLOUTS)]
+        points = evenly(samples.shape[1], MOST_POINTS)
         rollouts = [
             messages.line(
                 samples[i, points],
@@ -159,6 +199,6 @@ def _control_names(controller: Controller, recording: Any) -> tuple[str, ...]:
     return tuple(f"u{i}" for i in range(size))
 
 
-def _evenly(number: int, most: int) -> np.ndarray:
+def evenly(number: int, most: int) -> np.ndarray:
     """Return indices of some of a number of things, the first and the last included."""
     return np.linspace(0, number - 1, min(number, most)).round().astype(int)

@@ -6,7 +6,7 @@ import numpy as np
 
 from jaxplore.recorder import messages
 from jaxplore.recorder.content import BASE, MAP, Content
-from jaxplore.report.drawing.colours import MOVER, TARGET, belief_colours
+from jaxplore.report.drawing.colours import MOVER, TARGET
 from jaxplore.report.drawing.palette import HEAT, MAX_HEAT, PALE, REFERENCE
 from jaxplore.report.exploration.data import ExplorationFrame
 from jaxplore.report.exploration.objects import known_objects
@@ -38,7 +38,7 @@ class ExplorationContent(Content):
         world = np.round(255.0 * np.asarray(run.world)).astype(np.uint8)
         # A real robot has no true map: its recording says 1/2 everywhere.
         if (np.asarray(run.world) != 0.5).any():
-            self._log_levels("/world", world, run.frames[0].time, -2.0 * messages.FLAT)
+            self.log_levels("/world", world, run.frames[0].time, -2.0 * messages.FLAT)
 
     def write_scene(self, frame: ExplorationFrame) -> None:
         """Write the pose, the scan, the plan, rollouts, and what moves or is found."""
@@ -76,22 +76,8 @@ class ExplorationContent(Content):
 
     def write_maps(self, frame: ExplorationFrame) -> None:
         """Write the belief and the information."""
-        self._log_levels("/belief", frame.probability, frame.time, -messages.FLAT)
+        self.log_levels("/belief", frame.probability, frame.time, -messages.FLAT)
         self._log_information(frame)
-
-    def _log_levels(self, topic: str, level: np.ndarray, time: float, height: float) -> None:
-        """Write probabilities in 256 levels as a grid, coloured as in the animation."""
-        run, colours = self.recording, belief_colours()[level]
-        values = {
-            "probability": level,
-            "red": colours[..., 0],
-            "green": colours[..., 1],
-            "blue": colours[..., 2],
-            "alpha": np.full(level.shape, 255, np.uint8),
-        }
-        stamp = self.channels.stamp(time)
-        message = messages.grid(stamp, MAP, run.origin, run.resolution, values, height=height)
-        self.log(topic, message, time)
 
     def _log_information(self, frame: ExplorationFrame) -> None:
         """Write the information; its colour covers free cells only, as in the animation."""

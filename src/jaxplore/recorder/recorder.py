@@ -16,10 +16,12 @@ from jaxplore.control.base import Controller
 from jaxplore.recorder.channels import Channels
 from jaxplore.recorder.content import Content
 from jaxplore.recorder.exploration import ExplorationContent
+from jaxplore.recorder.fleet import FleetContent
 from jaxplore.recorder.following import PathContent
 from jaxplore.recorder.messages import EXTRA
 from jaxplore.recorder.volume import VolumeContent
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.folder import whole_file
 from jaxplore.report.following.data import PathData
 from jaxplore.report.recording import Recording
@@ -34,6 +36,7 @@ _CONTENTS: tuple[tuple[type, type[Content]], ...] = (
     (ExplorationData, ExplorationContent),
     (PathData, PathContent),
     (VolumeData, VolumeContent),
+    (FleetData, FleetContent),
 )
 
 
@@ -124,6 +127,8 @@ class McapRecorder(Monitor):
             if recording is None:
                 raise _Failed
             self._write_rest(recording)
+            if self._sink.error is None:
+                self._content.write_end(recording)
 
         self._close(write_rest)
 

@@ -106,7 +106,7 @@ class ControlNode:
         self._mapper = concurrent.futures.ThreadPoolExecutor(1, "map")
         self._background: concurrent.futures.Future[None] | None = None
         # The fixed frame, and that of the poses, which drifts where the robot localises itself.
-        self._pose_frame = settings.world_frame
+        self._pose_frame = link.frame(settings.world_frame)
         self._is_internal = settings.pose == "internal"
         self._last_mode: tuple[Mode, str] | None = None
         self._has_twist = settings.command_type == "twist_stamped"
@@ -127,7 +127,7 @@ class ControlNode:
 
     @property
     def _frame_name(self) -> str:
-        return self.settings.map_frame if self._is_internal else self._pose_frame
+        return self.link.frame(self.settings.map_frame) if self._is_internal else self._pose_frame
 
     def _declare_parameters(self) -> None:
         """Offer the numbers of the controller as ROS parameters that may change while it drives."""
@@ -203,9 +203,10 @@ class ControlNode:
             raise ValueError(self._shared(others[0]))
 
     def _shared(self, other: str) -> str:
+        topic = self.link.topic(self.settings.command_topic)
         return (
-            f"{self.settings.command_topic} has another publisher, {messages.text_of(other)}; "
-            "accepted: one node that commands the robot, or another ROS_DOMAIN_ID"
+            f"{topic} has another publisher, {messages.text_of(other)}; accepted: one node that "
+            "commands the robot, another --namespace, or another ROS_DOMAIN_ID"
         )
 
     def _take_state(self, message: Any) -> None:
@@ -331,7 +332,8 @@ class ControlNode:
         ros = self.link.ros
         if self._has_twist:
             message = ros.TwistStamped()
-            messages.fill_header(message.header, self.link.now(), self.settings.robot_frame)
+            frame = self.link.frame(self.settings.robot_frame)
+            messages.fill_header(message.header, self.link.now(), frame)
             messages.fill_twist(message.twist, command.twist)
         else:
             message = ros.Twist()

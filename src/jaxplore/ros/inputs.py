@@ -51,7 +51,8 @@ def subscribe_pose(
     Raises:
         ValueError: transforms are asked for, and their package is missing.
     """
-    ros, topic = link.ros, settings.pose_topic
+    ros, topic = link.ros, link.topic(settings.pose_topic)
+    names = link.frame(settings.world_frame), link.frame(settings.robot_frame)
     check = _FrameCheck(topic)
 
     def take_pose(message: Any) -> None:
@@ -60,7 +61,6 @@ def subscribe_pose(
         take(pose._replace(time=link.stamp_of(topic, pose.time)))
 
     def take_transforms(message: Any) -> None:
-        names = settings.world_frame, settings.robot_frame
         pose = messages.transform_of(message.transforms, *names)
         if pose is not None:
             take(pose._replace(time=link.stamp_of("/tf", pose.time)))
@@ -94,7 +94,7 @@ def subscribe_scan(
         take: function that takes each scan with its time on this clock, and the monotonic time at
             which it arrived [s].
     """
-    topic = settings.scan_topic
+    topic = link.topic(settings.scan_topic)
     check = _FrameCheck(topic)
 
     def take_scan(message: Any) -> None:

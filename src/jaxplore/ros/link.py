@@ -26,11 +26,12 @@ class Link:
     Args:
         name: name of the node.
         ros: packages of ROS, of `import_ros`.
+        namespace: namespace of the node, without a leading slash; none when absent.
     """
 
-    def __init__(self, name: str, ros: Any) -> None:
-        self.ros = ros
-        self.node = ros.rclpy.create_node(name)
+    def __init__(self, name: str, ros: Any, namespace: str | None = None) -> None:
+        self.ros, self.namespace = ros, namespace
+        self.node = ros.rclpy.create_node(name, namespace=f"/{namespace or ''}")
         self._executor = ros.rclpy.executors.SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._thread = threading.Thread(target=self._spin, name="ros", daemon=True)
@@ -43,6 +44,20 @@ class Link:
         # The executor raises when the context is shut down, which is how it ends.
         with suppress(self.ros.rclpy.executors.ExternalShutdownException):
             self._executor.spin()
+
+    def topic(self, name: str) -> str:
+        """Return the full name of a topic, `/robot1/scan` for `scan` in the namespace `robot1`."""
+        return str(self.node.resolve_topic_name(name))
+
+    def frame(self, name: str) -> str:
+        """Return the name of a frame, `robot1/odom` for `odom` in the namespace `robot1`.
+
+        All robots share one tree of transforms, so their frames have names of their own. A name
+        with a leading slash is that of a frame of all robots, and is returned without the slash.
+        """
+        if name.startswith("/") or self.namespace is None:
+            return name.removeprefix("/")
+        return f"{self.namespace}/{name}"
 
     def now(self) -> float:
         """Return the time of the node's clock [s], simulated time if it uses that."""
@@ -89,12 +104,14 @@ class Link:
             is_kept: whether the last message is wanted that was published before.
         """
 
+        full = self.topic(topic)
+
         def take(message: Any) -> None:
             try:
                 handle(message)
             # Whatever another node sends must not end this one.
             except (ValueError, TypeError, OverflowError, AttributeError, RecursionError) as error:
-                self.warn(f"message of {topic}", f"{topic}: {' '.join(str(error).split())}")
+                self.warn(f"message of {full}", f"{full}: {' '.join(str(error).split())}")
 
         self.node.create_subscription(kind, topic, take, self._quality(is_kept, is_input=True))
 
@@ -173,11 +190,12 @@ class Link:
 
 
 @contextmanager
-def connected(name: str) -> Iterator[Link]:
+def connected(name: str, namespace: str | None = None) -> Iterator[Link]:
     """Connect to ROS 2 for the duration of a block.
 
     Args:
         name: name of the node.
+        namespace: namespace of the node, without a leading slash; none when absent.
 
     Raises:
         ValueError: ROS 2 is missing, or it cannot be started.
@@ -194,7 +212,7 @@ def connected(name: str) -> Iterator[Link]:
     except RuntimeError as error:
         raise ValueError(f"ROS 2 cannot be started: {' '.join(str(error).split())}") from None
     try:
-        link = Link(name, ros)
+        link = Link(name, ros, namespace)
         try:
             yield link
         finally:

@@ -14,7 +14,8 @@ from jaxplore.ros.link import Link
 
 NODE = "jaxplore_robot"
 """Name of the node."""
-SCAN_TOPIC = "/scan"
+SCAN_TOPIC, ODOMETRY_TOPIC, COMMAND_TOPIC, MAP_TOPIC = "scan", "odom", "cmd_vel", "map"
+"""Topics, relative to the namespace of the node."""
 WORLD_FRAME, ROBOT_FRAME, LIDAR_FRAME = "odom", "base_link", "base_scan"
 MAP_SECONDS, STATE_SECONDS = 1.0, 0.5
 """Time between two messages of the map, and of the state [s]."""
@@ -42,13 +43,15 @@ class RobotNode:
         self._commands: list[np.ndarray] = []
         self._lock = threading.Lock()
         self._scan = link.publisher(ros.LaserScan, SCAN_TOPIC)
-        self._odometry = link.publisher(ros.Odometry, "/odom")
-        self._map = link.publisher(ros.OccupancyGrid, "/map", is_kept=True) if has_map else None
+        self._odometry = link.publisher(ros.Odometry, ODOMETRY_TOPIC)
+        self._map = link.publisher(ros.OccupancyGrid, MAP_TOPIC, is_kept=True) if has_map else None
         self._state = link.publisher(ros.String, "~/state")
         if command_type == "twist":
-            link.subscribe(ros.Twist, "/cmd_vel", self._take)
+            link.subscribe(ros.Twist, COMMAND_TOPIC, self._take)
         else:
-            link.subscribe(ros.TwistStamped, "/cmd_vel", lambda message: self._take(message.twist))
+            link.subscribe(
+                ros.TwistStamped, COMMAND_TOPIC, lambda message: self._take(message.twist)
+            )
         self.num_late = 0
 
     def _take(self, message: Any) -> None:
@@ -66,8 +69,9 @@ class RobotNode:
         others = self.link.other_publishers(SCAN_TOPIC)
         if others:
             raise ValueError(
-                f"{SCAN_TOPIC} has another publisher, {messages.text_of(others[0])}; accepted: one "
-                "robot, or another ROS_DOMAIN_ID"
+                f"{self.link.topic(SCAN_TOPIC)} has another publisher, "
+                f"{messages.text_of(others[0])}; accepted: one robot, another --namespace, or "
+                "another ROS_DOMAIN_ID"
             )
 
     def run(
@@ -120,13 +124,14 @@ class RobotNode:
     def _publish(self, measured: RobotMeasurement, now: float) -> None:
         ros = self.link.ros
         odometry = ros.Odometry()
-        pose = messages.Odometry(now, WORLD_FRAME, measured.pose, measured.twist)
-        messages.fill_odometry(odometry, pose, ROBOT_FRAME)
+        frame = self.link.frame
+        pose = messages.Odometry(now, frame(WORLD_FRAME), measured.pose, measured.twist)
+        messages.fill_odometry(odometry, pose, frame(ROBOT_FRAME))
         self._odometry.publish(odometry)
         if measured.scan is not None:
             scan = ros.LaserScan()
             messages.fill_laser_scan(
-                scan, measured.scan, self._sensor, now, LIDAR_FRAME, period=self._scan_period
+                scan, measured.scan, self._sensor, now, frame(LIDAR_FRAME), period=self._scan_period
             )
             self._scan.publish(scan)
 
@@ -157,6 +162,6 @@ class RobotNode:
             grid.resolution,
             self.robot.scenario.datum.to_map(np.asarray(grid.frame.origin, np.float64)),
             now,
-            WORLD_FRAME,
+            self.link.frame(WORLD_FRAME),
         )
         self._map.publish(message)

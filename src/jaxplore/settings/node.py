@@ -8,6 +8,7 @@ from jaxplore.planning.presets.path_following import mpcc
 from jaxplore.report.drawing.rollout_costs import WEIGHT
 from jaxplore.settings.defaults import setting
 from jaxplore.settings.path import ContouringNumbers
+from jaxplore.settings.ros_names import Namespace, Topic
 from jaxplore.settings.sections import (
     Latency,
     NonNegative,
@@ -40,7 +41,14 @@ class NodeContouring(ContouringNumbers):
 class NodeSettings(Section):
     """The node that drives a robot, in the section `node` of a settings file.
 
+    Topics that begin with no slash are relative to the namespace, as ROS does it: `scan` is
+    `/robot1/scan` in the namespace `robot1`, and `/scan` without one. Names of frames begin with
+    the namespace as well, `robot1/odom`; one with a leading slash, `/map`, is used as it is,
+    without the slash.
+
     Args:
+        namespace: namespace of the node, so that several robots drive in one graph; none when
+            absent.
         mode: `control` explores; `follow` drives along the paths of another program; `goal`
             chooses goals on a map, and nav2 drives.
         pose: whose pose the robot drives by: `external`, that of the topic, such as of a SLAM;
@@ -68,16 +76,17 @@ class NodeSettings(Section):
         contouring: contouring control along the paths of the mode `follow`.
     """
 
+    namespace: Namespace | None = None
     mode: Literal["control", "follow", "goal"] = "control"
     pose: Literal["external", "internal"] = "external"
     map_frame: str = "map"
-    map_topic: str = "/map"
-    goal_topic: str = "/goal_pose"
-    path_topic: str = "/plan"
-    scan_topic: str = "/scan"
-    pose_topic: str = "/odom"
+    map_topic: Topic = "map"
+    goal_topic: Topic = "goal_pose"
+    path_topic: Topic = "plan"
+    scan_topic: Topic = "scan"
+    pose_topic: Topic = "odom"
     pose_type: Literal["odometry", "pose", "tf"] = "odometry"
-    command_topic: str = "/cmd_vel"
+    command_topic: Topic = "cmd_vel"
     command_type: Literal["twist", "twist_stamped"] = "twist"
     world_frame: str = "odom"
     robot_frame: str = "base_link"

@@ -186,7 +186,10 @@ _BY_NAME: dict[str, dict[str, Reader]] = {
         ),
         **{
             f"node.{name}": _ANY_MODE
-            for name in ("mode", "pose", "pose_topic", "pose_type", "world_frame", "robot_frame")
+            for name in (
+                *("namespace", "mode", "pose", "pose_topic", "pose_type"),
+                *("world_frame", "robot_frame"),
+            )
         },
     },
     "exploration": {

@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from jaxplore.report.exploration.data import ExplorationData
+from jaxplore.report.fleet.data import FleetData
 from jaxplore.report.following.data import PathData
 from jaxplore.report.following.laps import speeds
 from jaxplore.report.recording import Frame, Recording
@@ -89,6 +90,10 @@ class History:
             self._curves = ("coverage", "targets found") if has_targets else ("coverage",)
         elif isinstance(recording, VolumeData):
             self._title, self._curves = "coverage", ("coverage",)
+        elif isinstance(recording, FleetData):
+            own = tuple(f"robot {number + 1}" for number in range(recording.num_robots))
+            # The robots come first, so that their curves have the colours of the picture.
+            self._title, self._curves = "coverage", (*own, "together")
         elif isinstance(recording, PathData):
             self._title, self._curves = "speed [m/s]", ("speed",)
         if self._curves:
@@ -116,8 +121,9 @@ class History:
             return
         part = dataclasses.replace(run, records=records, start=self._state)
         self._trail.add(part.positions[1:])
-        if isinstance(part, (ExplorationData, VolumeData)):
-            values = [records.coverage]
+        if isinstance(part, (ExplorationData, FleetData, VolumeData)):
+            own = records.coverages.T if isinstance(part, FleetData) else ()
+            values = [*own, records.coverage]
             if isinstance(part, ExplorationData) and len(self._curves) > 1:
                 values.append(records.targets_seen / len(part.targets))
         else:

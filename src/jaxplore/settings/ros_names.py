@@ -1,0 +1,62 @@
+"""Names of ROS 2 in settings: namespaces and topics.
+
+ROS accepts letters of ASCII, digits and underscores, with a slash between the parts of a name; no
+part is empty or begins with a digit. Source: the ROS 2 design article "Topic and Service name
+mapping to DDS".
+"""
+
+import re
+from typing import Annotated
+
+from pydantic import AfterValidator
+from pydantic_core import PydanticCustomError
+
+from jaxplore._text import short_repr
+
+MOST_CHARACTERS = 120
+"""Greatest length of a name. ROS takes 247 for a topic with its namespace."""
+_PARTS = r"[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*"
+_NAMESPACE = re.compile(rf"/?{_PARTS}", re.ASCII)
+_TOPIC = re.compile(rf"(/|~/)?{_PARTS}", re.ASCII)
+_RULE = (
+    f"letters, digits and _, at most {MOST_CHARACTERS} characters, with / between parts that begin "
+    "with no digit"
+)
+NAMESPACE_RULE = f"a namespace such as robot1: {_RULE}"
+"""Accepted namespaces, for messages."""
+TOPIC_RULE = f"a topic such as scan or /scan: {_RULE}"
+"""Accepted topics, for messages."""
+
+
+def checked_namespace(name: str, value: str) -> str:
+    """Return a namespace without its leading slash.
+
+    Args:
+        name: name of the argument.
+        value: the namespace, with or without a leading slash.
+
+    Raises:
+        ValueError: what ROS does not accept, such as an empty part, and the root alone.
+    """
+    if len(value) > MOST_CHARACTERS or not _NAMESPACE.fullmatch(value):
+        raise ValueError(f"{name} is {short_repr(value)}; accepted: {NAMESPACE_RULE}")
+    return value.removeprefix("/")
+
+
+def _namespace(value: str) -> str:
+    try:
+        return checked_namespace("namespace", value)
+    except ValueError:
+        raise PydanticCustomError("ros_name", NAMESPACE_RULE) from None
+
+
+def _topic(value: str) -> str:
+    if len(value) > MOST_CHARACTERS or not _TOPIC.fullmatch(value):
+        raise PydanticCustomError("ros_name", TOPIC_RULE)
+    return value
+
+
+Namespace = Annotated[str, AfterValidator(_namespace)]
+"""A namespace, without its leading slash."""
+Topic = Annotated[str, AfterValidator(_topic)]
+"""A topic: relative to the namespace, absolute with a slash, of the node with `~/`."""
